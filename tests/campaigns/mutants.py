@@ -30,7 +30,7 @@ ROOMS = {
     "uq": ("uq/**/*.py", "tests/uq uqsphere/uq"),
     "study": ("study/*.py", "tests/study uqsphere/study"),
     "models": ("models/*.py", "tests/models"),
-    "run": ("run/*.py", "tests/run tests/test_public_cases.py tests/docs"),
+    "run": ("run/*.py", "tests/run tests/test_public_cases.py"),
     "labs": ("labs/**/*.py", "tests/labs uqsphere/labs"),
 }
 TURNED: dict[type[ast.AST], tuple[type[Any], ...]] = {

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from uqsphere.errors import UsageError
@@ -62,7 +63,14 @@ def test_energy_of_a_force_and_the_share_of_the_particle() -> None:
 
 @pytest.mark.parametrize("case", CASES["damage"], ids=lambda c: f"{c['gamma']}-{c['q']}")
 def test_damage_of_a_blow(case: dict[str, float]) -> None:
-    assert float(laws.damage(case["q"], case["gamma"])) == pytest.approx(case["D"], rel=1e-10)
+    q, left = case["q"], (1.0 - case["D"]) / case["q"]
+    assert float(laws.before_blow(left, case["gamma"])) == pytest.approx(max(1.0 / q, 1.0), rel=1e-10)
+
+
+def damage(share: float, gamma: float) -> float:
+    """D of a blow of E/e, (L4)."""
+    return float(brentq(lambda d: d ** (2.5 / gamma) * (2 * gamma + 5 - 5 * d) / (2 * gamma) - share, 0.0, 1.0,
+                        xtol=1e-14)) if share < 1.0 else 1.0  # fmt: skip
 
 
 @pytest.mark.parametrize("gamma", CASES["thresholds"])
@@ -75,7 +83,7 @@ def test_thresholds_of_equal_blows(gamma: str) -> None:
     for wide, breaks in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
         left = wide * found[5]
         for _ in range(4):
-            left = left * (1.0 - float(laws.damage(1.0 / left, float(gamma))))
+            left = left * (1.0 - damage(1.0 / left, float(gamma)))
         assert bool(left <= 1.0) is breaks
 
 

@@ -188,6 +188,9 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "step of A": (lambda f: f.assign(**{INC: f[INC] + 2e-4 * (f["time [us]"] > 450.0)}), {}, "impulse"),
     "clipped top of B": (lambda f: f.assign(**{REC: np.maximum(f[REC], -0.6 * PEAK / EA)}), {}, "at least this"),
     "clipped top of A": (lambda f: f.assign(**{INC: np.maximum(f[INC], -5e-4)}), {}, "not known"),
+    "sampled too slowly": (lambda f: f.iloc[::24], {}, "too slow|required"),
+    "ends on the top": (lambda f: f.iloc[: round((150 + 1e6 * (GAUGE_A + GAUGE_B) / C0 + 58) * 1e-6 / STEP)], {},
+                        "largest where the record ends|required"),
     "ends on the rise": (lambda f: f.iloc[:950], {}, "at least this|required"),
     "begins inside the wave": (lambda f: f.iloc[340:], {}, "too early"),
 }  # fmt: skip
@@ -233,6 +236,23 @@ def test_three_waves_take_their_sign_from_the_incident_one(sign: float, receivin
     test = read(tmp_path, frame, record=names)
     assert not test.peaks["A"].doubts
     check_sound(test)
+
+
+def test_waves_that_were_cut_out_are_moved_to_the_faces_too(tmp_path: Path) -> None:
+    """A short wave of stout bars is lower at its gauge than at the face."""
+    frame = waves(rise=8e-6, noise=1e-7)
+    begins = [round(t / STEP) for t in (145e-6, 145e-6 + 2.0 * GAUGE_A / C0, 145e-6 + (GAUGE_A + GAUGE_B) / C0)]
+    sources = ("incident [strain]", "incident [strain]", "receiving [strain]")
+    cut = {name: frame[source].to_numpy()[begin : begin + 290] for name, source, begin
+           in zip(("I [strain]", "R [strain]", "T [strain]"), sources, begins, strict=True)}  # fmt: skip
+    names = {"incident": "I [strain]", "reflected": "R [strain]", "receiving": "T [strain]", "aligned": True}
+    moved, raw = (read(tmp_path, pd.DataFrame({"time [us]": 0.5 * np.arange(290), **cut}),
+                       record={**names, "dispersion": disperses}) for disperses in (True, False))  # fmt: skip
+    assert "dispersion" in steps(moved)
+    truth = PEAK * np.sin(np.pi * np.clip((moved.time - 5e-6) / 120e-6, 0.0, 1.0)) ** 2
+    off, before = (np.abs(test.force_a - truth[: len(test.force_a)])[40:200].max() / PEAK for test in (moved, raw))
+    assert off < 0.5 * before
+    assert all(peak.value == pytest.approx(PEAK, rel=0.06) for peak in moved.peaks.values())
 
 
 def test_two_gauges_of_a_bar_and_a_dead_one(tmp_path: Path) -> None:

@@ -30,9 +30,6 @@ SIZES: Final = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"
 LAWS: Final = {"lognormal": "sigma", "weibull": "modulus"}
 
 
-# --- scatter ------------------------------------------------------------------------------------------------------
-
-
 def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Array:
     """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
     e, top = np.asarray(energy, dtype=float), np.asarray(ratio) * median
@@ -69,9 +66,6 @@ def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Val
     return np.asarray(median * (-np.log1p(-np.asarray(share)) / math.log(2.0)) ** (1.0 / (0.6 * np.asarray(shape))))
 
 
-# --- size ---------------------------------------------------------------------------------------------------------
-
-
 def median_energy(size: str, diameter: Values, energy: Values, phi: Values, d0: Values = math.nan) -> Array:
     """E50 [J/kg] at a diameter [m], (L3); `energy` is E_inf [J/kg], or C [J/kg m^phi]."""
     d = np.asarray(diameter, dtype=float)
@@ -82,34 +76,13 @@ def median_energy(size: str, diameter: Values, energy: Values, phi: Values, d0: 
     return np.asarray(energy * d ** -np.asarray(phi))
 
 
-# --- repeated blows -----------------------------------------------------------------------------------------------
-
-
-def energy_share(damage: Values, gamma: Values) -> Array:
-    """E/e of a blow that does the damage D, (L4)."""
-    g = np.asarray(gamma, dtype=float)
-    return np.asarray(np.asarray(damage) ** (2.5 / g) * (2.0 * g + 5.0 - 5.0 * np.asarray(damage)) / (2.0 * g))
-
-
-def damage(share: Values, gamma: Values) -> Array:
-    """D that a blow of E/e does, 1 from 1 on; by bisection, since (L4) is flat at D = 1.
-
-    >>> round(float(damage(0.5, 4.0)), 9)
-    0.168913045
-    """
-    share, g = np.broadcast_arrays(np.asarray(share, dtype=float), np.asarray(gamma, dtype=float))
-    low, high = np.zeros(share.shape), np.ones(share.shape)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        less = energy_share(middle, g) < share
-        low, high = np.where(less, middle, low), np.where(less, high, middle)
-    return np.where(share >= 1.0, 1.0, high)
-
-
 def before_blow(left: Values, gamma: Values) -> Array:
-    """x = e/E >= 1 of a particle of which a blow E leaves x (1 - D(1/x)) = `left`; 1 for nothing left.
+    """x = e/E >= 1 of a particle of which a blow E leaves x (1 - D) = `left`, (L4); 1 for nothing left.
 
-    With 1/x = energy_share(D): (1 - D)/energy_share(D) = left, which falls with D; by bisection in the logit of D.
+    (1 - D)/(E/e) = left falls with D; by bisection in the logit of D, since (L4) is flat at D = 1.
+
+    >>> round(float(before_blow(2.0 * (1.0 - 0.168913045), 4.0)), 7)
+    2.0
     """
     left, g = np.broadcast_arrays(np.asarray(left, dtype=float), np.asarray(gamma, dtype=float))
     low, high = np.full(left.shape, -150.0), np.full(left.shape, 700.0)
@@ -155,9 +128,6 @@ def thresholds(gamma: Values, blows: int) -> Array:
     return np.stack(found, axis=-1)
 
 
-# --- force, shares of a contact ----------------------------------------------------------------------------------
-
-
 def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Values) -> Array:
     """W/m [J/kg] of both contacts at a force [N] by Hertz: two of (2/5) F alpha, alpha = (F/beta)^(2/3)."""
     beta = hertz_constant(modulus, 0.5 * np.asarray(diameter, dtype=float))
@@ -176,9 +146,6 @@ def particle_share(own: float, partner: float) -> float:
 def mass_of(diameter: Values, density: Values) -> Array:
     """pi/6 rho d³ [kg]."""
     return np.asarray(sphere_mass(0.5 * np.asarray(diameter, dtype=float), density))
-
-
-# --- product ------------------------------------------------------------------------------------------------------
 
 
 def t10(energy: Values, A: Values, b: Values) -> Array:

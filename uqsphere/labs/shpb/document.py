@@ -112,10 +112,8 @@ class RecordDocument(Section):
         if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
             return data
         incident, given = data["incident_bar"], data.get("receiving_bar", {})
-        shared = {key: value for key, value in incident.items() if key != "gauge"}
-        receiving = (
-            {**from_library(shared, "bars"), **from_library(given, "bars")} if isinstance(given, dict) else given
-        )
+        shared = from_library({key: value for key, value in incident.items() if key != "gauge"}, "bars")
+        receiving = {**shared, **from_library(given, "bars")} if isinstance(given, dict) else given
         return {**data, "incident_bar": from_library(incident, "bars"), "receiving_bar": receiving}
 
     @model_validator(mode="after")

@@ -263,10 +263,9 @@ def _columns(
     groups: dict[str, list[tuple[str, Array]]] = {}
     for role, columns in picked.items():
         bar = document.receiving_bar if role == "receiving" else document.incident_bar
-        groups[role] = []
-        for one in columns:
-            name = one.name if len(tables) == 1 else f"{Path(one.table.name).stem} {one.name}"
-            groups[role].append((name, _strain(one, name, bar, changes)[:count]))
+        titles = [one.name if len(tables) == 1 else f"{Path(one.table.name).stem} {one.name}" for one in columns]
+        groups[role] = [(name, _strain(one, name, bar, changes)[:count])
+                        for name, one in zip(titles, columns, strict=True)]  # fmt: skip
     return time[:count], groups
 
 
@@ -531,7 +530,6 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
     middle = float(np.median(head))
     wave = first_wave((values - middle)[seen], step, 0.0, name)
     early = max(wave.half - 3 * wave.rising, rest_end or 0, 0)
-    scatter = 0.0
     if early >= 3 * _BASELINE:
         # the scatter of the rest before the wave alone, about a line through it
         place = np.arange(early, dtype=float)
@@ -549,9 +547,7 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
     if count < _BASELINE:
         last = values[-max(2 * _BASELINE, len(values) // 20) :]
         if np.ptp(last) > 0.1 * wave.peak:
-            raise UsageError(
-                f"{name}: at rest neither before nor after the wave: cut out at its foot (record.aligned)?"
-            )
+            raise UsageError(f"{name}: at rest neither before nor behind its wave: was it cut out (record.aligned)?")
         if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         quiet, place = last, np.arange(len(values) - len(last), len(values), dtype=float)

@@ -11,7 +11,7 @@ The incident gauge stands d_i before face A, the receiving gauge d_r behind face
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -59,6 +59,18 @@ class Peak:
     doubts: tuple[str, ...] = ()
 
 
+class Peaks(dict[str, Peak]):
+    """Largest forces by face, "A", "B" and "mean"; only faces that are known."""
+
+    def doubt(self, faces: Iterable[str], text: str, *ends: float) -> None:
+        """A doubt at faces, whose intervals then reach to `ends` [N]; none without a text."""
+        for face in faces:
+            if text and face in self:
+                peak = self[face]
+                self[face] = replace(peak, doubts=(*peak.doubts, text), low=min((peak.low, *ends)),
+                                     high=max((peak.high, *ends)))  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class Reading:
     """One test.
@@ -102,56 +114,49 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     if wave.sign > 0.0:
         raise UsageError("the first wave of the incident bar does not press (record.polarity)")
     changes = Changes(record.changes)
-    withheld: list[str] = []
     reflects, transmits, doubt_a, doubt_b, fast = _arrivals(record, document, changes)
     start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
 
     # first touch in the receiving and the reflected signal; where distances are wrong a wave begins at its own foot
     to_b = float(rec.wave.foot - _lead(rec.wave)) if doubt_b else start + transmits
     to_a = start + reflects
-    count = min(len(rec.strain) - 3 - int(to_b), math.inf if aligned else behind.echo / step)
-    count = _until_unknown(rec, int(to_b), int(count))
+    count = _known(rec, int(to_b), math.inf if aligned else behind.echo / step)
     if count < _FEWEST:
         ends = "the record ends too early, or an echo or a gap comes before"
         raise UsageError(f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: {ends}")
-    count_a = min(len(signal.strain) - 3 - int(to_a), math.inf if aligned else bar.echo / step)
-    count_a = _until_unknown(signal, int(to_a), int(count_a))
+    count_a = _known(signal, int(to_a), math.inf if aligned else bar.echo / step)
     first, last = _clean(wave, start, delay)
-    for wrong, reason in (
-        (not inc.known[start : wave.end].all(), "samples of the incident wave are not known"),
-        (bool(doubt_a), doubt_a),
-        (count_a < _FEWEST, "the record ends before the reflected wave"),
-        (shared and (not wave.ended or last - first < 0.5 * delay), "incident and reflected wave overlap at the "
-         "incident gauge; shorten the pulse, move the gauge back, or say where it stands (record.window)"),
-    ):  # fmt: skip
-        if wrong:
-            withheld.append(f"force at A: {reason}")
-    if not withheld:
-        count = min(count, count_a)
+    withheld = [f"force at A: {reason}" for reason, wrong in {
+        "samples of the incident wave are not known": not inc.known[start : wave.end].all(),
+        doubt_a: bool(doubt_a),
+        "the record ends before the reflected wave": count_a < _FEWEST,
+        "incident and reflected wave overlap at the incident gauge; shorten the pulse, move the gauge back, or say "
+        "where it stands (record.window)": shared and (not wave.ended or last - first < 0.5 * delay),
+    }.items() if wrong]  # fmt: skip
+    count = count if withheld else min(count, count_a)
     last = min(last, count)
+    whole, time = (first, last) == (0, count), np.asarray(step * np.arange(count), dtype=float)
 
     disperses = document.record.dispersion
     transmitted = _at_face(rec, to_b, count, -behind.gauge, behind, step, changes if disperses else None)
     force_b = -behind.stiffness * transmitted
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
     sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
-    time = np.asarray(step * np.arange(count), dtype=float)
-    found = {"B": _peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory)}
+    peaks = Peaks(B=_peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory))
     lasting = max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
-    if not found["B"].low > 0.0 or found["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
+    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
         raise UsageError("no force at the receiving face rises above the noise of the record")
-    if doubt_b:
-        found["B"] = _doubted(found["B"], doubt_b)
+    peaks.doubt("B", doubt_b)
     if fast != 1.0:
-        other = found["B"].value * fast**2
+        other = peaks["B"].value * fast**2
         text = f"with another E in place of another distance the force is {other * 1e-3:.4g} kN"
-        found["B"] = _doubted(found["B"], text, 0.98 * other, 1.02 * other)
+        peaks.doubt("B", text, 0.98 * other, 1.02 * other)
 
     incident = np.zeros(count)
     there = int(min(count, delay, len(inc.strain) - start))
     incident[:there] = inc.strain[start : start + there]
     # where incident and reflected wave overlap neither can be moved by itself
-    moved = changes if disperses and (first, last) == (0, count) else None
+    moved = changes if disperses and whole else None
     if moved is not None:
         incident = moved_wave(incident, bar.gauge, bar, step)
     force_a, sd_a, energies = None, np.full(count, np.inf), None
@@ -167,48 +172,35 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         gained = (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
         gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or signal.single)
         sd_a = np.sqrt(bar.stiffness**2 * (noise + rest) + gained)
-        zone = slice(first, last)
-        if (first, last) != (0, count):
-            ends = f"from {first * step * 1e6:.4g} to {last * step * 1e6:.4g} us"
-            changes.add("overlap", inc.name, f"longer than the way to the face and back: A is known {ends}")
-        noise_a = bar.stiffness * math.hypot(inc.noise, signal.noise)
-        found["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
+        zone, noise_a = slice(first, last), bar.stiffness * math.hypot(inc.noise, signal.noise)
         mean, sd_mean = 0.5 * (force_a + force_b), 0.5 * np.hypot(sd_a, sd_b)
-        found["mean"] = _peak(time[zone], mean[zone], sd_mean[zone], 0.5 * noise_a, inc.memory)
-        if first > 0 and found["A"].time < time[min(first + lead, count - 1)]:
-            found["A"] = _doubted(found["A"], "its largest value lies where incident and reflected wave overlap")
-        for text in filter(None, (doubt, doubt_b)):
-            found["A"] = _doubted(found["A"], text)
-        _same_impulse(found, force_a, force_b, time, bar.gain_sd + gain_b,
+        peaks["A"] = _peak(time[zone], force_a[zone], sd_a[zone], noise_a, inc.memory)
+        peaks["mean"] = _peak(time[zone], mean[zone], sd_mean[zone], 0.5 * noise_a, inc.memory)
+        if first > 0 and peaks["A"].time < time[min(first + lead, count - 1)]:
+            peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
+        peaks.doubt("A", doubt)
+        peaks.doubt("A", doubt_b)
+        _same_impulse(peaks, force_a, force_b, time, bar.gain_sd + gain_b,
                       bar.stiffness * (inc.offset + signal.offset) + behind.stiffness * rec.offset)  # fmt: skip
-        if (first, last) == (0, count):
+        if whole:
             each = (("incident", bar, incident), ("reflected", bar, reflected), ("transmitted", behind, transmitted))
             energies = {name: one.stiffness * one.wave_speed * step * float(np.square(strain).sum())
                         for name, one, strain in each}  # fmt: skip
             energies["absorbed"] = energies["incident"] - energies["reflected"] - energies["transmitted"]
+        else:
+            ends = f"from {first * step * 1e6:.4g} to {last * step * 1e6:.4g} us"
+            changes.add("overlap", inc.name, f"longer than the way to the face and back: A is known {ends}")
         force_a[:first] = force_a[last:] = np.nan
-    struck = 2.0 * bar.wave_speed * wave.peak
-    said = document.record.striker_speed
-    if said is None:
-        changes.add("gains", "", "a factor of both bars (gain, E, diameter) does not show in a record; "
-                    "record.striker_speed checks the gains")  # fmt: skip
-    if not (_STRUCK[0] <= struck <= _STRUCK[1] if said is None else abs(struck - said) <= _AWRY * said):
-        text = f"an incident wave of {wave.peak * 1e6:.4g} microstrain is that of a striker of {struck:.3g} m/s"
-        text += ": is a unit or a gain wrong?" if said is None else f", not {said:.3g} m/s: a gain or a unit is wrong"
-        found = {face: _doubted(peak, text, *(v * (said or struck) / struck for v in (peak.low, peak.high)))
-                 for face, peak in found.items()}  # fmt: skip
-    peaks = _held_together(found, bar.stiffness * wave.peak if wave.ended else math.inf, document)
-    at = int(np.searchsorted(time, peaks["B"].time))
-    peaks["B"] = _bent(peaks["B"], behind.stiffness * _at(rec.spread, to_b, count), at, peaks["B"].value, "receiving")
-    if "A" in peaks:
-        at = int(np.searchsorted(time, peaks["A"].time))
+    _struck(peaks, 2.0 * bar.wave_speed * wave.peak, wave.peak, document.record.striker_speed, changes)
+    _held_together(peaks, bar.stiffness * wave.peak if wave.ended else math.inf, document)
+    _bent(peaks, "B", behind.stiffness * _at(rec.spread, to_b, count), time, peaks["B"].value)
+    if not withheld:
         both = np.maximum(_at(inc.spread, float(start), count), _at(signal.spread, to_a, count))
-        peaks["A"] = _bent(peaks["A"], bar.stiffness * both, at, bar.stiffness * wave.peak, "incident")
-    if "mean" in peaks:
+        _bent(peaks, "A", bar.stiffness * both, time, bar.stiffness * wave.peak)
         every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
         peaks["mean"] = replace(peaks["mean"], doubts=tuple(every))
     else:
-        peaks["B"] = _doubted(peaks["B"], "the force at A is not known: gauge and gain of B are not checked by it")
+        peaks.doubt("B", "the force at A is not known: gauge and gain of B are not checked by it")
     balanced, rate = _balance(time, force_a, force_b, peaks["B"])
     # parabolas over half the rise follow the pulse and leave most of the noise
     pulse = -inc.strain[start : wave.end + lead]
@@ -217,13 +209,9 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     pulse[[0, -1]] = 0.0
     return Reading(
         step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
-        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, pulse=pulse,
-        peaks={face: peaks[face] for face in ("A", "B", "mean") if face in peaks}, energies=energies, balanced=balanced,
-        loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
+        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, pulse=pulse, peaks=dict(sorted(peaks.items())),
+        energies=energies, balanced=balanced, loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
     )  # fmt: skip
-
-
-# --- arrivals ---------------------------------------------------------------------------------------------------
 
 
 def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
@@ -335,7 +323,9 @@ def _sign_of_reflected(
     return -1.0, f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN"
 
 
-def _until_unknown(signal: Signal, place: int, count: int) -> int:
+def _known(signal: Signal, place: int, most: float) -> int:
+    """Samples from a place on, at most so many, until the record ends or one is not known."""
+    count = int(min(len(signal.strain) - 3 - place, most))
     lost = np.flatnonzero(~signal.known[max(place, 0) : max(place, 0) + max(count, 0)])
     return int(lost[0]) if len(lost) else count
 
@@ -375,9 +365,6 @@ def _at_face(
     return moved
 
 
-# --- the largest force, and what doubts it ------------------------------------------------------------------------
-
-
 def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> Peak:
     """The largest force from a parabola over a third of its top, not from its highest sample."""
     calm = median_filter(force, 5, mode="nearest")
@@ -409,24 +396,30 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     return Peak(value=value, low=value - half, high=high, time=float(time[at]), doubts=tuple(doubts))
 
 
-def _doubted(peak: Peak, doubt: str, low: float | None = None, high: float | None = None) -> Peak:
-    return replace(peak, doubts=(*peak.doubts, doubt), low=min(peak.low, low if low is not None else peak.low),
-                   high=max(peak.high, high if high is not None else peak.high))  # fmt: skip
+def _struck(peaks: Peaks, struck: float, strain: float, given: float | None, changes: Changes) -> None:
+    """The incident wave against the speed of the striker [m/s], given or of any test."""
+    if given is None:
+        changes.add("gains", "", "a factor of both bars (gain, E, diameter) does not show in a record; "
+                    "record.striker_speed checks the gains")  # fmt: skip
+    if _STRUCK[0] <= struck <= _STRUCK[1] if given is None else abs(struck - given) <= _AWRY * given:
+        return
+    text = f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of {struck:.3g} m/s"
+    text += ": is a unit or a gain wrong?" if given is None else f", not {given:.3g} m/s: a gain or a unit is wrong"
+    for face, peak in [*peaks.items()]:
+        peaks.doubt([face], text, *(v * (given or struck) / struck for v in (peak.low, peak.high)))
 
 
-def _bent(peak: Peak, spread: Array, at: int, whole: float, bar: str) -> Peak:
-    """A peak with what the gauges of its bar differ by [N], against the wave `whole` [N]."""
+def _bent(peaks: Peaks, face: str, spread: Array, time: Array, whole: float) -> None:
+    """What the gauges of the bar of a face differ by [N], against the wave `whole` [N]."""
+    at = int(np.searchsorted(time, peaks[face].time))
     near = spread[max(at - 3, 0) : at + 4]
     bent = float(near.mean()) if len(near) else 0.0
-    if 2.0 * bent <= _GROSS * whole:
-        return peak
-    doubt = f"the gauges of the {bar} bar differ by {2.0 * bent / whole:.0%} of the wave there"
-    return _doubted(peak, doubt, peak.low - bent, peak.high + bent)
+    if 2.0 * bent > _GROSS * whole:
+        text = f"the gauges of the {'incident' if face == 'A' else 'receiving'} bar differ by {2.0 * bent / whole:.0%}"
+        peaks.doubt(face, f"{text} of the wave there", peaks[face].low - bent, peaks[face].high + bent)
 
 
-def _same_impulse(
-    peaks: dict[str, Peak], force_a: Array, force_b: Array, time: Array, gains: float, zeros: float
-) -> None:
+def _same_impulse(peaks: Peaks, force_a: Array, force_b: Array, time: Array, gains: float, zeros: float) -> None:
     """A specimen moves little: while B bears half its largest force or more, A gives the same impulse (in place).
 
     gains : sum of the relative standard deviations of both gains; zeros : sum of those of the forces' zeros [N].
@@ -439,36 +432,32 @@ def _same_impulse(
     share = float(force_a[held][known].sum() / max(force_b[held][known].sum(), 1e-300))
     if known.sum() > 2 and abs(share - 1.0) > NORMAL * (gains + zeros / b.value):
         text = f"A gives {share:.3g} times the impulse of B: a gain, a zero or an arrival is wrong"
-        for face, peak in peaks.items():
-            other = peak.value * (share if face == "B" else 1.0 / share if share > 0.0 else 1.0)
-            peaks[face] = _doubted(peak, text, other, other)
+        for face, peak in [*peaks.items()]:
+            peaks.doubt([face], text, peak.value * (share if face == "B" else 1.0 / share if share > 0.0 else 1.0))
 
 
-def _held_together(peaks: Mapping[str, Peak], pressed: float, document: RecordDocument) -> dict[str, Peak]:
-    """The faces against each other, the wave that made them, and the specimen."""
-    found = dict(peaks)
-    for face, peak in peaks.items():
+def _held_together(peaks: Peaks, pressed: float, document: RecordDocument) -> None:
+    """The faces against each other, the wave that made them [N], and the specimen (in place)."""
+    strongest, before = document.specimen.strongest, dict(peaks)
+    for face, peak in before.items():
         if peak.low > 2.0 * pressed:
-            doubt = f"an incident wave of {pressed * 1e-3:.4g} kN presses with at most twice as much"
-            found[face] = _doubted(found[face], doubt, 2.0 * pressed)
+            text = f"an incident wave of {pressed * 1e-3:.4g} kN presses with at most twice as much"
+            peaks.doubt([face], text, 2.0 * pressed)
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
-            found[face] = _doubted(found[face], f"hardly known: 95 % interval of +- {half:.0%}")
-        strongest = document.specimen.strongest
+            peaks.doubt([face], f"hardly known: 95 % interval of +- {half:.0%}")
         if strongest is not None and peak.low > strongest:
-            doubt = f"the specimen bears at most {strongest * 1e-3:.4g} kN"
-            found[face] = _doubted(found[face], doubt, strongest)
-    if "A" in peaks:
-        a, b = peaks["A"], peaks["B"]
-        apart = abs(a.value - b.value) / max(a.value, b.value)
-        if a.low > b.high or b.low > a.high or apart > _APART:
-            text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN)"
-            for face, peak in found.items():
-                found[face] = _doubted(peak, text, min(a.low, b.low), max(a.high, b.high))
-        if found["mean"].value < (1.0 - _BALANCE) * 0.5 * (a.value + b.value):
-            text = f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no common force"
-            found["mean"] = _doubted(found["mean"], text, None, max(a.high, b.high))
-    return found
+            peaks.doubt([face], f"the specimen bears at most {strongest * 1e-3:.4g} kN", strongest)
+    if "A" not in before:
+        return
+    a, b = before["A"], before["B"]
+    apart = abs(a.value - b.value) / max(a.value, b.value)
+    if a.low > b.high or b.low > a.high or apart > _APART:
+        text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN)"
+        peaks.doubt(before, text, a.low, b.low, a.high, b.high)
+    if before["mean"].value < (1.0 - _BALANCE) * 0.5 * (a.value + b.value):
+        text = f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no common force"
+        peaks.doubt(["mean"], text, a.high, b.high)
 
 
 def _balance(time: Array, force_a: Array | None, force_b: Array, peak: Peak) -> tuple[float | None, float]:
