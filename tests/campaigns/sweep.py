@@ -329,7 +329,7 @@ def against_itself(
 
 
 def against_reference(
-    plan: Sequence[Scene], *, tolerance: float = 1e-6, budget: int = 4000, rtol: float = 1e-11
+    plan: Sequence[Scene], *, tolerance: float = 1e-6, budget: int = 4000, rtol: float = 1e-12
 ) -> Comparison:
     """The kernel against the second integrator; a row that takes that more than `budget` steps is not judged."""
     from tests.independent.motion import Reference, Unaffordable, refer

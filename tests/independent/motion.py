@@ -197,7 +197,7 @@ class Motion:
     def crossing(self, of: Kind, level: float, since: float = -math.inf) -> float:
         """First time from `since` on at which a function of the rows reaches a level; NaN if it never does."""
         for piece, values in self._looks(of, math.inf):
-            later = piece.times >= since
+            later = piece.times >= since * (1.0 - 1e-14)
             # between two looks a top may be above the level, where one course falls as another rises
             near = [i for i in _tops(values) if later[i] and level - 0.1 * abs(level) < values[i] < level]
             tops = [(*piece.top(of, i), i) for i in near]
@@ -206,6 +206,7 @@ class Motion:
                 found.append((piece.times[seen[0]], piece.times[max(seen[0] - 1, 0)]))
             if found:
                 high, low = min(found)
+                low = max(low, min(since, high))
                 if of(piece.at(np.array([low])))[0] >= level:
                     return float(low)
                 return float(brentq(lambda t, p=piece: of(p.at(np.array([t])))[0] - level, low, high, xtol=1e-15))
@@ -284,7 +285,7 @@ def march(
             if time >= fade:
                 peak = max(peak, motion.top(lambda rows: rows[2:4].max(axis=0)))
                 events.append(_faded(laws, 0.9 * peak))
-            way = solve_ivp(rates, (time, until), y, method="DOP853", rtol=rtol, atol=1e-2 * rtol, events=events,
+            way = solve_ivp(rates, (time, until), y, method="DOP853", rtol=rtol, atol=1e-4 * rtol, events=events,
                             first_step=min(1e-6, until - time), dense_output=True)  # fmt: skip
             time, y, met = float(way.t[-1]), way.y[:, -1].copy(), []
             if way.status == 1:
@@ -364,7 +365,7 @@ def _events(rates: Any, laws: list[Law | None]) -> tuple[list[Any], list[tuple[i
 
 def _above(law: Law, x: float, largest: float) -> float:
     """Approach above the dent of a face that was pressed; 1 of one that was not yet."""
-    law.pressed = law.pressed or x - law.dent > 1e-9 * abs(largest)
+    law.pressed = law.pressed or x - law.dent > max(1e-9 * abs(largest), 1e-11)
     return x - law.dent if law.pressed else 1.0
 
 
