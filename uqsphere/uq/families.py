@@ -36,35 +36,23 @@ _POSITIVE: Final = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Family:
-    """A family of laws.
-
-    Attributes
-    ----------
-    name : its name in a study
-    alternatives : key sets of a study's table, of which exactly one must be given
-    parameters_of : keys of the parameters that a law keeps
-    optional : further keys with their defaults
-    bounded : `lower` and `upper` are required, and are the law's own bounds; those of other laws truncate
-    logarithmic : the standard form is that of ln x
-    positive : only positive observations can come from it
-    form : (parameters, lower, upper) -> (location, scale, standard form); raises LawError
-    from_moments : (keys given, sd for cov, lower, upper) -> parameters, of another key set; raises LawError
-    location_scale : how it is fitted, and what few tests leave open, where some u(x) has a location and a scale
-    fit : (observations (n,) in rising order, lower, upper) -> parameters of the largest likelihood, of the others
-    observed : law -> standard form, in place of `form`, where laws are made from observations or draws
-    """
+    """A family of laws; keys are those of a study's table, a and b its lower and upper bound."""
 
     name: str
-    alternatives: tuple[tuple[str, ...], ...] = ((),)
-    parameters_of: tuple[str, ...] = ()
-    optional: Mapping[str, float] = field(default_factory=dict)
-    bounded: bool = False
-    logarithmic: bool = False
-    positive: bool = False
+    alternatives: tuple[tuple[str, ...], ...] = ((),)  # key sets, of which exactly one must be given
+    parameters_of: tuple[str, ...] = ()  # keys of the parameters that a law keeps
+    optional: Mapping[str, float] = field(default_factory=dict)  # further keys with their defaults
+    bounded: bool = False  # the bounds are required, and are the law's own; those of other laws truncate
+    logarithmic: bool = False  # the standard form is that of ln x
+    positive: bool = False  # only positive observations can come from it
+    #: (parameters, a, b) -> location, scale and standard form; raises LawError
     form: Callable[[Mapping[str, float], float, float], tuple[float, float, Form]] | None = None
+    #: (keys given, with sd for cov, a, b) -> parameters, of a key set that is not the parameters; raises LawError
     from_moments: Callable[[Keys, float, float], Keys] | None = None
-    location_scale: LocationScale | None = None
+    location_scale: LocationScale | None = None  # of the likelihood, where some u(x) has a location and a scale
+    #: (observations (n,) in rising order, a, b) -> parameters of the largest likelihood, of the other families
     fit: Callable[[Array, float, float], Keys] | None = None
+    #: law -> standard form, in place of `form`, where laws are made from observations or draws
     observed: Callable[[Law], Form] | None = None
 
     def __repr__(self) -> str:

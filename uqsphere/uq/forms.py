@@ -38,24 +38,14 @@ class LawError(ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Form:
-    """A law in standard form.
+    """A law in standard form."""
 
-    Attributes
-    ----------
-    tails : y -> P(Y <= y), P(Y > y)
-    quantile : p and q = 1 - p, each exact where it is small -> y
-    pdf : density; a step function has none
-    moments : mean and sd, where quadrature in normal scores is slow or inexact
-    orders : of the lower and the upper tail, the order from which on moments do not exist
-    mass : probability that truncation has left
-    """
-
-    tails: Callable[[Array], tuple[Array, Array]]
-    quantile: Quantile
-    pdf: Function | None
-    moments: tuple[float, float] | None = None
-    orders: tuple[float, float] = (math.inf, math.inf)
-    mass: float = 1.0
+    tails: Callable[[Array], tuple[Array, Array]]  # y -> P(Y <= y), P(Y > y)
+    quantile: Quantile  # p and q = 1 - p, each exact where it is small -> y
+    pdf: Function | None  # a step function has none
+    moments: tuple[float, float] | None = None  # mean and sd, where quadrature in normal scores is slow or inexact
+    orders: tuple[float, float] = (math.inf, math.inf)  # from which on the lower, the upper tail has no moments
+    mass: float = 1.0  # probability that truncation has left
 
 
 def truncated(form: Form, a: float, b: float) -> Form:

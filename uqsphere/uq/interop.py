@@ -69,11 +69,16 @@ def joint_to_chaospy(inputs: Joint) -> Distribution:
     return chaospy.Nataf(chaospy.J(*laws), inputs.correlation)
 
 
+def _ends(law: Law) -> list[float]:
+    """Quantiles beyond which 1e-15 is left."""
+    return [law.ppf(np.array(1e-15)).item(), law.isf(np.array(1e-15)).item()]
+
+
 def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
     made = CHAOSPY.get(law.family.name)
     if made is not None and (law.family.bounded or (np.isinf(law.lower) and np.isinf(law.upper))):
         return made(chaospy, law)
-    low, high = (float(end[0]) for end in (law.ppf(np.array([1e-15])), law.isf(np.array([1e-15]))))
+    low, high = _ends(law)
     return chaospy.UserDistribution(
         cdf=law.cdf, pdf=None if law.is_steps else law.pdf, lower=lambda: low, upper=lambda: high,
         ppf=lambda p: np.clip(law.ppf(np.asarray(p)), low, high),
@@ -104,8 +109,7 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
-    ends = [[float(law.ppf(np.array([1e-15]))[0]), float(law.isf(np.array([1e-15]))[0])] for law in inputs.laws]
-    return {"num_vars": len(inputs.names), "names": list(inputs.names), "bounds": ends}
+    return {"num_vars": len(inputs.names), "names": list(inputs.names), "bounds": list(map(_ends, inputs.laws))}
 
 
 def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: int = 0) -> SalibDesign:

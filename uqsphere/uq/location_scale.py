@@ -27,23 +27,15 @@ _BLOCK: Final = 1000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocationScale:
-    """A family whose u(x) has a location m and a scale s.
+    """A family whose u(x) has a location m and a scale s."""
 
-    Attributes
-    ----------
-    u : observations in rising order -> u, rising or falling
-    parameters : (m, s), numbers or arrays -> parameters of the family
-    inverse : the shape is 1/s (a modulus), else s itself
-    terms : (z, failures, stopped), those numbers of tests at each z -> log-likelihood without ln(1/s), and its first
-        and second derivative by z
-    form : of z
-    """
-
-    u: Callable[[Array], Array]
-    parameters: Callable[[Any, Any], dict[str, Any]]
-    inverse: bool = False
+    u: Callable[[Array], Array]  # rising or falling with x
+    parameters: Callable[[Any, Any], dict[str, Any]]  # (m, s), numbers or arrays -> parameters of the family
+    inverse: bool = False  # the shape is 1/s (a modulus), else s itself
+    form: Form  # of z
+    #: (z, failures, stopped), those numbers of tests at each z -> log-likelihood without ln(1/s), and its first and
+    #: second derivative by z
     terms: Callable[[Array, Any, Any], tuple[Array, Array, Array]]
-    form: Form
 
     def shape(self, s: Any) -> Any:
         """Shape of the law with the scale s, and the other way round."""
