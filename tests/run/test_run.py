@@ -19,6 +19,7 @@ from uqsphere.mechanics.history import trace
 from uqsphere.models.scene import scene_of
 from uqsphere.results import COLUMNS, Run
 from uqsphere.results.folder import damaged_files
+from uqsphere.run.distributions import density
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 FIXED = ("sphere.E=52 GPa", "sphere.nu=0.25", "sphere.radius=10 mm", "dependence=[]", "analysis.failure_modes=given")
@@ -269,6 +270,24 @@ def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
     p = run.probability("high")
     assert p["high"] >= 3.0 / 60
     assert p["note"]
+
+
+def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> None:
+    few = {"cost": "10 s", "budget": {"time": "1 h", "evaluations": 128}, "on_failure": "10 %"}
+    margins = {"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1]}
+    run = uqsphere.run(study(analysis=few, margins=margins), linear)
+    assert run.probability("high")["value"] == pytest.approx(stats.norm.sf(1.6), abs=2e-3)
+    margin = run.margin("high", 0.1)
+    assert margin["low"] - 0.05 < (8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0 < margin["high"] + 0.05
+    lost = uqsphere.run(study(analysis=few), lambda x: {"y": np.where(x["b"] < 1.9, linear(x)["y"], np.nan)})
+    failed = next(check for check in lost.results["checks"] if check["name"] == "failed_rows")
+    assert failed["share"] == pytest.approx(stats.norm.sf(1.9), abs=0.01)
+
+
+def test_a_density_holds_the_whole_probability() -> None:
+    places, values = density(np.random.default_rng(1).standard_normal(20_000)) or ([], [])
+    assert np.trapezoid(values, places) == pytest.approx(1.0, abs=2e-3)
+    assert max(values) == pytest.approx(stats.norm.pdf(0.0), rel=0.05)
 
 
 def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None:
