@@ -20,7 +20,8 @@ from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.grow import evaluate
 from uqsphere.study import Limit, Study, load_study
-from uqsphere.study.strength import Demand, equivalent_force, modulus_of, reached
+from uqsphere.study.observed import modulus_of
+from uqsphere.study.strength import equivalent_force, reached
 from uqsphere.uq import Law, Sample
 
 SCENE = """
@@ -136,7 +137,7 @@ def _closed() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("quantity", _closed())
 def test_the_equivalent_force_is_the_closed_form(quantity: str) -> None:
     value = _closed()[quantity]
-    found = equivalent_force(Demand(quantity=quantity, parameters={}), value, SPHERE, RADIUS, STEEL)
+    found = equivalent_force(Limit(name="a", quantity=quantity, strength=math.nan), value, SPHERE, RADIUS, STEEL)
     assert found == pytest.approx(FORCE, rel=1e-11)
 
 
@@ -158,7 +159,7 @@ def test_the_equivalent_force_is_the_closed_form(quantity: str) -> None:
 def test_it_gives_back_the_value(
     quantity: str, criterion: str | None, parameters: dict[str, float], pole: dict[str, float]
 ) -> None:
-    demand = Demand(quantity=quantity, criterion=criterion, parameters=parameters)
+    demand = Limit(name="a", quantity=quantity, criterion=criterion, parameters=parameters, strength=math.nan)
     force = np.array([500.0, 3e3, 20e3])
     value = reached(demand, force, {**SPHERE, **pole}, RADIUS, STEEL)
     found = equivalent_force(demand, value, {**SPHERE, **pole}, RADIUS, STEEL)

@@ -72,7 +72,7 @@ def planned_value(design: Design) -> float | None:
     if margins is None:
         return None
     axis = margins.axis
-    if axis.kind == "strength":
+    if axis.limit is not None:
         limit = next(limit for limit in design.limits if limit.name == axis.limit)
         return number(limit.strength)
     return design.study.at_means().get(axis.path)

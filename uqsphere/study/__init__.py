@@ -5,20 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from uqsphere.study.study import (
-    Axis,
-    FailureMode,
-    Limit,
-    Study,
-    breaks_by,
-    failure_modes_of,
-    limit_of,
-    means_fracture,
-    strength_name,
-    with_number,
-)
-
-from uqsphere.study.load import load_study  # isort: skip
+from uqsphere.study.failure_modes import FailureMode, breaks_by, failure_modes_of, means_fracture
+from uqsphere.study.load import load_study
+from uqsphere.study.study import Axis, Limit, Study, limit_of, strength_name, with_number
 
 __all__ = [
     "Axis", "FailureMode", "Limit", "Study", "breaks_by", "failure_modes_of", "json_schema", "limit_of", "load_study",

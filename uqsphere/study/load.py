@@ -9,18 +9,16 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from copy import deepcopy
 from datetime import date, time
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import ValidationError
-
 from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import TooLarge, read_given
-from uqsphere.study.check import resolve
-from uqsphere.study.document import Document, Place, Reader, fault_text, one_of, path_of, shown, suggestion
+from uqsphere.study.check import BOX_STAGES, STAGES, resolve
+from uqsphere.study.draft import Draft
+from uqsphere.study.fault import Place, one_of, path_of, shown, suggestion
 from uqsphere.study.study import Study
 
 LARGEST: Final = 1 << 20
@@ -48,17 +46,14 @@ def load_study(
         text, path = toml_text(path), "study.toml"
     path = Path(path)
     text = read_text(path) if text is None else text
-    data = parse_text(text, path)
-    declared = [*data["limits"]] if isinstance(data.get("limits"), dict) else []
-    overridden = [_override(data, one) for one in overrides]
-    reader = Reader(folder=path.parent)
-    for place, message in (*_set_of_no_limit(data, declared, overridden), *_removed(data), *_unusable(data)):
-        reader.note(place, message)
-        _take_out(data, place)
-    study = resolve(_read(data, reader), data, reader, path, text)
-    if study is None:
-        raise StudyError(str(path), _problems(reader.faults, text, overridden))
-    return dataclasses.replace(study, overrides=tuple(overrides))
+    draft = Draft(folder=path.parent, data=parse_text(text, path))
+    declared = [*draft.data["limits"]] if isinstance(draft.data.get("limits"), dict) else []
+    overridden = [_override(draft.data, one) for one in overrides]
+    written = (partial(_set_of_no_limit, declared=declared, overridden=overridden), _removed, _unusable)
+    for stage in (written, *(BOX_STAGES if draft.box else STAGES)):
+        if faults := list(dict.fromkeys(fault for check in stage for fault in check(draft))):
+            raise StudyError(str(path), _problems(faults, text, overridden))
+    return dataclasses.replace(resolve(draft, path, text), overrides=tuple(overrides))
 
 
 # --- the tables ----------------------------------------------------------------------------------------------------
@@ -78,24 +73,22 @@ def removed() -> dict[str, list[tuple[list[str], str, str]]]:
     return found
 
 
-def _removed(data: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
+def _removed(draft: Draft) -> Iterator[tuple[Place, str]]:
     """Every key and value of an earlier study that is renamed or dropped, with the way out."""
-    for place, value in list(_walk(data)):
+    for place, value in _walk(draft.data):
         for path, word, way in (*removed().get(str(place[-1]), ()), *removed().get("*", ())):
             parts = [*map(str, place[:-1]), path[1]] if path[0] == "*" else path
             if len(parts) != len(place) or any(a not in ("*", str(b)) for a, b in zip(parts, place, strict=True)):
                 continue
-            if (word and value != word) or (parts[-2:] == ["strength", "fit"] and len(_at(data, place[:-1])) > 1):
+            if (word and value != word) or (parts[-2:] == ["strength", "fit"] and len(_at(draft.data, place[:-1])) > 1):
                 continue
-            # what a strength is without a key of it cannot be judged
-            whole = place[:3] if place[0] == "limits" and len(place) > 3 and place[2] == "strength" else place
-            yield whole, f"{shown(value) if word else place[-1]} is no longer {'allowed' if word else 'a key'}: {way}"
+            yield place, f"{shown(value) if word else place[-1]} is no longer {'allowed' if word else 'a key'}: {way}"
             break
 
 
-def _unusable(data: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
+def _unusable(draft: Draft) -> Iterator[tuple[Place, str]]:
     """Values that TOML knows and a study cannot use."""
-    for place, value in list(_walk(data)):
+    for place, value in _walk(draft.data):
         if isinstance(value, float) and not math.isfinite(value):
             yield place, f"found {value!r}: a finite number is required"
         elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
@@ -119,34 +112,6 @@ def _at(data: Any, place: Place) -> Any:
         except (KeyError, IndexError, TypeError):
             return None
     return data
-
-
-def _take_out(data: Any, place: Place) -> None:
-    """Remove what stands at a place; an entry of a list takes the list with it."""
-    node = _at(data, place[:-1])
-    if isinstance(node, dict):
-        node.pop(place[-1], None)
-    elif isinstance(node, list):
-        _take_out(data, place[:-1])
-
-
-def _read(data: dict[str, Any], reader: Reader) -> Document:
-    """The tables without their faulty parts; each fault is noted, and what was meant by a misspelt key not missed."""
-    left = deepcopy(data)
-    for _ in range(8):
-        try:
-            return Document.model_validate(left, context=reader)
-        except ValidationError as error:
-            # a misspelt key before the key that lacks for it
-            for fault in sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing"):
-                place = tuple(part for part in fault["loc"] if part != "[key]")
-                message, meant = fault_text(fault, place)
-                reader.note((*place, *getattr(fault.get("ctx", {}).get("error"), "at", ())), message)
-                for spoiled in (place, *([(*place[:-1], meant)] if meant else [])):
-                    reader.spoil(spoiled)
-                # a table that lacks a key goes as a whole
-                _take_out(left, place[: -1 if fault["type"] == "missing" else None])
-    return Document()
 
 
 # --- text, lines, syntax -------------------------------------------------------------------------------------------
@@ -325,12 +290,10 @@ def _toml_of(text: str) -> Any:
     return text
 
 
-def _set_of_no_limit(
-    data: Mapping[str, Any], declared: Sequence[str], overridden: Sequence[Place]
-) -> Iterator[tuple[Place, str]]:
+def _set_of_no_limit(draft: Draft, declared: Sequence[str], overridden: Sequence[Place]) -> Iterator[tuple[Place, str]]:
     """What was set of a limit that the file does not have, unless it makes a limit of its own."""
     for name in dict.fromkeys(place[1] for place in overridden if place[0] == "limits" and len(place) > 2):
-        table = _at(data, ("limits", name))
+        table = _at(draft.data, ("limits", name))
         if name not in declared and isinstance(table, dict) and not {"quantity", "criterion"} & set(table):
             there = f"known: {one_of(declared)}{suggestion(name, declared)}" if declared else "which has none"
             yield ("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity"

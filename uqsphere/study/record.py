@@ -12,8 +12,10 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.study.document import Fault, Pulse, Reader, shown
-from uqsphere.study.strength import inside_folder, open_table
+from uqsphere.study.document import Pulse
+from uqsphere.study.draft import Draft
+from uqsphere.study.fault import Fault, shown
+from uqsphere.study.observed import inside_folder, open_table
 from uqsphere.tables import TableError
 from uqsphere.units import UNITS
 
@@ -27,10 +29,10 @@ _ENDS, _COUNTS = 0.1, 0.003
 _ROUGH: Final = "uqsphere shpb records cuts, mends and writes such a file"
 
 
-def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
+def measured_pulse(table: Pulse, draft: Draft) -> MeasuredPulse:
     """The pulse of the file that [pulse] names; raises Fault."""
     assert table.file is not None
-    found = open_table(table.file, reader, "file")
+    found = open_table(table.file, draft, "file")
     columns = table.columns or tuple(found.headings[:2])
     if len(columns) != 2:
         raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
@@ -68,7 +70,9 @@ def measured_pulse(table: Pulse, reader: Reader) -> MeasuredPulse:
     level = cubics(fine)
     top = float(level.max())
     rise = fine[int(np.argmax(level >= 0.9 * top))] - fine[int(np.argmax(level >= 0.1 * top))]
-    digest = hashlib.sha256(inside_folder(table.file, reader, "file").read_bytes()).hexdigest()
+    digest = hashlib.sha256(inside_folder(table.file, draft, "file").read_bytes()).hexdigest()
+    for note in notes:
+        draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
     return MeasuredPulse(
         breaks=tuple(cubics.x.tolist()), coefficients=tuple(map(tuple, (cubics.c[::-1].T / top).tolist())),
         peak=peak * top, rise=float(rise), source=table.file, digest=digest, notes=tuple(notes),

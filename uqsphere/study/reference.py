@@ -14,7 +14,8 @@ from typing import Any, Final
 
 from uqsphere.quantities import INPUTS
 from uqsphere.study import document as tables
-from uqsphere.study.document import Document, number_path
+from uqsphere.study.document import Document
+from uqsphere.study.number import BAR_ENDS, number_path
 from uqsphere.units import UNITS, typed_units
 from uqsphere.uq.families import FAMILIES
 
@@ -112,7 +113,7 @@ def _properties(kind: Any, heading: str, properties: dict[str, Any]) -> dict[str
     for key in properties:
         if (path := _path(heading, key)) in INPUTS:
             entry = INPUTS[path]
-            words: list[dict[str, Any]] = [{"enum": list(tables.BAR_ENDS)}] if key.endswith("end") else []
+            words: list[dict[str, Any]] = [{"enum": list(BAR_ENDS)}] if key.endswith("end") else []
             words += [{"const": "flat"}] if key == "face_radius" else []
             words += [{"const": "onset"}] if path == "contact.hardness" else []
             choices = [*words, {"$ref": f"#/$defs/{entry.dimension}"}, {"$ref": "#/$defs/distribution"}]

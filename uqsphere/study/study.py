@@ -5,23 +5,25 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from uqsphere.arrays import Array, special
 from uqsphere.files import Json
-from uqsphere.materials import Material, library
 from uqsphere.mechanics.criteria import CRITERIA
-from uqsphere.mechanics.outputs import OUTPUTS, PATHS
+from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import NOTABLE, Analysis, Dependence, Gauge, ModelChoice
-from uqsphere.uq import Law, make_law
+from uqsphere.study.document import Analysis, Dependence, Document, Gauge, ModelChoice
+from uqsphere.study.number import NOTABLE
+from uqsphere.uq import Law
+from uqsphere.uq.families import Family
 
 if TYPE_CHECKING:
     from chaospy import Distribution
@@ -79,6 +81,22 @@ class Limit:
     platens: tuple[float, float] | None = None
     tested: Tested | None = None
 
+    @property
+    def base(self) -> str:
+        """The quantity of interest that is its demand, but for the parameters."""
+        return self.quantity if self.criterion is None else CRITERIA[self.criterion].quantity or self.criterion
+
+    @property
+    def place(self) -> str:
+        """The part of the sphere that the demand is a load of, as of a `Quantity`."""
+        entry = OUTPUTS.get(self.quantity) if self.criterion is None else CRITERIA[self.criterion]
+        return "" if entry is None else entry.place
+
+    @property
+    def needs_modulus(self) -> bool:
+        """Whether the criterion is a weakest link, which has a Weibull modulus."""
+        return self.criterion is not None and "modulus" in CRITERIA[self.criterion].parameters
+
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
@@ -94,34 +112,6 @@ class Source:
 
     text: str
     seen: bool
-
-
-class Tables(TypedDict, total=False):
-    """The arguments of `Study`: the tables of a study file, with distributions where a number scatters."""
-
-    title: str
-    seed: int
-    sphere: Mapping[str, Any]
-    bars: Mapping[str, Any]
-    striker: Mapping[str, Any]
-    pulse: Mapping[str, Any]
-    contact: Mapping[str, Any]
-    rig: Mapping[str, Any]
-    target: Mapping[str, Any]
-    anvil: Mapping[str, Any]
-    other: Mapping[str, Any]
-    hammer: Mapping[str, Any]
-    rod: Mapping[str, Any]
-    platens: Mapping[str, Any] | str
-    insert: Mapping[str, Any]
-    model: Mapping[str, Any]
-    inputs: Mapping[str, Any]
-    outputs: str | Sequence[str] | Mapping[str, Any]
-    limits: Mapping[str, Mapping[str, Any]]
-    dependence: Sequence[Mapping[str, Any]]
-    gauges: Sequence[Mapping[str, Any]]
-    analysis: Mapping[str, Any]
-    margins: Mapping[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
@@ -171,8 +161,7 @@ class Study:
     files: tuple[tuple[str, Path], ...] = ()
     made_up: tuple[str, ...] = ()
 
-    def __init__(self, **tables: Unpack[Tables]) -> None:
-        given: dict[str, Any] = {**tables}
+    def __init__(self, **given: Any) -> None:
         if "path" not in given:
             from uqsphere.study.load import load_study
             from uqsphere.uq.foreign import of_salib
@@ -182,12 +171,11 @@ class Study:
                 given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}
             if isinstance(given.get("inputs"), Mapping):
                 given["inputs"] = of_salib(given["inputs"])
-            given = vars(load_study(given))
-        names = [entry.name for entry in fields(self)]
-        if strange := given.keys() - set(names):
-            raise TypeError(f"Study has no {min(strange)}")
+            given = {**vars(load_study(given))}
         for entry in fields(self):
-            object.__setattr__(self, entry.name, given.get(entry.name, entry.default))
+            object.__setattr__(self, entry.name, given.pop(entry.name, entry.default))
+        if given:
+            raise TypeError(f"Study has no {min(given)}")
 
     @property
     def rig(self) -> str:
@@ -283,38 +271,15 @@ class Study:
 
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
-        laws, margins = self.laws(), self.margins
-        meaning = {
-            "title": self.title,
-            "seed": self.seed,
-            "kind": "black box" if self.black_box else "scene",
-            "fixed": dict(self.fixed),
-            "random": {name: _law_json(law, self.given.get(name, {})) for name, law in laws.items()},
-            # the order of the random variables decides which point of a sequence goes to which of them
-            "order": list(laws),
-            "options": dict(self.options),
-            "materials": dict(self.materials),
-            "sources": {name: asdict(source) for name, source in self.sources.items()},
-            "model": None if self.black_box else self.model.model_dump(),
-            "limits": {limit.name: _limit_json(limit) for limit in self.limits},
-            "dependence": [group.model_dump() for group in self.dependence],
-            "analysis": self.analysis.model_dump(),
-            "margins": None if margins is None else {
-                "solve": margins.axis.path, "between": [margins.axis.low, margins.axis.high],
-                "for_probability": margins.for_probability,
-            },
-            "outputs": self.outputs,
-            "record": None if self.record is None else asdict(self.record),
-            "gauges": [gauge.model_dump() for gauge in self.gauges],
-            "made_up": self.made_up,
-        }  # fmt: skip
-        plain: dict[str, Json] = json.loads(json.dumps(meaning))
-        return plain
+        found: dict[str, Json] = {name: plain(getattr(self, name)) for name in self.__dataclass_fields__
+                                  if name not in ("path", "text", "warnings", "overrides", "files")}  # fmt: skip
+        # the order of the random variables decides which point of a sequence goes to which of them
+        return {**found, "order": list(self.laws())}
 
 
 # completion in a shell reads the signature
 Study.__signature__ = Signature(  # type: ignore[attr-defined]
-    [Parameter(key, Parameter.KEYWORD_ONLY, default=None) for key in Tables.__annotations__]
+    [Parameter(key, Parameter.KEYWORD_ONLY, default=None) for key in Document.model_fields]
 )
 
 
@@ -325,139 +290,20 @@ def tie_of(group: Dependence) -> Tie:
     return Tie(**group.model_dump())
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
-    """A law as plain JSON values, with its parameters as the file gives them."""
-    return {
-        "dist": law.family.name,
-        "parameters": dict(law.parameters),
-        "given": dict(given),
-        "lower": _finite(law.lower),
-        "upper": _finite(law.upper),
-        "data": list(law.data),
-        **({"censored": list(law.censored)} if law.censored else {}),
-        **({"draws": [list(draw) for draw in law.draws]} if law.draws else {}),
-    }
-
-
-def _limit_json(limit: Limit) -> dict[str, Json]:
-    def fixed(value: Law | float) -> float | str:
-        return "random" if isinstance(value, Law) else value
-
-    tested = limit.tested
-    tests = None if tested is None else {
-        "forces": tested.forces, "diameters": tested.diameters, "suspended": tested.suspended,
-        "platens": [_finite(value) for value in tested.platens], "size": tested.size, "exponent": tested.exponent,
-    }  # fmt: skip
-    return {
-        "quantity": limit.quantity, "strength": fixed(limit.strength), "aim": limit.aim,
-        "model_factor": fixed(limit.model_factor), "target": limit.target, "criterion": limit.criterion,
-        "parameters": dict(limit.parameters), "fracture": limit.fracture, "tests": tests,
-        "platens": limit.platens and [_finite(value) for value in limit.platens],
-    }  # fmt: skip
-
-
-# --- failure modes: the ways in which a rock sphere can break ------------------------------------------------------
-
-
-#: by the place in the sphere where each begins: what it is called, the criterion that is assumed for it, and the
-#: library's strength
-_FAILURE_MODES: Final = {
-    "contact": ("contact pressure", "contact_pressure", "contact_strength"),
-    "rim": ("ring crack", "ring_crack", "fracture_toughness"),
-    "core": ("core tension", "weakest_link_volume", "tensile_strength"),
-    "energy": ("fracture energy", "specific_energy", "fracture_energy"),
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class FailureMode:
-    """A failure mode with an assumed strength: its limit, and the strength at both ends of the library's 95 % range."""
-
-    called: str
-    limit: Limit
-    weak: Law
-    strong: Law
-    source: str
-    seen: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class FailureModes:
-    """The failure modes that a study has no limit for: those assumed, and why the others are not judged."""
-
-    assumed: tuple[FailureMode, ...] = ()
-    not_judged: Mapping[str, str] = field(default_factory=dict)
-
-
-def breaks_by(limit: Limit) -> str:
-    """Which of `_FAILURE_MODES` a limit is on; "force" for one on the force itself, empty where it is no fracture.
-
-    >>> breaks_by(Limit(name="a", quantity="core_tension", strength=1e7))
-    'core'
-    """
-    if limit.criterion is None and limit.quantity not in PATHS:
-        return ""
-    entry = OUTPUTS[limit.quantity] if limit.criterion is None else CRITERIA[limit.criterion]
-    return "energy" if entry.follows == "energy" else entry.place or "force"
-
-
-def means_fracture(limit: Limit) -> bool:
-    """Whether a limit is on a failure mode; one that must break means it, also where it is not counted twice."""
-    return breaks_by(limit) != "" and (limit.fracture is not False or limit.aim == "break")
-
-
-def failure_modes_of(study: Study) -> FailureModes:
-    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is not to be."""
-    rock = library()["sphere"].get(study.materials.get("sphere", ""))
-    given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
-    if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
-        return FailureModes()
-    assumed, not_judged = [], {}
-    for place, (called, *_) in _FAILURE_MODES.items():
-        if place not in given:
-            found = _assumed(rock, place, 2.0 * study.at_means()["sphere.radius"])
-            if isinstance(found, FailureMode):
-                assumed.append(found)
-            else:
-                not_judged[called] = f"no strength: {found}"
-    return FailureModes(assumed=tuple(assumed), not_judged=not_judged)
-
-
-def _assumed(rock: Material, place: str, diameter: float) -> FailureMode | str:
-    """The failure mode with the strength of the library for particles of a diameter [m], or why there is none."""
-    called, assumed, key = _FAILURE_MODES[place]
-    entry, modulus, own = rock.properties.get(key), rock.properties.get("weibull_modulus"), {}
-    if entry is None or entry.range is None:
-        if place == "core" and entry is not None:
-            return "the library's tensile strength is of no known volume"
-        return f"neither the study nor the library has one for {rock.title.lower()}"
-    if place == "core":
-        # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
-        if "volume" not in entry.further or modulus is None:
-            return "a tensile strength needs its volume and a Weibull modulus to be carried to the core"
-        own = {"modulus": modulus.value, "reference_volume": entry.further["volume"]}
-
-    def law(value: float) -> Law:
-        """Specimens whose typical strength is a value: Weibull's by its modulus, else lognormal."""
-        if place == "core":
-            return make_law("weibull", {"mean": value, "modulus": own["modulus"]})
-        if place == "energy":
-            # the median of particles of this size (Tavares and King 1998, equation 15)
-            median = value * (1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
-            return make_law("lognormal", {"log_mean": math.log(median), "log_sd": entry.cov})
-        return make_law("lognormal", {"mean": value, "cov": entry.cov})
-
-    name, criterion, (low, high) = f"{called} (assumed)", CRITERIA[assumed], entry.range
-    quantity = criterion.quantity if criterion.quantity and not own else f"{criterion.name}.{name}"
-    limit = Limit(name=name, quantity=quantity, strength=law(entry.value), criterion=criterion.name if own else None,
-                  parameters=own)  # fmt: skip
-    return FailureMode(
-        called=called, limit=limit, weak=law(low), strong=law(high), source=entry.source, seen=entry.seen
-    )
+def plain(value: Any) -> Json:
+    """A value as JSON has it: laws and tables by their parts, null for what is not finite."""
+    if isinstance(value, Family):
+        return value.name
+    if isinstance(value, BaseModel):
+        value = value.model_dump()
+    elif is_dataclass(value):
+        value = {entry.name: getattr(value, entry.name) for entry in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(part) for part in value]
+    result: Json = None if isinstance(value, float) and not math.isfinite(value) else value
+    return result
 
 
 # --- the free number of an inverse question: where it may lie, and what of a study it moves ------------------------
@@ -467,24 +313,23 @@ def _assumed(rock: Material, place: str, diameter: float) -> FailureMode | str:
 class Axis:
     """A number that is free between two values (SI).
 
-    `kind`: a "number" of the scene or of the model's inputs (the mean of its law, where it scatters), or the mean
-    "strength" of a limit, all its values in proportion.
+    A number of the scene or of a black box (the mean of its law, where it scatters), or the mean strength of a limit,
+    all its values in proportion.
     """
 
     path: str
     low: float
     high: float
-    kind: Literal["number", "strength"] = "number"
 
     @property
     def limit(self) -> str | None:
         """The limit whose strength is free."""
-        return limit_of(self.path) if self.kind == "strength" else None
+        return limit_of(self.path)
 
     @property
     def moves_rows(self) -> bool:
         """Whether the answers of the model depend on the number; else the rows of one value serve all."""
-        return self.kind != "strength"
+        return self.limit is None
 
     @property
     def logarithmic(self) -> bool:
@@ -493,10 +338,8 @@ class Axis:
 
     def grid(self, count: int) -> list[float]:
         """`count` values from one end to the other, in equal ratios or steps."""
-        inner = (
-            np.geomspace(self.low, self.high, count) if self.logarithmic else np.linspace(self.low, self.high, count)
-        )
-        return [self.low, *map(float, inner[1:-1]), self.high]
+        spaced = np.geomspace if self.logarithmic else np.linspace
+        return [self.low, *map(float, spaced(self.low, self.high, count)[1:-1]), self.high]
 
     def value(self, share: Array | float) -> Array:
         """The value a share of the way from one end to the other, in ratios or steps."""

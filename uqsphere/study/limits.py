@@ -1,0 +1,302 @@
+"""[limits.NAME]: what is held against which strength, and strengths from the forces at which spheres broke in tests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.materials import library
+from uqsphere.mechanics.contact import reduced_modulus
+from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+from uqsphere.mechanics.outputs import PATHS, follows_force
+from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
+from uqsphere.quantities import INPUTS, lookup
+from uqsphere.study.document import LimitTable, Observations, declared
+from uqsphere.study.draft import Draft
+from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
+from uqsphere.study.number import Number, number_of, plain_quantity, value_of, warn_unusual
+from uqsphere.study.observed import (
+    fit,
+    flags_and_counts,
+    is_tests,
+    modulus_of,
+    noted,
+    open_table,
+    required,
+    warn_of_rows,
+    warn_of_tests,
+)
+from uqsphere.study.strength import reached
+from uqsphere.study.study import Limit, Tested
+from uqsphere.uq import Law
+
+#: which energy a strength in J/kg means, and the quantity that is held against it
+_ENERGIES: Final = {
+    "contact": "specific_energy", "sphere": "specific_energy_sphere", "input": "specific_impact_energy",
+}  # fmt: skip
+_PRESSURES: Final = (
+    'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly all '
+    'tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the hardness: the '
+    "probabilities can differ by decades"
+)
+#: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
+_SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
+#: a criterion rises at least with this power of the force
+_RISES: Final = 0.05
+#: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
+_USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
+_CONTACT: Final = (3e7, 1e11)
+
+
+def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
+    """One limit: what is held against its strength, the strength, the factor; raises Fault."""
+    place = ("limits", name)
+    limit = _demand(draft, name, table)
+    if table.fracture and table.criterion is None and limit.quantity not in PATHS:
+        paths = one_of(sorted(PATHS))
+        said = f"exceeding {limit.quantity} breaks no sphere: fracture = true is for a criterion or one of {paths}"
+        raise Fault(said, "fracture")
+    factor = Number(value=1.0)
+    if table.model_factor is not None:
+        entry = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
+        with within("model_factor"):
+            factor = number_of(table.model_factor, entry, draft, (*place, "model_factor"))
+    with within("strength"):
+        strength = _strength(draft, table, limit, (*place, "strength"))
+    if limit.needs_modulus:
+        own, modulus = modulus_of(strength.value), limit.parameters.get("modulus")
+        if own is None and modulus is None:
+            raise Fault("modulus is missing: give it here or by a strength that is a Weibull distribution", "modulus")
+        if own is None:
+            draft.warn(place, "the strength of a weakest link is a Weibull distribution of its modulus; with another "
+                              "the probability is not that of the flaws")  # fmt: skip
+        elif modulus is not None and abs(own - modulus) > 1e-9 * modulus:
+            raise Fault(f"found {modulus:g}, but the strength has the modulus {own:g}: leave modulus out", "modulus")
+        limit = replace(limit, parameters={"modulus": own or modulus or 0.0, **limit.parameters})
+    tested = strength.tested
+    by_force = tested is not None and tested.law is not None
+    platens = tested.platens if tested is not None and by_force else None
+    if table.platens is not None and not by_force:
+        platens = _platens(draft, table.platens)
+    draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
+    draft.limits[name] = replace(limit, strength=strength.value, model_factor=factor.value, tested=tested,
+                                 platens=None if draft.rig == "bars" else platens)  # fmt: skip
+
+
+def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
+    """A limit without its strength; raises Fault."""
+    known, quantity, criterion = draft.known, table.quantity, table.criterion
+    if quantity is not None and quantity not in known:
+        raise Fault(unknown("quantity", quantity, known), "quantity")
+    if criterion is not None and draft.box:
+        raise Fault("a criterion belongs to the impact model: name a quantity instead", "criterion")
+    if criterion == "specific_energy":
+        if table.energy_is is None and draft.rig != "bars":
+            raise Fault(f"energy_is is missing: write what the strength means, {one_of(_ENERGIES)}", "energy_is")
+        criterion = _ENERGIES[table.energy_is or "contact"]
+    entry = CRITERIA.get(str(criterion))
+    takes = () if entry is None else (*entry.parameters, *entry.optional)
+    given = {part: value for part in PARAMETERS if (value := getattr(table, part)) is not None}
+    if (strange := next((part for part in given if part not in takes), None)) is not None:
+        what = f"the criterion {criterion} takes {one_of(takes)}" if criterion else "add criterion = …"
+        raise Fault(f"{strange} belongs to another criterion (uqsphere list criteria): {what}", strange)
+    for part in () if entry is None else entry.parameters:
+        # the modulus may stand in the strength, which is read later
+        if part not in given and part != "modulus":
+            raise Fault(f"{part} is missing: the criterion {criterion} needs the {PARAMETERS[part].meaning}", part)
+    if entry is not None and not given and entry.quantity is not None:
+        quantity, criterion = entry.quantity, None
+    quantity = _pressure_meant(draft, table, str(criterion or quantity))
+    return Limit(name=name, quantity=f"{quantity}.{name}" if criterion else quantity, criterion=criterion,
+                 parameters=given, strength=math.nan, aim=table.aim, target=table.target,
+                 fracture=table.fracture)  # fmt: skip
+
+
+def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
+    """The quantity that a strength is held against, by what the limit says of its pressure; raises Fault."""
+    meant, said = table.strength_is, ""
+    if quantity not in ("p_max", "first_peak"):
+        if meant is not None and not (quantity == "p_hertz" and meant == "hertz"):
+            said = f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out"
+    elif not draft.plastic:
+        return quantity
+    elif meant is None:
+        said = _PRESSURES
+    elif meant == "pressure" and is_tests(table.strength):
+        said = 'forces at failure become pressures by Hertz: write strength_is = "hertz"'
+    elif meant == "hertz" and quantity == "first_peak":
+        said = 'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"'
+    if said:
+        raise Fault(said, "strength_is")
+    return "p_hertz" if meant == "hertz" else quantity
+
+
+def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
+    """A strength: a number or law in the unit of the demand, or what tests tell of it; raises Fault."""
+    if draft.box:
+        entry = replace(plain_quantity(limit.quantity), plausible=(-math.inf, math.inf))
+        return number_of(table.strength, entry, draft, place)
+    entry = lookup(limit.quantity)
+    contact = limit.base in ("p_max", "p_hertz", "first_peak")
+    entry = replace(entry, meaning=f"the strength against {limit.quantity}", closed=False,
+                    plausible=_CONTACT if contact else _USUAL.get(entry.dimension, (0.0, math.inf)))  # fmt: skip
+    if is_tests(table.strength):
+        found = _tested(draft, declared(Observations, table.strength), limit, place)
+        warn_unusual(found.mean, entry, draft, place)
+    else:
+        found = number_of(table.strength, entry, draft, place)
+        if found.tested is not None:
+            compare_sizes(found.tested, _radii(draft), draft, (*place, "draws"))
+    return found
+
+
+# --- strengths from crushing tests ---------------------------------------------------------------------------------
+
+
+def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Number:
+    """The law of the strength from forces at failure, and the tests themselves; raises Fault."""
+    file, of_force, of_diameter = required(table, file="tests.csv", force="F", diameter="D")
+    if limit.criterion is None and not follows_force(limit.quantity):
+        raise Fault(f"a force at failure is no measure of {limit.quantity}: name a criterion", "force")
+    platens = _platens(draft, table.platens)
+    sphere, radii = _sphere(draft, platens), _radii(draft)
+    found = open_table(file, draft, "file", table.decimal)
+    with noted(found):
+        force = found.numbers(of_force, "force", table.force_unit, key="force")
+        if of_diameter[:1].isdigit():
+            diameter = np.full(len(force), value_of(of_diameter, INPUTS["bars.diameter"]))
+        else:
+            diameter = found.numbers(of_diameter, "length", table.diameter_unit, key="diameter")
+        rate = None if table.rate is None else found.numbers(table.rate, "loading_rate", key="rate")
+        stopped, many = flags_and_counts(found, table)
+        for key, column in (("force", force), ("diameter", diameter)):
+            found.refuse(key, f"the {key} must be above 0", column <= 0.0)
+    kind = table.fit or "weibull"
+    warn_of_rows(found, force, stopped, many, draft, place)
+    warn_of_tests(table, force, diameter, radii[0], draft, place)
+    force, diameter, stopped = (np.repeat(column, many) for column in (force, diameter, stopped))
+    rate = None if rate is None else np.repeat(rate, many)
+    # at equal strength a force goes with this power of the diameter, but for flaws, in a volume or in a surface
+    power = {"ring_crack_toughness": 1.0, "energy": 0.2, "energy_sphere": 0.2, "P_max": 0.0}.get(limit.base, 2.0)
+    flaws = 3.0 if limit.place in ("core", "") or limit.base.endswith("energy") else 2.0
+    mean = float(diameter.mean())
+
+    def by_size(exponent: float) -> tuple[Law, float]:
+        law = fit(force * (mean / diameter) ** exponent, stopped, table, kind)
+        return law, power - flaws / (modulus_of(law) or math.inf) if power else power
+
+    law, exponent = _agreeing(by_size, power)
+    tested = Tested(
+        diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()),
+        suspended=tuple(stopped.tolist()), platens=platens, sphere=sphere,
+        law=law, exponent=exponent, size="weakest link" if modulus_of(law) and power else "none",
+    )  # fmt: skip
+    compare_sizes(tested, radii, draft, (*place, "diameter"), limit.needs_modulus)
+    if draft.rig != "platens" and "rate_0" not in limit.parameters:
+        draft.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
+                   "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
+
+    def value(modulus: float, factor: float = 1.0) -> Array:
+        weakest = {"modulus": modulus} if limit.needs_modulus else {}
+        own = replace(limit, parameters={**weakest, **limit.parameters})
+        return reached(own, factor * force, sphere, 0.5 * diameter, platens, rate)
+
+    slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
+    if not np.isfinite(value(8.0)).all():
+        raise Fault(f"some tests lie beyond what {limit.quantity} can reach: raise largest_energy, or the hardness")
+    if not (slopes > _RISES).all():
+        raise Fault(f"{limit.quantity} hardly rises with the force of such tests, so that no force tells its "
+                    "strength: take another criterion")  # fmt: skip
+    if kind != "weibull" and limit.needs_modulus and "modulus" not in limit.parameters:
+        raise Fault('the strength of a weakest link is a Weibull distribution: write fit = "weibull"', "fit")
+
+    def by_value(modulus: float) -> tuple[Law, float]:
+        law = fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
+        return law, (modulus_of(law) or modulus) if limit.needs_modulus else modulus
+
+    return Number(value=_agreeing(by_value, 8.0)[0], synthetic=table.synthetic, tested=tested)
+
+
+def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tuple[Law, float]:
+    """A law that needs a number, and the number that it gives: of the size law, of a weakest link; raises Fault."""
+    for _ in range(60):
+        try:
+            law, after = fitted(number)
+        except Fault:
+            raise
+        except ValueError as error:
+            raise Fault(f"the tests cannot be turned into a strength: {error}", "file") from None
+        if abs(after - number) < 1e-10 * max(abs(number), 1.0):
+            return law, after
+        number = after
+    raise Fault("no modulus agrees with itself: give it by the key modulus")
+
+
+def compare_sizes(tested: Tested, radii: tuple[float, ...], draft: Draft, place: Place, knows: bool = False) -> None:
+    """Warn of tests of another diameter than the sphere's, of its first radius [m].
+
+    Raises Fault where no size law carries them to one of the radii; `knows`: the criterion itself has such a law.
+    """
+    carried = knows or tested.size == "weakest link"
+    ratios = [max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii]
+    far = max(ratios)
+    radius = radii[ratios.index(far) if far > _SIZES_REFUSED and not carried else 0]
+    sizes = f"the tests have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
+    if far > _SIZES_REFUSED and not carried:
+        way = 'or take fit = "weibull"' if tested.law is not None else "or fit anew with this size as strength_at"
+        raise Fault(f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}", str(place[-1]))
+    if ratios[0] > _SIZES_TOLD:
+        by = "the weakest link" if carried else "its size_exponent" if not tested.law and tested.exponent else "nothing"
+        draft.warn(place, f"{sizes}: {by} carries the strength")
+
+
+# --- the sphere in the tests ---------------------------------------------------------------------------------------
+
+
+def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
+    """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
+    known = {name: (material.properties["E"].value, material.properties["nu"].value)
+             for name, material in library()["bars"].items()}  # fmt: skip
+    bars = None if math.isnan(draft.mean("bars.E")) else (draft.mean("bars.E"), draft.mean("bars.nu"))
+    choices = {"bars": bars, "rigid": (math.inf, 0.3), **known}
+    with within("platens"):
+        if isinstance(raw, Mapping):
+            if set(raw) != {"E", "nu"}:
+                raise Fault(f"a table of platens has E and nu, found {one_of(raw) if raw else 'nothing'}")
+            return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
+        if not isinstance(raw, str) or raw not in choices:
+            raise Fault(f"found {shown(raw)}, allowed: {one_of(choices)}{suggestion(raw, known)}")
+        if (found := choices[raw]) is None:
+            said = 'there are no bars here: write what it was measured between, platens = "rigid" or a material'
+            raise Fault(said)
+    return found
+
+
+def _radii(draft: Draft) -> tuple[float, ...]:
+    """The mean radius of the sphere [m], and the 1 % and 99 % quantiles of its scatter."""
+    law = draft.numbers["sphere.radius"].value
+    return (draft.mean("sphere.radius"), *(law.ppf(np.array([0.01, 0.99])).tolist() if isinstance(law, Law) else ()))
+
+
+def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
+    """The sphere of the tests at its means, as `equivalent_force` takes it: what is elastic, and what yields."""
+    E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
+    own, rigid, tables = (1.0 - nu * nu) / E, bool(draft.options.get("bars.rigid_contact")), RIGS[draft.rig].tables
+    # the sphere's share of the elastic energy in the contacts of the study's rig
+    moduli = [float(reduced_modulus(E, nu, *draft.elastic(table), rigid_bars=rigid)) for table in tables]
+    sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / (sum(moduli) / len(moduli)) - own}
+    if not draft.plastic:
+        return sphere
+    # what yields is the same as in the rig if its partner is the platens, else the sphere
+    columns = {name: np.array([number.mean]) for name, number in draft.numbers.items()}
+    law, takes = sphere_body(columns), True
+    if table := next((t for t in tables if np.allclose(draft.elastic(t), platens, rtol=1e-9)), None):
+        law = law_of(columns, table, rigid=rigid, at_onset=draft.options.get("contact.hardness") == "onset")
+        takes = bool(sphere_body(columns).onset[0] < body_of(columns, table, rigid).onset[0])
+    face = {key: float(value[0]) for key, value in zip(LAW, law, strict=True)} | {"takes": float(takes)}
+    return {**sphere, **face} if math.isfinite(sum(face.values())) else sphere

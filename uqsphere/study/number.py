@@ -1,0 +1,179 @@
+"""From what a file has to a number in SI: a fixed value, or the distribution that a table describes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from uqsphere.quantities import INPUTS, format_value
+from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, within
+from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
+from uqsphere.uq import Law, LawError, make_law
+from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
+
+if TYPE_CHECKING:
+    from uqsphere.study.draft import Draft
+    from uqsphere.study.study import Tested
+
+BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
+#: a standard deviation over the mean that is worth a warning, and that is refused
+_WIDE, _TOO_WIDE = 1.0, 1000.0
+#: a share of a law outside what has a meaning that is worth a warning
+NOTABLE: Final = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number:
+    """A number in SI: value or law, the law's parameters as given, whether its data are synthetic, tests behind it."""
+
+    value: float | Law
+    given: Mapping[str, float] = field(default_factory=dict)
+    synthetic: bool = False
+    tested: Tested | None = None
+
+    @property
+    def mean(self) -> float:
+        """The value, or the law's mean before truncation."""
+        return self.value.nominal_mean() if isinstance(self.value, Law) else self.value
+
+
+def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
+    """The entry of a number without unit: a black-box input, say."""
+    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name)
+
+
+def number_path(table: str, key: str) -> str:
+    """The name of a number in the nomenclature: inserts stand there among the numbers of the bars."""
+    return f"bars.insert_{key}" if table == "insert" else f"{table}.{key}"
+
+
+def bounds_in_words(quantity: Quantity) -> str:
+    """Where the values of a quantity must lie."""
+    low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
+    if math.isfinite(quantity.upper):
+        way = f"from {low} to {high}" if quantity.closed else f"between {low} and {high}, both excluded"
+        return f"{quantity.meaning} must lie {way}"
+    return f"{quantity.meaning} must be {'at least' if quantity.closed else 'above'} {low}"
+
+
+def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
+    """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
+    if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
+        if raw not in BAR_ENDS:
+            found = f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]"
+            raise Fault(found + suggestion(raw, BAR_ENDS))
+        return BAR_ENDS[raw]
+    if isinstance(raw, bool) or not isinstance(raw, int | float | str) or len(str(raw)) > 200:
+        unit = "" if quantity.dimension == "number" else " with its unit in quotes"
+        raise Fault(f"found {shown(raw)}, where a number{unit} is required")
+    try:
+        value = parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
+    except UnitError as error:
+        raise Fault(str(error)) from None
+    if bounded and not quantity.allows(value):
+        raise Fault(f"found {shown(raw)}: {bounds_in_words(quantity)}")
+    return value
+
+
+def _likely_unit(raw: float | str, quantity: Quantity) -> str:
+    """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
+    try:
+        bare = float(raw)
+    except (ValueError, OverflowError):
+        return quantity.display
+    (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
+    usual = (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high)
+    return next(usual, quantity.display)
+
+
+def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Number:
+    """Value or law of what a file has; raises Fault."""
+    if not isinstance(raw, Mapping):
+        found = Number(value=value_of(raw, quantity))
+    elif "file" in raw or "draws" in raw or raw.get("dist") in ("empirical", "discrete"):
+        from uqsphere.study.observed import law_of_data
+
+        found = law_of_data(raw, quantity, draft, place)
+    else:
+        law, given = _member(raw, quantity)
+        found = Number(value=law, given=given)
+    warn_unusual(found.mean, quantity, draft, place)
+    if isinstance(found.value, Law):
+        _check_law(found.value, found.given, quantity, draft, place)
+    return found
+
+
+def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -> None:
+    """Warn of a value (SI) outside the usual range of its quantity."""
+    if not quantity.plausible[0] <= value <= quantity.plausible[1]:
+        said, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        draft.warn(place, f"{said} is unusual (usual: {low} to {high}); is the unit right?")
+
+
+def _member(raw: Mapping[str, Any], quantity: Quantity) -> tuple[Law, dict[str, float]]:
+    """The law of a table with `dist`, and its parameters in SI; raises Fault."""
+    kind, ends = raw.get("dist"), ("mean", "mode", "lower", "upper")
+    if kind is None:
+        near = suggestion(next(iter(raw), ""), ["dist"])
+        raise Fault(f'a distribution is required, such as {{ dist = "normal", … }}: the table has no dist{near}')
+    if (family := family_named(kind) if isinstance(kind, str) else None) is None:
+        raise Fault(f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{suggestion(kind, FAMILIES)}", "dist")
+    keys = (*family.keys, "lower", "upper")
+    if (strange := next((key for key in raw if key not in ("dist", *keys)), None)) is not None:
+        said = f"{shown(strange)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
+        raise Fault(said + suggestion(strange, keys), strange)
+    # a scatter is suggested in the unit that stands beside it
+    words = [word for key in ends for word in str(raw.get(key)).split()[-1:]]
+    beside = next((word for word in words if word in UNITS[quantity.dimension]), quantity.display)
+    given: dict[str, float] = {}
+    for key in (key for key in keys if key in raw):
+        entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
+        if key not in ends and entry.dimension != "number":
+            entry = replace(entry, plausible=(0.0, math.inf), display=beside)
+        with within(key):
+            given[key] = value_of(raw[key], entry, bounded=False)
+    bounds = given.pop("lower", None), given.pop("upper", None)
+    try:
+        return make_law(family.name, given, *bounds), given
+    except LawError as error:
+        spoken = (error.key == "" or error.key in DIMENSIONAL) and any(map(str.isdigit, error.message))
+        said = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
+        raise Fault(f"{error.message}{said}", error.key if error.key in raw else "") from None
+
+
+def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, draft: Draft, place: Place) -> None:
+    """Refuse a law outside what has a meaning, or too wide to compute with; warn of tails, wide and cut-off laws."""
+    name, centre, middle, scatter = quantity.name, law.nominal_mean(), law.mean(), law.sd()
+    if not quantity.allows(centre):
+        raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
+    ends = {"lower": law.lower, "upper": law.upper}
+    for key, end in ends.items() if law.family.bounded else ():
+        if not quantity.lower <= end <= quantity.upper:
+            raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
+    cov = max(scatter / abs(middle) if middle and scatter is not None else 0.0, given.get("cov", 0.0))
+    wide = f"the standard deviation is {cov:.3g} times the mean"
+    if cov > _TOO_WIDE and not any(map(math.isfinite, ends.values())):
+        at = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in given), "")
+        raise Fault(f'{wide}, at most {_TOO_WIDE:g} can be computed with; write a share, such as "12 %"', at)
+    if cov > _WIDE:
+        share = f'; 15 % is written 0.15 or "15 %", so {bare_number(cov)} % is {cov / 100:g}' * ("cov" in given)
+        draft.warn(place, f"{wide}: is that meant?{share}")
+    if (mean := given.get("mean")) is not None and not law.lower <= mean <= law.upper:
+        key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
+        said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
+        draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
+    if law.family.bounded or not law.mass:
+        return
+    outside = 0.0
+    if law.lower < quantity.lower:
+        outside += float(law.cdf(np.array([quantity.lower]))[0])
+    if law.upper > quantity.upper:
+        outside += float(law.sf(np.array([quantity.upper]))[0])
+    if outside > NOTABLE:
+        effect = "these samples count as failed evaluations; " if name in INPUTS else ""
+        draft.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
+                          f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
