@@ -10,7 +10,6 @@ import os
 import pickle
 import re
 import sys
-import sysconfig
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,8 +30,8 @@ BlackBox = Callable[[dict[str, Array]], Any]
 
 #: what is the model's own fault; Ctrl-C too in a process that nobody interrupts (`workers`)
 FAULTS: tuple[type[BaseException], ...] = (Exception, SystemExit)
-#: folders of packages, wherever an installation has them
-_INSTALLED: Final = frozenset(("site-packages", "dist-packages"))
+#: where the code of a user does not stand
+_NOT_THEIRS: Final = (Path(__file__).parent, sys.prefix, sys.base_prefix)
 
 
 def parse_reference(reference: str) -> tuple[Path, str]:
@@ -72,44 +71,36 @@ def load_black_box(reference: str) -> BlackBox:
 
 def _described(error: BaseException) -> str:
     """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line 3)"."""
-    ours = {Path(__file__).parent, *(Path(sysconfig.get_path(key)) for key in ("stdlib", "purelib", "platlib"))}
     places = [
         f" ({Path(frame.filename).name}, line {frame.lineno})"
         for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith("<")
-        and ours.isdisjoint(Path(frame.filename).parents)
-        and _INSTALLED.isdisjoint(Path(frame.filename).parts)
+        if not any(Path(frame.filename).is_relative_to(place) for place in _NOT_THEIRS) and frame.filename[0] != "<"
     ]
     return f"{type(error).__name__}: {told(error)}{places[-1] if places else ''}"
 
 
-#: standard output as it was before the first of the calls that are running
-_BEFORE: Final[list[Any]] = []
+#: what holds while any thread calls a model: the number of calls, and what the first has set and the last sets back
 _LOCK: Final = threading.Lock()
+_CALLS: Final[list[None]] = []
+_SETTINGS: Final = contextlib.ExitStack()
 
 
 @contextlib.contextmanager
 def _aside() -> Iterator[None]:
-    """What any thread prints while it calls a model goes to stderr; settings of NumPy's errors stay as they are."""
+    """What is printed goes to stderr, linear algebra has one thread, and NumPy's settings come back as they were."""
     with _LOCK:
-        _BEFORE.append(sys.stdout)
-        sys.stdout = sys.stderr
+        if not _CALLS:
+            _SETTINGS.enter_context(contextlib.redirect_stdout(sys.stderr))
+            _SETTINGS.enter_context(_linear_algebra(len(sys.modules) // 64).limit(limits=1, user_api="blas"))
+        _CALLS.append(None)
     try:
         with np.errstate():
             yield
     finally:
         with _LOCK:
-            first = _BEFORE[0]
-            _BEFORE.pop()
-            sys.stdout = sys.stderr if _BEFORE else first
-
-
-@lru_cache(maxsize=4)
-def _loaded(reference: str, digest: str) -> BlackBox:
-    """The function of a reference, once in the life of a process."""
-    if model_digest(reference) != digest:
-        raise ModelError(f"the file of {told(reference, 120)} has changed since the run began, or is another here")
-    return load_black_box(reference)
+            _CALLS.pop()
+            if not _CALLS:
+                _SETTINGS.close()
 
 
 @lru_cache(maxsize=1)
@@ -118,6 +109,14 @@ def _linear_algebra(modules: int) -> Any:
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
+
+
+@lru_cache(maxsize=4)
+def _loaded(reference: str, digest: str) -> BlackBox:
+    """The function of a reference, once in the life of a process."""
+    if model_digest(reference) != digest:
+        raise ModelError(f"the file of {told(reference, 120)} has changed since the run began, or is another here")
+    return load_black_box(reference)
 
 
 def answer_rows(
@@ -133,9 +132,8 @@ def answer_rows(
     box = _loaded(box, digest) if isinstance(box, str) else box
     process = os.getpid()
     try:
-        with _linear_algebra(len(sys.modules) // 64).limit(limits=1, user_api="blas"):
-            # a number that is not finite is no failure yet, for it may not be needed
-            return EvaluatedRows.plain(call_black_box(box, names, rows, outputs) if len(rows) else np.zeros((0, 0)))
+        # a number that is not finite is no failure yet, for it may not be needed
+        return EvaluatedRows.plain(call_black_box(box, names, rows, outputs) if len(rows) else np.zeros((0, 0)))
     except ModelRaised as error:
         if not row_by_row:
             raise

@@ -31,39 +31,22 @@ def evaluate(
 ) -> pd.DataFrame:
     """Quantities of n scenes, or outputs of a model of one's own at n rows.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame, or mapping of name to array (n,), Series or number
-        Numbers of the scene by their dotted paths, or inputs of the black box, in SI. Names are what counts, not the
-        order. A DataFrame has every random input of the study; what a mapping leaves out stands at the study's mean.
-        Several Series are matched by their index. A Series by itself is one row, its index the names.
-    quantities : str or sequence of str
-        Names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or outputs of the black box; those
-        of the study if None.
-    tolerance : float
-        Relative error of every quantity, 1e-12 to 1e-2; the study's if None.
-    threads : int
-        All processors if None. No answer depends on it.
-    model : "FILE.py:FUNCTION" or function
-        The black box of a black-box study.
+    frame : a DataFrame, or a mapping of names to arrays (n,), Series or numbers: numbers of the scene by their dotted
+        paths, or inputs of the black box, in SI, in any order. A DataFrame has every random input of the study; what a
+        mapping leaves out stands at the study's mean. Several Series are matched by their index. A Series by itself is
+        one row, its index the names.
+    quantities : names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or outputs of the black
+        box; those of the study if None.
+    tolerance : relative error of every quantity, 1e-12 to 1e-2; the study's if None.
+    threads : all processors if None. No answer depends on it.
+    model : "FILE.py:FUNCTION" or function, the black box of a black-box study.
 
-    Returns
-    -------
-    pandas.DataFrame
-        The index of `frame`; a column for each quantity (SI, NaN where a row has no answer) and `censored`: whether any
-        of them is a lower bound, since the record ended first.
+    Returns a DataFrame with the index of `frame`: a column for each quantity (SI, NaN where a row has no answer) and
+    `censored`, whether any of them is a lower bound, since the record ended first.
 
-    Raises
-    ------
-    UsageError
-        For an unknown, missing or repeated name, a column that has no numbers, an unknown quantity, a wrong tolerance.
-    ModelError
-        When the model raises or returns something of the wrong form.
-
-    Warns
-    -----
-    UserWarning
-        For a number far outside its usual range (is the unit right?), and for rows without an answer.
+    Raises UsageError for an unknown, missing or repeated name, a column that has no numbers, an unknown quantity, a
+    wrong tolerance; ModelError when the model raises or returns something of the wrong form. Warns of a number far
+    outside its usual range (is the unit right?), and of rows without an answer.
     """
     names = list((quantities,) if isinstance(quantities, str) else quantities or study.analysis.quantities)
     allowed = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
