@@ -81,12 +81,13 @@ def format_conservative(value: float, name: str, *, least: bool, digits: int = 2
 
 
 def format_probability(value: float | None, high: float | None = None) -> str:
-    """A probability for people: percent to two digits, a power of ten below 0.01 %, never rounded to 0 or 100 %.
+    """A probability for people: percent to two digits, more near 100 %, a power of ten below 0.01 %, "above" 99.99 %;
+    never rounded to 0 or 100 %.
 
     Without a value its upper bound, if there is one.
 
-    >>> format_probability(0.0333), format_probability(2.6e-7), format_probability(0.99996), format_probability(0.0)
-    ('3.3 %', '2.6e-07', '99.996 %', '0 %')
+    >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.9996, 0.99996, 0.0)]
+    ['3.3 %', '2.6e-07', '99.96 %', 'above 99.99 %', '0 %']
     >>> format_probability(None, 1e-5), format_probability(None)
     ('below 1e-05', 'not known')
     """
@@ -94,6 +95,8 @@ def format_probability(value: float | None, high: float | None = None) -> str:
         return "not known" if high is None else f"below {format_probability(high)}"
     if 0.0 < value < 1e-4:
         return f"{value:.2g}"
+    if 0.9999 < value < 1.0:
+        return "above 99.99 %"
     digits = 2 if value <= 0.99 else 2 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
     return f"{100.0 * value:.{digits}g} %"
 

@@ -370,8 +370,9 @@ def _headline(
             first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
         if number["best"] is not None:
             best = format_value(number["best"], path, 3)
-            rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval; best estimate "
-                        f"{best}, by {number['by']}.")  # fmt: skip
+            at = "" if limit.target else f" for a probability of {format_probability(target_of(design, limit))}"
+            rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval{at}; best "
+                        f"estimate {best}, by {number['by']}.")  # fmt: skip
         if number["by"] != limit.name and safe is not None:
             rest.append(f"By {limit.name}: {format_conservative(safe, path, least=not most)}.")
         rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
