@@ -227,7 +227,7 @@ CASES = [
     gone("pulse.noise", 'rise = "25 us"', 'rise = "25 us"\nnoise = true', "shpb records"),
     gone("limits.crushing.in", "target = 0.01", 'in = "chute"', "a study of its own"),
     gone("limits.crushing.strength.made_up", "modulus = 12 }", "modulus = 12, made_up = true }", "synthetic = true"),
-    gone("limits.crushing.strength.fit", '{ dist = "weibull", mean = "4 GPa", modulus = 12 }', '{ fit = "vsifit" }',
+    gone("limits.crushing.strength", '{ dist = "weibull", mean = "4 GPa", modulus = 12 }', '{ fit = "vsifit" }',
         'draws = "draws.csv"'),
     gone("limits.crushing.strength.same_as", '{ dist = "weibull", mean = "4 GPa", modulus = 12 }',
         '{ same_as = "limits.b.strength" }', "write the strength again"),

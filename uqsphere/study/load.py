@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
+import fnmatch
 import json
 import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import date, time
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +19,7 @@ from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import TooLarge, read_given
 from uqsphere.study.check import BOX_STAGES, STAGES, resolve
 from uqsphere.study.draft import Draft
-from uqsphere.study.fault import Place, one_of, path_of, shown, suggestion
+from uqsphere.study.fault import Place, path_of, shown, suggestion
 from uqsphere.study.study import Study
 
 LARGEST: Final = 1 << 20
@@ -47,10 +48,8 @@ def load_study(
     path = Path(path)
     text = read_text(path) if text is None else text
     draft = Draft(folder=path.parent, data=parse_text(text, path))
-    declared = [*draft.data["limits"]] if isinstance(draft.data.get("limits"), dict) else []
     overridden = [_override(draft.data, one) for one in overrides]
-    written = (partial(_set_of_no_limit, declared=declared, overridden=overridden), _removed, _unusable)
-    for stage in (written, *(BOX_STAGES if draft.box else STAGES)):
+    for stage in ((_removed, _unusable), *(BOX_STAGES if draft.box else STAGES)):
         if faults := list(dict.fromkeys(fault for check in stage for fault in check(draft))):
             raise StudyError(str(path), _problems(faults, text, overridden))
     return dataclasses.replace(resolve(draft, path, text), overrides=tuple(overrides))
@@ -60,30 +59,25 @@ def load_study(
 
 
 @cache
-def removed() -> dict[str, list[tuple[list[str], str, str]]]:
-    """Renamed and dropped keys of earlier studies by their last part: path, value (empty: any) and the way out."""
+def removed() -> tuple[re.Pattern[str], list[str]]:
+    """Renamed and dropped keys and values of earlier studies as one pattern of ``path`` and ``path=value``, whose
+    groups have the ways out."""
     import tomllib
 
     ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
-    found: dict[str, list[tuple[list[str], str, str]]] = {}
-    for way, patterns in ways.items():
-        for pattern in patterns:
-            path, _, word = pattern.partition("=")
-            found.setdefault(path.split(".")[-1], []).append((path.split("."), word, way))
-    return found
+    groups = ("|".join(map(fnmatch.translate, patterns)) for patterns in ways.values())
+    return re.compile("|".join(f"({group})" for group in groups)), list(ways)
 
 
 def _removed(draft: Draft) -> Iterator[tuple[Place, str]]:
-    """Every key and value of an earlier study that is renamed or dropped, with the way out."""
+    """Every key and value of an earlier study that is renamed or dropped, with the way out; a table by its keys."""
+    pattern, ways = removed()
     for place, value in _walk(draft.data):
-        for path, word, way in (*removed().get(str(place[-1]), ()), *removed().get("*", ())):
-            parts = [*map(str, place[:-1]), path[1]] if path[0] == "*" else path
-            if len(parts) != len(place) or any(a not in ("*", str(b)) for a, b in zip(parts, place, strict=True)):
-                continue
-            if (word and value != word) or (parts[-2:] == ["strength", "fit"] and len(_at(draft.data, place[:-1])) > 1):
-                continue
-            yield place, f"{shown(value) if word else place[-1]} is no longer {'allowed' if word else 'a key'}: {way}"
-            break
+        path, held = ".".join(map(str, place)), "+".join(value) if isinstance(value, dict) else value
+        word = isinstance(held, str) and pattern.match(f"{path}={held}")
+        if match := word or pattern.match(path):
+            said = f"{shown(value)} is no longer allowed" if word else f"{place[-1]} is no longer a key"
+            yield place, f"{said}: {ways[(match.lastindex or 1) - 1]}"
 
 
 def _unusable(draft: Draft) -> Iterator[tuple[Place, str]]:
@@ -102,16 +96,6 @@ def _walk(node: Any, place: Place = ()) -> Iterator[tuple[Place, Any]]:
         yield (*place, key), value
         if isinstance(value, dict | list) and len(place) < MOST_NESTING:
             yield from _walk(value, (*place, key))
-
-
-def _at(data: Any, place: Place) -> Any:
-    """What stands at a place, None for nothing."""
-    for part in place:
-        try:
-            data = data[part]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return data
 
 
 # --- text, lines, syntax -------------------------------------------------------------------------------------------
@@ -266,7 +250,9 @@ def _override(data: dict[str, Any], text: str) -> Place:
         if not leads:
             where = path_of(tuple(place[:depth])) or "the study"
             raise UsageError(f"found {shown(text)}, but {where} is {shown(node)}: set {where} itself")
-        if value == "null" and isinstance(node, dict) and part not in node:
+        # a limit that is not there begins with what is held against its strength
+        limit = (depth, place[0]) == (1, "limits") and len(place) > 2 and place[2] not in ("quantity", "criterion")
+        if isinstance(node, dict) and part not in node and (value == "null" or limit):
             there = suggestion(part, node) or (f"; there is {', '.join(sorted(node)[:20])}" if node else "")
             raise UsageError(f"found {shown(text)}, but there is no {path_of(tuple(place[: depth + 1]))}{there}")
         if depth + 1 < len(place):
@@ -288,15 +274,6 @@ def _toml_of(text: str) -> Any:
         except (ValueError, RecursionError, OverflowError):
             pass
     return text
-
-
-def _set_of_no_limit(draft: Draft, declared: Sequence[str], overridden: Sequence[Place]) -> Iterator[tuple[Place, str]]:
-    """What was set of a limit that the file does not have, unless it makes a limit of its own."""
-    for name in dict.fromkeys(place[1] for place in overridden if place[0] == "limits" and len(place) > 2):
-        table = _at(draft.data, ("limits", name))
-        if name not in declared and isinstance(table, dict) and not {"quantity", "criterion"} & set(table):
-            there = f"known: {one_of(declared)}{suggestion(name, declared)}" if declared else "which has none"
-            yield ("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity"
 
 
 # --- tables as a text ----------------------------------------------------------------------------------------------

@@ -88,23 +88,20 @@ def _plain(node: Any) -> Any:
         return [_plain(part) for part in node]
     if not isinstance(node, dict):
         return node
-    named = {
-        key: {name: _plain(part) for name, part in node[key].items()} for key in ("properties", "$defs") if key in node
-    }
-    plain = {
-        k: _plain(v) for k, v in node.items() if k not in ("title", "usual", *named) and v not in (None, [], {}, "")
-    }
-    if "dimension" in plain:
-        plain["$ref"] = f"#/$defs/{plain.pop('dimension')}"
-    choices = [choice for choice in plain.pop("anyOf", []) if choice != {"type": "null"}]
-    if "description" in plain:
-        plain["description"] = str(plain["description"]).partition("\n")[0]
-    return {
-        **(choices[0] if len(choices) == 1 else {}),
-        **plain,
-        **({"anyOf": choices} if choices[1:] else {}),
-        **named,
-    }
+    plain: dict[str, Any] = {}
+    for key, value in node.items():
+        if key in ("properties", "$defs"):
+            plain[key] = {name: _plain(part) for name, part in value.items()}
+        elif key == "dimension":
+            plain["$ref"] = f"#/$defs/{value}"
+        elif key == "description":
+            plain[key] = value.partition("\n")[0]
+        elif key == "anyOf":
+            choices = [_plain(choice) for choice in value if choice != {"type": "null"}]
+            plain |= choices[0] if len(choices) == 1 else {key: choices}
+        elif key not in ("title", "usual", "default") or value not in (None, [], {}, ""):
+            plain |= {} if key in ("title", "usual") else {key: _plain(value)}
+    return plain
 
 
 def _properties(kind: Any, heading: str, properties: dict[str, Any]) -> dict[str, Any]:
