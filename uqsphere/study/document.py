@@ -89,8 +89,8 @@ def due(meaning: str) -> Any:
     return Field(description=meaning, json_schema_extra={"usual": "required"})
 
 
-#: a number of the scene, by its table and key: a value with its unit, or a distribution
-Num = Any
+#: a value, with its unit where it has one, or a distribution; that of a scene is known by its table and key
+Num = Annotated[Any, WithJsonSchema({"dimension": "value"})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 Share = Annotated[float, *_real(gt=0.0, lt=1.0)]
 POLICIES: Final = ("abort", "bound", "drop")
@@ -280,13 +280,13 @@ class LimitTable(Table):
 
     quantity: str | None = key("a quantity of `uqsphere list quantities`", usual="required, or `criterion`")
     criterion: Literal[*CRITERIA] | None = key("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
-    strength: Any = due("value, distribution, or a file with tests or draws")
+    strength: Num = due("value, distribution, or a file with tests or draws")
     strength_is: Literal["hertz", "pressure"] | None = key(
         '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`"
     )
     aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Any = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
+    model_factor: Num = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
     fracture: bool | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
         "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars"
@@ -447,7 +447,7 @@ class Document(Table):
     platens: Partner = key(None, Partner)
     insert: Partner = key(None, Partner)
     model: ModelChoice = key(None, ModelChoice)
-    inputs: Annotated[dict[Name, Any], Field(max_length=1000)] = {}
+    inputs: Annotated[dict[Name, Num], Field(max_length=1000)] = {}
     outputs: Outputs = key(None, Outputs)
     limits: Annotated[dict[Name, LimitTable], Field(max_length=50)] = {}
     dependence: Annotated[tuple[Dependence, ...], Field(max_length=100, strict=False)] = ()

@@ -20,9 +20,8 @@ from uqsphere.units import UNITS, typed_units
 from uqsphere.uq.families import FAMILIES
 
 _NUMBER: Final = r"^\s*[+-]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][+-]?\d+)?\s*"
-_NAME: Final = "^[A-Za-z_][A-Za-z0-9_-]{0,63}$"
 #: tables of the page by their heading; the partners are one declaration
-_TABLES: Final[dict[str, Any]] = {
+TABLES: Final[dict[str, Any]] = {
     "Top level": Document, "[sphere]": tables.Sphere, "[bars]": tables.Bars, "[striker]": tables.Striker,
     "[pulse]": tables.Pulse, "[contact]": tables.Contact, "[rig]": tables.Rig,
     "[target], [anvil], [other], [hammer], [rod], [platens], [insert]": tables.Partner, "[[gauges]]": tables.Gauge,
@@ -32,21 +31,6 @@ _TABLES: Final[dict[str, Any]] = {
 }  # fmt: skip
 
 
-def count_keys() -> int:
-    """Keys in all, those that tables share counted once.
-
-    >>> count_keys() <= 120
-    True
-    """
-    # a distribution from a file has these keys of any distribution
-    shared = {(tables.Observations, key) for key in ("dist", "lower", "upper")}
-    return len({
-        (name, entry.description or "")
-        for kind in _TABLES.values() for name, entry in kind.model_fields.items()
-        if (kind, name) not in shared and (entry.description or kind is not Document)
-    })  # fmt: skip
-
-
 # --- the schema ----------------------------------------------------------------------------------------------------
 
 
@@ -54,32 +38,21 @@ def build_schema() -> dict[str, Any]:
     """Schema of both forms of a study, JSON-ready (draft 2020-12)."""
     made = _plain(Document.model_json_schema(ref_template="#/$defs/{model}"))
     parts, observed = made.pop("$defs"), _plain(tables.Observations.model_json_schema())["properties"]
-    for heading, kind in (("", tables.Face), *_TABLES.items()):
+    for heading, kind in (("", tables.Face), *TABLES.items()):
         if kind.__name__ in parts:
             parts[kind.__name__]["properties"] = _properties(kind, heading, parts[kind.__name__]["properties"])
-    law = {"$ref": "#/$defs/distribution"}
-    number, anything = {"anyOf": [{"type": "number"}, law]}, {"anyOf": [{"type": ["number", "string"]}, law]}
-    parts["LimitTable"]["properties"] |= {"strength": anything, "model_factor": number}
-    parts["LimitTable"]["oneOf"] = [{"required": ["quantity"]}, {"required": ["criterion"]}]
     methods = parts["Analysis"]["properties"]
     methods["methods"] = {"anyOf": [{"const": "auto"}, methods["methods"]]}
-    for key, held in (("inputs", number), ("limits", {"$ref": "#/$defs/LimitTable"})):
-        made["properties"][key] = {"type": "object", "patternProperties": {_NAME: held}, "additionalProperties": False}
-    made["properties"]["inputs"]["minProperties"] = 1
     keys = {key for family in FAMILIES.values() for key in family.keys} | {"lower", "upper"}
     laws = observed | {key: {"type": ["number", "string"]} for key in sorted(keys)}
     laws |= {key: {"type": "array", "items": {"type": ["number", "string"]}} for key in ("values", "weights")}
     laws["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
     sources = [{"required": [key]} for key in ("dist", "file", "draws")]
-    scene, box = (*tables.SCENE, "model", "gauges"), ("inputs", "outputs")
-    forms = [
-        {"required": needs, "not": {"anyOf": [{"required": [key]} for key in others]}}
-        for needs, others in ((["sphere"], box), (list(box), scene))
-    ]
     parts |= {name: _dimension(name) for name in UNITS}
+    parts["value"] = {"anyOf": [{"type": ["number", "string"]}, {"$ref": "#/$defs/distribution"}]}
     parts["distribution"] = {"type": "object", "properties": laws, "anyOf": sources}
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "uqsphere study"}
-    return {**head, **made, "anyOf": forms, "$defs": parts}
+    return {**head, **made, "anyOf": [{"required": ["sphere"]}, {"required": ["inputs", "outputs"]}], "$defs": parts}
 
 
 def _plain(node: Any) -> Any:
@@ -149,7 +122,7 @@ def build_page() -> str:
     page = Path(__file__).with_name("page.md").read_text(encoding="utf-8")
     for name, pairs in rows.items():
         page = page.replace(f"<!-- {name} -->", "\n".join(f"| {one} | {other} |" for one, other in pairs))
-    for heading, kind in _TABLES.items():
+    for heading, kind in TABLES.items():
         start = page.index(f"\n## {heading}\n")
         page = page[:start] + page[start:].replace("<!-- keys -->", _key_table(kind, heading), 1)
     return page
