@@ -6,7 +6,7 @@ The page computes nothing: every number and every word of judgement is in the re
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _BARE = {"low": None, "high": None, "note": ""}
 #: limits and quantities that get figures of their own; the tables have all of them
 MOST_FIGURES = 6
-MOST_ROWS = 16
+MOST_ROWS, MOST_INPUTS = 16, 40
 
 
 def page(results: Results) -> str:
@@ -69,7 +69,7 @@ def _rendered(results: Results) -> tuple[str, dict[str, str]]:
     html = environment.from_string(template).render(
         study=results["study"], verdicts=verdicts(results), modes=_modes(results), quantities=_quantities(results),
         indices=_indices(results), margins=_margins(results), checks=results["checks"], accuracy=_accuracy(results),
-        inputs=_inputs(results), fixed=_inputs(results, fixed=True), drivers=_drivers(results),
+        inputs=_inputs(results), fixed=_fixed(results), drivers=_drivers(results),
         assumptions=_assumptions(results), fracture=_fracture(results), versions=results["versions"],
         dependence=_dependence(results), missing=_missing(results), meaning=meaning,
         figures={name: Markup(_embedded(text, name, alt)) for name, (alt, text) in drawn.items()},
@@ -272,26 +272,21 @@ def _dependence(results: Results) -> list[str]:
     return [f"{' and '.join(meaning(name, results['inputs']) for name in tie['of'])}: {tie['text']}" for tie in ties]
 
 
-def _inputs(results: Results, *, fixed: bool = False) -> list[tuple[str, ...]]:
-    """Random inputs with their distribution and 5–95 % range, or the fixed ones; sources that nobody checked say so."""
-    rows: list[tuple[str, ...]] = []
-    for name, entry in results["inputs"].items():
-        if entry["fixed"] is not fixed:
-            continue
-        source = entry["source"] if entry["source_checked"] else f"{entry['source']} (source not checked)"
-        middle = value(entry["mean"], name, 4)
-        if fixed:
-            rows.append((meaning(name, results["inputs"]), middle, source))
-        else:
-            ends = f"{value(entry['p05'], name)} to {value(entry['p95'], name)}"
-            rows.append(
-                (
-                    meaning(name, results["inputs"]),
-                    entry["distribution"],
-                    middle,
-                    value(entry["sd"], name),
-                    ends,
-                    source,
-                )
-            )
-    return rows
+def _inputs(results: Results) -> Sequence[tuple[str, ...]]:
+    """Random inputs: name, distribution, mean, standard deviation, 5–95 % range and source."""
+    return [(meaning(name, results["inputs"]), entry["distribution"], value(entry["mean"], name, 4),
+             value(entry["sd"], name), f"{value(entry['p05'], name)} to {value(entry['p95'], name)}", _source(entry))
+            for name, entry in results["inputs"].items() if not entry["fixed"]][:MOST_INPUTS]  # fmt: skip
+
+
+def _fixed(results: Results) -> dict[str, list[tuple[str, str]]]:
+    """Fixed inputs, name and value, by their source."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for name, entry in [item for item in results["inputs"].items() if item[1]["fixed"]][:MOST_INPUTS]:
+        row = meaning(name, results["inputs"]), value(entry["mean"], name, 4)
+        found.setdefault(_source(entry), []).append(row)
+    return found
+
+
+def _source(entry: Mapping[str, Any]) -> str:
+    return str(entry["source"]) + ("" if entry["source_checked"] else " (source not checked)")
