@@ -285,8 +285,11 @@ def march(
             if time >= fade:
                 peak = max(peak, motion.top(lambda rows: rows[2:4].max(axis=0)))
                 events.append(_faded(laws, 0.9 * peak))
-            way = solve_ivp(rates, (time, until), y, method="DOP853", rtol=rtol, atol=1e-4 * rtol, events=events,
-                            first_step=min(1e-6, until - time), dense_output=True)  # fmt: skip
+            with np.errstate(all="ignore"):
+                way = solve_ivp(rates, (time, until), y, method="DOP853", rtol=rtol, atol=1e-4 * rtol, events=events,
+                                first_step=min(1e-6, until - time), dense_output=True)  # fmt: skip
+            if way.status < 0:
+                raise Unaffordable(way.message)
             time, y, met = float(way.t[-1]), way.y[:, -1].copy(), []
             if way.status == 1:
                 met = [meaning for meaning, seen in zip(meanings, way.t_events, strict=False) if len(seen)
