@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import LawError, student_t
+from uqsphere.uq.forms import GAUSS, LawError, student_t
 from uqsphere.uq.law import Law
 
 COPULAS: Final = ("gaussian", "student_t")
@@ -262,10 +262,8 @@ class Joint:
     def marginal_scores(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations: 1e-15 lies beyond."""
         scores = np.empty_like(physical)
-        for k, law in enumerate(self.laws):
-            below, above = law.tails(physical[:, k])
-            with np.errstate(divide="ignore"):
-                scores[:, k] = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
+        for column, law in enumerate(self.laws):
+            scores[:, column] = GAUSS.quantile(*law.tails(physical[:, column]))
         return np.clip(scores, -8.0, 8.0)
 
     def normals(self, physical: Array) -> Array:

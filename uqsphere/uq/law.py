@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array
 from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
 from uqsphere.uq.forms import GAUSS, Form, LawError, truncated
 
@@ -127,7 +127,7 @@ class Law:
         z = np.asarray(z, dtype=float)
         if self._form is GAUSS:
             return self._physical(z)
-        return self._inverse(np.asarray(special.ndtr(z)), np.asarray(special.ndtr(-z)))
+        return self._inverse(*GAUSS.tails(z))
 
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import GAUSS, ROOT, Form, weibull
+from uqsphere.uq.forms import GAUSS, ROOT, Form, either, weibull
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -107,7 +107,7 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
         some = np.array_split(y, 1 + y.size * count // _PART)
         below, above, density = np.hstack([(*own_tails(one), own_density(one)) for one in some])
         with np.errstate(all="ignore"):
-            score = np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
+            score = GAUSS.quantile(below, above)
             slope = density * ROOT * np.exp(0.5 * score * score)
             known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) >= 0.0)
         return CubicHermiteSpline(y[known], score[known], slope[known])
@@ -120,13 +120,13 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
             return own_tails(y)
         near = inside(y)
         score = table()(near) + np.where(y == near, 0.0, table()(near, 1) * (y - near))
-        return special.ndtr(score), special.ndtr(-score)
+        return GAUSS.tails(score)
 
-    def quantile(p: Array, q: Array) -> Array:
+    def of_score(score: Array) -> Array:
         """Solved inside one cell of the table."""
         from scipy.optimize import elementwise
 
-        spline, score = table(), GAUSS.quantile(p, q)
+        spline = table()
         scores = spline(spline.x)
         near = np.clip(score, scores[0], scores[-1])
         cell = np.clip(np.searchsorted(scores, near) - 1, 0, scores.size - 2)
@@ -147,6 +147,7 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
         near = inside(y)
         return np.where(y == near, table()(near, 1) * np.exp(-0.5 * table()(near) ** 2) / ROOT, 0.0)
 
+    quantile = either(lambda p: of_score(special.ndtri(p)), lambda q: of_score(-special.ndtri(q)))
     return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
 
 
@@ -184,8 +185,7 @@ def drawn(law: Law) -> Form:
     def nodes() -> Array:
         # 4001 nodes between scores of -6 and 6, and 400 on either side: shares are then known to 1e-8
         scores = np.array([-FURTHEST, -6.0, 6.0, FURTHEST])[:, None]
-        p, q = special.ndtr(scores), special.ndtr(-scores)
-        y = np.hstack([part.y(part.form.quantile(p, q)) for part in parts])
+        y = np.hstack([part.y(part.form.quantile(*GAUSS.tails(scores))) for part in parts])
         start, low, high, end = y[0].min(), y[1].min(), y[2].max(), y[3].max()
         tails = np.linspace(max(start, -690.0), low, 400)[:-1], np.linspace(high, end, 400)[1:]
         return np.concatenate([tails[0], np.linspace(low, high, 4001), tails[1]])
