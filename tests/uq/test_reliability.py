@@ -9,12 +9,12 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr, ndtri, owens_t
 
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent, share
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import LimitState, exceedance, miss, reliability_index, safety_factor, target_met
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.union import draw_breaking, make_union, residual_correlation, share_of, union_state, weighted_quantile
+from uqsphere.uq.union import draw_breaking, make_union, residual_correlation, union_state, weighted_quantile
 
 SCATTER = 0.1
 
@@ -267,7 +267,7 @@ def test_drawn_strengths_follow_their_law_given_a_fracture() -> None:
     any_one = p + q - p * q
     # demands are negative, so a share of more than 1 never means a strength that holds: zero is a strength reached
     for state, chance in zip(drawn.shares, (p, q), strict=True):
-        broken = share_of(state < 1.0, drawn.weights, "", 1)
+        broken = share(state < 1.0, weights=drawn.weights)
         assert abs(broken.value - chance / any_one) < 4.0 * broken.std_error
 
 
@@ -280,8 +280,8 @@ def test_shares_below_one_are_uniform_in_the_strength(rho: float) -> None:
     factor = residual_correlation(np.array([[1.0, rho], [rho, 1.0]]))
     union = make_union(states, factor, np.random.default_rng(2))
     drawn = draw_breaking(union, 200, np.random.default_rng(3))
-    for share in drawn.shares:
-        broken = share[share < 1.0]
+    for one in drawn.shares:
+        broken = one[one < 1.0]
         assert abs(broken.mean() - 0.5) < 4.0 / np.sqrt(12.0 * broken.size)
     both = float(np.mean((drawn.shares < 1.0).all(axis=0)))
     from scipy.special import ndtri
@@ -300,9 +300,9 @@ def test_shares_and_quantiles_cover() -> None:
         values = rng.exponential(size=(R, 32))
         weights = rng.uniform(0.5, 1.5, size=R)
         weights /= weights.mean()
-        share = share_of(values < 0.3, weights, "", 1)
+        below = share(values < 0.3, weights=weights)
         middle = weighted_quantile(values, weights, 0.5, "", 1)
-        for k, (estimate, truth) in enumerate(((share, -np.expm1(-0.3)), (middle, np.log(2.0)))):
+        for k, (estimate, truth) in enumerate(((below, -np.expm1(-0.3)), (middle, np.log(2.0)))):
             hits[k] += estimate.low <= truth <= estimate.high
     assert np.all(hits / runs > 0.9)
     assert np.all(hits / runs < 0.99)

@@ -16,8 +16,9 @@ from uqsphere.run.assumptions import _common_factor
 from uqsphere.run.design import Design
 from uqsphere.run.limits import state_of
 from uqsphere.uq import random_generator
+from uqsphere.uq.estimate import share as share_of
 from uqsphere.uq.limit_state import exceedance
-from uqsphere.uq.union import draw_breaking, make_union, share_of, union_state, weighted_quantile
+from uqsphere.uq.union import draw_breaking, make_union, union_state, weighted_quantile
 
 if TYPE_CHECKING:
     from uqsphere.run.grow import Tables
@@ -47,7 +48,7 @@ def fracture(design: Design, tables: Tables) -> Answers:
                          drawn.shares.reshape(len(limits), -1).T)  # fmt: skip
     first = found.first.reshape(shape)
     for k, limit in enumerate(limits):
-        share = share_of(first == k, drawn.weights, METHOD, first.size)
+        share = share_of(first == k, METHOD, weights=drawn.weights)
         answers.add("fracture", "mode_share", limit.name, share, unit="1", runs=first.size)
     for name, values, unit in (("time", found.time, "s"), ("force", found.force, "N"), ("energy", found.energy, "J")):
         known = np.where(np.isfinite(values), values, 0.0).reshape(shape)

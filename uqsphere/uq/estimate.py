@@ -191,23 +191,28 @@ def probability_ends(p: float, q: float, error: float, replicates: int, total: f
     return p * factor / (q + p * factor), p / (q * factor + p), error
 
 
-def none_of(total: int, method: str = "share of the samples", *, every: bool = False) -> Estimate:
-    """A share of which none was seen in `total` samples, or all were: 0 or 1 with its one-sided 95 % bound."""
-    low, high, error = probability_ends(float(every), float(not every), 0.0, 1, total)
-    return Estimate(value=float(every), low=low, high=high, std_error=error, evaluations=total,
-                    method=f"{method}, one-sided 95 % bound")  # fmt: skip
+def factor_ends(value: float, error: float, replicates: int) -> tuple[float, float]:
+    """Ends of a small probability, as far below its value as above in logarithms."""
+    factor = math.exp(min(student(replicates) * error / value, 300.0))
+    return value / factor, min(value * factor, 1.0)
 
 
-def share(flags: Flags, method: str = "share of the samples") -> Estimate:
-    """Share of True in (R, n); none or all True gets the one-sided 95 % bound on the count."""
-    replicates, n = flags.shape
-    if not flags.any() or flags.all():
-        return none_of(flags.size, method, every=bool(flags.any()))
-    if replicates < 2:
+def share(flags: Flags, method: str = "share of the samples", *, weights: Array | None = None) -> Estimate:
+    """Share of True in (R, n), where a replicate stands for its weight (R,), mean 1; interval in logits.
+
+    None or all True gets the one-sided 95 % bound on the count.
+    """
+    (replicates, n), every = flags.shape, bool(flags.all())
+    p, error, rows = float(every), 0.0, flags.mean(axis=1)
+    if every or not flags.any():
+        method += ", one-sided 95 % bound"
+    elif replicates < 2:
         return absent("an interval needs at least two independent replicates", method, flags.size)
-    rows = flags.mean(axis=1)
-    p = float(rows.mean())
-    low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / n), replicates, flags.size)
+    else:
+        weights = np.ones(replicates) if weights is None else weights
+        p = float((weights * rows).mean())
+        error = spread(weights * (rows - p), 1.0 / n)
+    low, high, error = probability_ends(p, 1.0 - p, error, replicates, flags.size)
     return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=flags.size)
 
 

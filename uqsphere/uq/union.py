@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.estimate import Estimate, none_of, probability_ends, quantile, spread, weighted_reader
+from uqsphere.uq.estimate import Estimate, quantile, spread, weighted_reader
 from uqsphere.uq.joint import CERTAIN
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
@@ -185,25 +185,9 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
 # --- estimates over those samples ---------------------------------------------------------------------
 
 
-def share_of(flags: Flags, weights: Array, method: str, evaluations: int) -> Estimate:
-    """Share of True in (R, m) where a replicate stands for its weight (R,), mean 1; interval in logits."""
-    replicates, m = flags.shape
-    if not flags.any() or flags.all():
-        return replace(none_of(flags.size, method, every=bool(flags.any())), evaluations=evaluations)
-    rows = flags.mean(axis=1)
-    p = float((weights * rows).mean())
-    low, high, error = probability_ends(p, 1.0 - p, _error(rows, weights, p, m), replicates, flags.size)
-    return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
-
-
-def _error(rows: Array, weights: Array, pooled: float, m: int) -> float:
-    """Standard error of a weighted mean (weights of mean 1) of the shares (R,) of replicates of m samples."""
-    return spread(weights * (rows - pooled), 1.0 / m)
-
-
 def weighted_quantile(values: Array, weights: Array, p: float, method: str, evaluations: int) -> Estimate:
     """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after Woodruff (1952)."""
     replicates, m = values.shape
     read = weighted_reader(values, np.repeat(weights, m).reshape(values.shape))
-    error = _error((values <= read(p)).mean(axis=1), weights, p, m)
+    error = spread(weights * ((values <= read(p)).mean(axis=1) - p), 1.0 / m)
     return quantile(read, p, error, replicates, method, evaluations)

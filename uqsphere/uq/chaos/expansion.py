@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -105,20 +106,14 @@ class Chaos:
         names = [f"q{k}" for k in range(len(self.germs))]
         highest = self.multi_indices.max(axis=0)
         powers = [_powers(germ, int(top)) for germ, top in zip(self.germs, highest, strict=True)]
-        columns: dict[tuple[int, ...], dict[int, float]] = {}
-        for term, degrees in enumerate(self.multi_indices):
-            partial: dict[tuple[int, ...], float] = {(0,) * len(names): 1.0}
-            for j in np.flatnonzero(degrees):
-                partial = {(*key[:j], k, *key[j + 1 :]): value * float(c) for key, value in partial.items()
-                           for k, c in enumerate(powers[j][degrees[j]]) if c != 0.0}  # fmt: skip
-            for key, value in partial.items():
-                columns.setdefault(key, {})[term] = value
-        keys = sorted(columns)
-        table = np.zeros((len(keys), len(self.coefficients)))
-        for row, key in enumerate(keys):
-            for term, value in columns[key].items():
-                table[row, term] = value
-        exponents = np.array(keys, dtype=np.int64).reshape(len(keys), len(names))
+        entries = [(exponent, term, value) for term, degrees in enumerate(self.multi_indices)
+                   for exponent in product(*(range(n + 1) for n in degrees))
+                   if (value := math.prod(float(power[n, k]) for power, n, k
+                                          in zip(powers, degrees, exponent, strict=True)))]  # fmt: skip
+        keys, terms, values = zip(*entries, strict=True)
+        exponents, rows = np.unique(np.array(keys), axis=0, return_inverse=True)
+        table = np.zeros((len(exponents), len(self.coefficients)))
+        table[rows, np.array(terms)] = values
         make = numpoly.ndpoly.from_attributes
         expansion = make(exponents=exponents, coefficients=list(table), names=names, retain_names=True)
         polynomial = make(exponents=exponents, coefficients=list(table @ self.coefficients), names=names,

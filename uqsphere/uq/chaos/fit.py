@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos.basis import (
     HIGHEST_DEGREE,
-    Germ,
     GermLike,
     Indices,
-    base_of,
     grown,
     nested,
     orthonormal_values,
@@ -27,13 +26,13 @@ from uqsphere.uq.chaos.basis import (
     skipping,
 )
 from uqsphere.uq.chaos.expansion import Chaos
-from uqsphere.uq.chaos.select import Order, Path, Task, folds_of, forward_selection, solve_rows, whole_set
+from uqsphere.uq.chaos.select import Order, folds_of, forward_selection, solve_rows, whole_set
 
 #: hyperbolic norms of the sets that are tried
 NORMS: Final = (1.0, 0.75, 0.5)
 #: share of the variance below which a larger set would only cost time
 ENOUGH: Final = 1e-18
-#: a logarithm, or polynomials by name in place of the law's own, must bring the error below this share, and a grown
+#: a logarithm must bring the error below this share, and a grown
 #: set below its own: what has more ways to be lucky has to help measurably (tests/campaigns/chaos.py)
 HELPS, GROWS = 0.8, 0.9
 #: contenders are looked at further within this factor of the least error, a factor 2 of amplitude
@@ -42,67 +41,74 @@ CLEAR: Final = 4.0
 MOST_TERMS: Final = 256
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Basis:
+class Basis(NamedTuple):
     """Products with degrees `terms` (P, d), their `rows` (P, n) at the samples, and the sizes of nested sets within."""
 
     terms: Indices
     rows: Array
     sizes: tuple[int, ...] = ()
 
-    def head(self, k: int) -> Basis:
-        """The k-th of the nested sets."""
-        size = self.sizes[k]
-        return Basis(terms=self.terms[:size], rows=self.rows[:size], sizes=self.sizes[: k + 1])
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contest:
-    """Germs, the values (degree + 1, n) of each one's polynomials, a basis for each norm, and the folds."""
+    """What is expanded, in which germs: (w - centre)/spread, with w the outputs (n,) or ln(sign · outputs).
 
-    germs: tuple[GermLike, ...]
-    tables: list[Array]
-    bases: list[Basis]
-    folds: Order
-
-    @property
-    def size(self) -> int:
-        """Samples."""
-        return self.folds.size
-
-    @property
-    def own(self) -> bool:
-        """Whether any germ is a law of its own."""
-        return any(isinstance(germ, Germ) for germ in self.germs)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scale:
-    """What is expanded: (w - centre)/spread, with w the output, or ln(sign·output); the latter is held to its bounds.
-
-    The exponential of a polynomial has no bounds of its own: it may leave the samples by as much as these range.
+    The exponential of a polynomial has no bounds of its own: ln(sign · y) is held to `bounds`, and may leave the
+    samples by as much as these range.  `tables` are the values (degree + 1, n) of each germ's polynomials.
     """
 
+    germs: tuple[GermLike, ...]
+    tables: Sequence[Array]
+    bases: Sequence[Basis]
+    folds: Order
+    outputs: Array
     log: bool
     sign: float
-    centre: float
-    spread: float
-    bounds: tuple[float, float]
 
-    def forward(self, outputs: Array) -> Array:
-        return ((np.log(self.sign * outputs) if self.log else outputs) - self.centre) / self.spread
+    @cached_property
+    def w(self) -> Array:
+        return np.log(self.sign * self.outputs) if self.log else self.outputs
 
-    def back(self, values: Array) -> Array:
-        w = self.centre + self.spread * values
-        return self.sign * np.exp(np.clip(w, *self.bounds)) if self.log else w
+    @cached_property
+    def scale(self) -> tuple[float, float, float]:
+        """Centre and spread of w, and the variance of the outputs."""
+        return float(self.w.mean()), float(self.w.std()), float(np.var(self.outputs))
+
+    @cached_property
+    def target(self) -> Array:
+        """What the polynomial is fitted to (n,)."""
+        centre, spread, _ = self.scale
+        return (self.w - centre) / spread
+
+    @cached_property
+    def bounds(self) -> tuple[float, float]:
+        low, high = float(self.w.min()), float(self.w.max())
+        return (2.0 * low - high, 2.0 * high - low) if self.log else (-math.inf, math.inf)
+
+    def squares(self, values: Array) -> Array:
+        """Square errors (n,) of predictions, over the variance of the outputs."""
+        centre, spread, variance = self.scale
+        w = centre + spread * values
+        y = self.sign * np.exp(np.clip(w, *self.bounds)) if self.log else w
+        return np.asarray((y - self.outputs) ** 2 / variance)
+
+    def error(self, values: Array) -> float:
+        found = float(self.squares(values).mean())
+        return found if math.isfinite(found) else math.inf
+
+    def choose(self, basis: Basis, most: int, whole: bool = False) -> Choice:
+        """The terms of a basis that forward selection keeps, or the whole of its nested sets that does best."""
+        path = (whole_set(basis.rows, self.target, self.folds, self.error, most, basis.sizes) if whole
+                else forward_selection(basis.rows, self.target, self.folds, self.error, most))  # fmt: skip
+        return Choice(contest=self, terms=basis.terms[path.rows], rows=basis.rows[path.rows], error=path.error,
+                      std_error=float(np.std(self.squares(path.held_out))) / math.sqrt(self.outputs.size))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Contender:
-    """Terms kept on a basis of a contest, with their K-fold error and that error's standard error, in output units."""
+class Choice:
+    """Terms (k, d) with their rows (k, n), their K-fold error and its standard error, over the outputs' variance."""
 
     contest: Contest
-    scale: Scale
     terms: Indices
     rows: Array
     error: float
@@ -110,20 +116,13 @@ class Contender:
 
     @property
     def rank(self) -> float:
-        """The error with its handicaps."""
-        return self.error / HELPS ** (self.scale.log + (not self.contest.own))
+        """The error, with the handicap of a logarithm."""
+        return self.error / HELPS**self.contest.log
 
-
-def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
-    """Bases at germ points (n, d)."""
-    n, dimension = points.shape
-    tables = [orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)]
-    bases = []
-    for norm in NORMS if dimension > 1 else NORMS[:1]:
-        found = nested(dimension, norm, HIGHEST_DEGREE, _candidates(n))
-        if found is not None:
-            bases.append(Basis(terms=found[0], rows=products(tables, found[0]), sizes=found[1]))
-    return Contest(germs=tuple(germs), tables=tables, bases=bases, folds=folds_of(n, 10 if n <= 150 else 5))
+    @cached_property
+    def coefficients(self) -> Array:
+        """Least-squares coefficients (k,) of the target, of all samples."""
+        return solve_rows(self.rows, self.contest.target)
 
 
 def _candidates(n: int) -> int:
@@ -134,33 +133,16 @@ def _most_terms(n: int) -> int:
     return max(min(n // 2, MOST_TERMS), 1)
 
 
-def scales_of(outputs: Array, plain: bool) -> list[Scale]:
+def _contests(points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool) -> Iterator[Contest]:
     """The output itself, and its logarithm where all samples have one sign."""
-    found = [Scale(log=False, sign=1.0, centre=float(outputs.mean()), spread=float(outputs.std()),
-                   bounds=(-math.inf, math.inf))]  # fmt: skip
-    sign = 1.0 if outputs[0] > 0.0 else -1.0
-    if not plain and (sign * outputs > 0.0).all():
-        w = np.log(sign * outputs)
-        low, high = float(w.min()), float(w.max())
-        if w.std() > 1e-12 * abs(w.mean()):
-            found.append(Scale(log=True, sign=sign, centre=float(w.mean()), spread=float(w.std()),
-                               bounds=(2.0 * low - high, 2.0 * high - low)))  # fmt: skip
-    return found
-
-
-def _run(contest: Contest, scale: Scale, outputs: Array, basis: Basis, most: int, whole: bool = False) -> Contender:
-    variance = float(np.var(outputs))
-
-    def error(predicted: Array) -> float:
-        found = float(np.mean((scale.back(predicted) - outputs) ** 2)) / variance
-        return found if math.isfinite(found) else math.inf
-
-    task = Task(basis=basis.rows, values=scale.forward(outputs), folds=contest.folds, error=error, most=most)
-    path: Path = whole_set(task, basis.sizes) if whole else forward_selection(task)
-    squares = (scale.back(path.held_out) - outputs) ** 2
-    return Contender(contest=contest, scale=scale, terms=basis.terms[path.rows], rows=basis.rows[path.rows],
-                     error=path.error,
-                     std_error=float(np.std(squares)) / math.sqrt(squares.size) / variance)  # fmt: skip
+    n, d = points.shape
+    tables = [orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)]
+    sets = [nested(d, norm, HIGHEST_DEGREE, _candidates(n)) for norm in (NORMS if d > 1 else NORMS[:1])]
+    bases = [Basis(one[0], products(tables, one[0]), one[1]) for one in sets if one is not None]
+    sign, folds = (1.0 if outputs[0] > 0.0 else -1.0), folds_of(n, 10 if n <= 150 else 5)
+    logs = [False] if plain or not (sign * outputs > 0.0).all() else [False, True]
+    for log in logs if bases else []:
+        yield Contest(germs=germs, tables=tables, bases=bases, folds=folds, outputs=outputs, log=log, sign=sign)
 
 
 def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> Chaos:
@@ -173,8 +155,8 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     ----------
     points : (n, d) points of the germs' bases (`germ_points`), n >= 4
     outputs : (n,) finite
-    germs : of `germs_of`; polynomials of the laws' own compete with Hermite's and Legendre's, for all inputs together
-    plain : expand the output itself, in the germs as given, so that moments and indices are those of the coefficients
+    germs : of `germs_of`
+    plain : expand the output itself, so that moments and indices are those of the coefficients
 
     Raises ValueError for values that are not finite and for shapes that do not go together.
 
@@ -194,94 +176,77 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     largest = float(np.abs(outputs).max())
     unit = 2.0 ** min(math.frexp(largest)[1], 1000) if largest > 0.0 else 1.0
     scaled = outputs / unit
-    constant = Chaos(coefficients=np.array([outputs.mean()]), multi_indices=np.zeros((1, len(germs)), dtype=np.int64),
-                     germs=germs, cross_validation_error=1.0, samples=n)  # fmt: skip
+    best = Chaos(coefficients=np.array([scaled.mean()]), multi_indices=np.zeros((1, len(germs)), dtype=np.int64),
+                 germs=germs, cross_validation_error=1.0, samples=n)  # fmt: skip
     if not germs or scaled.std() <= 1e-14 * abs(float(scaled.mean())):
-        return replace(constant, cross_validation_error=0.0 if germs else 1.0)
-    kinds = [germs] if plain else list(dict.fromkeys([tuple(map(base_of, germs)), germs]))
-    best, least = constant, 1.0
-    for one in _contenders(points, scaled, kinds, plain):
+        return replace(best, coefficients=best.coefficients * unit, cross_validation_error=0.0 if germs else 1.0)
+    least = 1.0
+    for one in _choices([*_contests(points, scaled, germs, plain)], n):
         if one.error >= min(least, 0.99):
             break
-        fit = _finished(one, scaled, unit)
-        believed = max(one.error, _excess(fit, scaled, unit))
+        believed = max(one.error, _excess(one))
         if believed < least:
+            least, c, (centre, spread, _) = believed, one.contest, one.contest.scale
+            order = np.argsort(one.terms.any(axis=1), kind="stable")  # the constant first
+            coefficients = one.coefficients[order] * spread
+            coefficients[0] += centre
             error = min(max(one.error + one.std_error, believed), 1.0)
-            best, least = replace(fit, cross_validation_error=error), believed
-    return best
+            best = Chaos(coefficients=coefficients, multi_indices=one.terms[order], germs=c.germs, log=c.log,
+                         sign=c.sign, bounds=c.bounds, cross_validation_error=error, samples=n)  # fmt: skip
+    if not best.log:
+        return replace(best, coefficients=best.coefficients * unit)
+    shift = np.where(best.multi_indices.any(axis=1), 0.0, math.log(unit))
+    return replace(best, coefficients=best.coefficients + shift,
+                   bounds=(best.bounds[0] + math.log(unit), best.bounds[1] + math.log(unit)))  # fmt: skip
 
 
-def _finished(one: Contender, scaled: Array, unit: float) -> Chaos:
-    """The expansion of all samples in the terms of a contender, in the units of the output."""
-    order = np.argsort(one.terms.any(axis=1), kind="stable")  # the constant first
-    terms, scale = one.terms[order], one.scale
-    coefficients = solve_rows(one.rows[order], scale.forward(scaled)) * scale.spread
-    coefficients[0] += scale.centre
-    shift = math.log(unit)
-    if scale.log:
-        coefficients[0] += shift
-    else:
-        coefficients *= unit
-    return Chaos(coefficients=coefficients, multi_indices=terms, germs=one.contest.germs, log=scale.log,
-                 sign=scale.sign, bounds=(scale.bounds[0] + shift, scale.bounds[1] + shift),
-                 cross_validation_error=1.0, samples=scaled.size)  # fmt: skip
-
-
-def _excess(fit: Chaos, scaled: Array, unit: float) -> float:
+def _excess(one: Choice) -> float:
     """How much more an expansion varies under the law than the samples (n,) allow, over their variance.
 
     What is wild in the tails no sample left out will tell, as folds do not lie beyond the samples.  The variance of
     the samples is uncertain by their fourth moment; two standard errors are let pass.  An expansion of ln y is held
     against ln y: the variance of y itself is that of a few samples where factors multiply.
     """
-    values, unit = (np.log(fit.sign * scaled), 1.0) if fit.log else (scaled, unit)
-    variance = float(np.var(values))
-    z = (values - values.mean()) / math.sqrt(variance)
-    allowed = 1.0 + 2.0 * math.sqrt(max(float(np.mean(z**4)) - 1.0, 0.0) / z.size)
-    return float(np.sum((fit.coefficients[1:] / unit) ** 2)) / variance - allowed
+    kurtosis = float(np.mean(one.contest.target**4))
+    allowed = 1.0 + 2.0 * math.sqrt(max(kurtosis - 1.0, 0.0) / one.contest.target.size)
+    return float(np.sum(one.coefficients[one.terms.any(axis=1)] ** 2)) - allowed
 
 
-def _contenders(
-    points: Array, outputs: Array, kinds: Sequence[tuple[GermLike, ...]], plain: bool
-) -> Iterator[Contender]:
-    """The leading contenders of all contests, best first."""
-    contests = [one for one in (prepare(points, kind) for kind in kinds) if one.bases]
-    scales = scales_of(outputs, plain)
-    looks = [(_look(contest, scale, outputs), contest, scale) for contest in contests for scale in scales]
-    least = min((error for error, _, _ in looks), default=math.inf)
-    found: list[Contender] = []
-    for contest in contests:
-        own = sorted(((e, s) for e, c, s in looks if c is contest), key=lambda pair: pair[0])
-        if own[0][0] > CLEAR * least and own[0][0] > ENOUGH:
-            continue
-        running = [scale for error, scale in own if error <= max(CLEAR * own[0][0], ENOUGH)]
-        searched = [_search(contest, scale, outputs) for scale in running]
-        near = min(one.rank for one in searched)
-        leaders = [leader for one in searched if one.rank <= CLEAR * near
-                   for leader in _leaders(contest, one, outputs)]  # fmt: skip
-        leaders.sort(key=lambda one: one.rank)
-        found += [_grow(contest, leaders[0], outputs), *leaders]
-    yield from sorted(found, key=lambda one: one.rank)[:6]
+def _choices(contests: Sequence[Contest], n: int) -> list[Choice]:
+    """The best choices of terms, best first: what a look leaves in the race is searched, and the best of it grows."""
+    if not contests:
+        return []
+    looks = [_look(one) for one in contests]
+    near = max(CLEAR * min(looks), ENOUGH)
+    found = [_search(one) for one, look in zip(contests, looks, strict=True) if look <= near]
+    near = CLEAR * min(one.rank for one in found)
+    found = [one for one in found if one.rank <= near]
+    if min(one.error for one in found) >= ENOUGH:
+        # a whole set is no choice that few samples could mislead
+        most = max(_most_terms(n), min(2 * n // 3, MOST_TERMS))
+        found += [one.contest.choose(basis, most, whole=True) for one in [*found] for basis in one.contest.bases]
+    found.sort(key=lambda one: one.rank)
+    return sorted([_grow(found[0]), *found], key=lambda one: one.rank)[:6]
 
 
-def _look(contest: Contest, scale: Scale, outputs: Array) -> float:
+def _look(contest: Contest) -> float:
     """What forward selection leaves on one basis of no more terms than samples."""
-    basis = contest.bases[min(1, len(contest.bases) - 1)]
-    k = max([k for k, size in enumerate(basis.sizes) if size <= outputs.size] or [0])
-    return _run(contest, scale, outputs, basis.head(k), _most_terms(contest.size)).error
+    n, basis = contest.outputs.size, contest.bases[min(1, len(contest.bases) - 1)]
+    size = max([size for size in basis.sizes if size <= n] or basis.sizes[:1])
+    return contest.choose(Basis(basis.terms[:size], basis.rows[:size]), _most_terms(n)).error
 
 
-def _search(contest: Contest, scale: Scale, outputs: Array) -> Contender:
+def _search(contest: Contest) -> Choice:
     """What forward selection finds, degree by degree, norm by norm; a degree that helps no more ends a norm."""
-    found: list[Contender] = []
+    found: list[Choice] = []
     for basis in contest.bases:
         least, worse, last = math.inf, 0, 0.0
-        for k, size in enumerate(basis.sizes):
-            if size < 1.4 * last and k + 1 < len(basis.sizes):
+        for size in basis.sizes:
+            if size < 1.4 * last and size != basis.sizes[-1]:
                 continue
-            found.append(_run(contest, scale, outputs, basis.head(k), _most_terms(contest.size)))
-            worse, last = (0 if found[-1].error < least else worse + 1), float(size)
-            least = min(least, found[-1].error)
+            one = contest.choose(Basis(basis.terms[:size], basis.rows[:size]), _most_terms(contest.outputs.size))
+            found.append(one)
+            worse, last, least = (0 if one.error < 0.99 * least else worse + 1), float(size), min(least, one.error)
             if worse >= 2 or least < ENOUGH:
                 break
         if least < ENOUGH:
@@ -289,28 +254,19 @@ def _search(contest: Contest, scale: Scale, outputs: Array) -> Contender:
     return min(found, key=lambda one: one.error)
 
 
-def _leaders(contest: Contest, found: Contender, outputs: Array) -> list[Contender]:
-    """The search's answer, and the whole sets of every norm."""
-    if found.error < ENOUGH:
-        return [found]
-    # a whole set is no choice that few samples could mislead
-    most = max(_most_terms(contest.size), min(2 * contest.size // 3, MOST_TERMS))
-    return [found, *(_run(contest, found.scale, outputs, one, most, whole=True) for one in contest.bases)]
-
-
-def _grow(contest: Contest, found: Contender, outputs: Array) -> Contender:
+def _grow(found: Choice) -> Choice:
     """Bases that grow around the terms that were kept, as long as the error falls: by their neighbours, else by the
     terms two degrees above as well, which outputs that are even or odd in an input need."""
-    values, most = found.scale.forward(outputs), _candidates(contest.size)
+    n, contest = found.contest.outputs.size, found.contest
     for _ in range(6):
         if found.error < ENOUGH or len(found.terms) < 2:
             break
-        near = grown(found.terms, np.abs(solve_rows(found.rows, values)), HIGHEST_DEGREE, most)
+        near = grown(found.terms, np.abs(found.coefficients), HIGHEST_DEGREE, _candidates(n))
         above = skipping(found.terms, HIGHEST_DEGREE)
-        for terms in (near, np.unique(np.concatenate([near[: max(most - len(above), 1)], above]), axis=0)):
+        both = np.unique(np.concatenate([near[: max(_candidates(n) - len(above), 1)], above]), axis=0)
+        for terms in (near, both):
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
-            basis = Basis(terms=terms, rows=products(contest.tables, terms))
-            trial = _run(contest, found.scale, outputs, basis, _most_terms(contest.size))
+            trial = contest.choose(Basis(terms, products(contest.tables, terms)), _most_terms(n))
             if trial.error < GROWS * found.error:
                 found = trial
                 break

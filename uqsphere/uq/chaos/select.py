@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -24,29 +23,7 @@ Order: TypeAlias = npt.NDArray[np.intp]
 ROUNDING, DEPENDENT = 1e-30, 1e-8
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
-    """A basis (P, n) at the samples, row 0 constant; values (n,) to be fitted; the fold (n,) of every sample.
-
-    `error` gives the mean square error of predictions (n,) over the variance, in the units of the output; `most` is the
-    largest number of terms.
-    """
-
-    basis: Array
-    values: Array
-    folds: Order
-    error: Callable[[Array], float]
-    most: int
-
-    @property
-    def masks(self) -> Array:
-        """Which samples each lane sees, (1 + K, n) of 0 and 1; the first sees all."""
-        count = int(self.folds.max()) + 1
-        return np.stack([np.ones(self.folds.size), *((self.folds != k).astype(float) for k in range(count))])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Path:
+class Path(NamedTuple):
     """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its fold."""
 
     rows: Order
@@ -62,26 +39,29 @@ def folds_of(n: int, folds: int) -> Order:
     return np.concatenate(runs)[:n].astype(np.intp)
 
 
-def forward_selection(task: Task) -> Path:
+def forward_selection(basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int) -> Path:
     """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989), in every lane.
 
-    Directions are orthonormal over the samples that a lane sees and go on over the fold left out, so that the fit is a
-    prediction there.  Correlations follow from those before by one product of the basis with the new directions.
+    `basis` (P, n) at the samples, row 0 constant; `target` (n,); the fold (n,) of every sample; `error_of` the error of
+    predictions (n,) of the target; at most so many rows.  Directions are orthonormal over the samples that a lane sees
+    and go on over the fold left out, so that the fit is a prediction there.  Correlations follow from those before by
+    one product of the basis with the new directions.
     """
-    basis, masks = task.basis, task.masks
+    seen = folds != np.arange(folds.max() + 1)[:, None]
+    masks = np.concatenate([np.ones((1, folds.size)), seen.astype(float)])
     (lanes, n), every = masks.shape, np.arange(masks.shape[0])
-    most = max(min(task.most, len(basis)), 1)
+    most = max(min(most, len(basis)), 1)
     directions = np.empty((lanes, most, n))
     along = np.empty((most, lanes, len(basis)))  # products of every direction with every row of the basis
     norms = masks @ (basis**2).T
     least = np.maximum(DEPENDENT * norms, 1e-300)
     left = norms.copy()  # square norms of the rows beyond the span of those taken
-    residuals = masks * task.values
+    residuals = masks * target
     floors = ROUNDING * np.vecdot(residuals, residuals)
     correlations = residuals @ basis.T
     closed = np.zeros_like(left, dtype=bool)
     rows, wanted = np.zeros(lanes, dtype=np.intp), np.ones(lanes, dtype=bool)
-    lane, sample = 1 + task.folds, np.arange(n)
+    lane, sample = 1 + folds, np.arange(n)
     predicted = held_out = np.zeros(n)
     order: list[int] = []
     best, size, looked, since = math.inf, 1, math.inf, 0
@@ -115,7 +95,7 @@ def forward_selection(task: Task) -> Path:
         np.matmul(masked, basis.T, out=along[k])
         closed[every, rows] = True
         order.append(int(rows[0]) if sound[0] else -1)
-        error = task.error(predicted)
+        error = error_of(predicted)
         if error < best:
             best, size, held_out = error, k + 1, predicted
         since = 0 if error < 0.99 * looked else since + 1
@@ -125,28 +105,29 @@ def forward_selection(task: Task) -> Path:
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
     kept = np.array(order[:size], dtype=np.intp)
-    return Path(rows=kept[kept >= 0], error=best, held_out=held_out)
+    return Path(kept[kept >= 0], best, held_out)
 
 
-def whole_set(task: Task, sizes: tuple[int, ...]) -> Path:
-    """All terms of a set, of the nested sets of these sizes that with the least K-fold error."""
-    masks = task.masks[1:]
-    sizes = tuple(size for size in sizes if size <= min(task.most, int(masks.sum(axis=1).min()) - 1))
+def whole_set(
+    basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int, sizes: tuple[int, ...]
+) -> Path:
+    """All rows of a set, of the nested sets of these sizes that with the least K-fold error."""
+    inside = [folds != k for k in range(folds.max() + 1)]
+    sizes = tuple(size for size in sizes if size <= min(most, min(int(seen.sum()) for seen in inside) - 1))
     if not sizes:
-        return Path(rows=np.zeros(1, dtype=np.intp), error=math.inf, held_out=np.zeros(task.values.size))
-    predicted = np.empty((len(sizes), task.values.size))
-    for mask in masks:
-        inside, outside = mask == 1.0, mask == 0.0
-        q, r = np.linalg.qr(task.basis[: sizes[-1], inside].T)
+        return Path(np.zeros(1, dtype=np.intp), math.inf, np.zeros(target.size))
+    predicted = np.empty((len(sizes), target.size))
+    for seen in inside:
+        q, r = np.linalg.qr(basis[: sizes[-1], seen].T)
         diagonal = np.abs(np.diag(r))
         # a column that depends on the others gets no weight
         r[np.diag_indices_from(r)] = np.where(diagonal > 1e-10 * diagonal.max(), np.diag(r), 1e150)
-        ahead = np.linalg.solve(r.T, task.basis[: sizes[-1], outside]).T
-        fitted = np.cumsum(ahead * (q.T @ task.values[inside]), axis=1)
-        predicted[:, outside] = fitted[:, [size - 1 for size in sizes]].T
-    errors = [task.error(line) for line in predicted]
+        ahead = np.linalg.solve(r.T, basis[: sizes[-1], ~seen]).T
+        fitted = np.cumsum(ahead * (q.T @ target[seen]), axis=1)
+        predicted[:, ~seen] = fitted[:, [size - 1 for size in sizes]].T
+    errors = [error_of(line) for line in predicted]
     at = int(np.argmin(errors))
-    return Path(rows=np.arange(sizes[at], dtype=np.intp), error=errors[at], held_out=predicted[at])
+    return Path(np.arange(sizes[at], dtype=np.intp), errors[at], predicted[at])
 
 
 def solve_rows(rows: Array, values: Array) -> Array:

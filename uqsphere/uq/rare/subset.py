@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import Estimate, absent, count_bound, student
+from uqsphere.uq.estimate import Estimate, absent, count_bound, factor_ends
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
@@ -116,6 +116,5 @@ def _estimate(
         return Estimate(value=value, low=0.0, high=min(10.0 * float(known.max()), 1.0), std_error=float(known.max()),
                         method=method, evaluations=evaluations)  # fmt: skip
     error = max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(known.size)
-    factor = math.exp(min(student(known.size) * error, 300.0))
-    return Estimate(value=value, low=value / factor, high=min(1.0, value * factor), std_error=value * error,
-                    method=method, evaluations=evaluations)  # fmt: skip
+    low, high = factor_ends(value, value * error, known.size)
+    return Estimate(value=value, low=low, high=high, std_error=value * error, method=method, evaluations=evaluations)
