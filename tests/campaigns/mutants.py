@@ -10,6 +10,7 @@ places.  Modules with compiled kernels are left out.
 from __future__ import annotations
 
 import ast
+import contextlib
 import os
 import random
 import shutil
@@ -57,12 +58,10 @@ def mutations(tree: ast.AST) -> Iterator[tuple[ast.AST, str, Any]]:
 def caught(tree: Path, tests: str, most: float) -> bool:
     """Whether the tests fail, or take more seconds than `most`."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", *tests.split()]
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
-    try:
-        done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, timeout=most, check=False)
-    except subprocess.TimeoutExpired:
-        return True
-    return done.returncode != 0
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        here = {**os.environ, "PYTHONPATH": str(tree)}
+        return subprocess.run(command, cwd=tree, env=here, capture_output=True, timeout=most).returncode != 0
+    return True
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -32,13 +32,6 @@ def imported(path: Path) -> list[tuple[str, str]]:
     return found
 
 
-def test_nothing_of_the_product_imports_a_lab() -> None:
-    for path in HOUSE.rglob("*.py"):
-        if path not in LAB_FILES:
-            names = {f"{module}.{name}" for module, name in imported(path)}
-            assert not [one for one in names if one.startswith("uqsphere.labs")], path
-
-
 @pytest.mark.parametrize("path", LAB_FILES, ids=lambda p: str(p.relative_to(HOUSE)))
 def test_a_lab_imports_public_names_only(path: Path) -> None:
     for module, name in imported(path):
