@@ -12,7 +12,7 @@ from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.rigs import softest_partner, sphere_body
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.validity import RULES, Check, check_validity
+from uqsphere.mechanics.validity import RULES, Check, check_ranges, check_validity
 from uqsphere.mechanics.yielding import Face
 
 BASE = EXAMPLE | {
@@ -161,6 +161,15 @@ def test_shares_of_a_mixed_batch():
     assert found.worst == pytest.approx(0.31, rel=1e-12)
     assert found.text.startswith("in 75 % of the rows")
     assert "0.31" in found.text
+
+
+def test_the_share_of_rows_outside_the_range_of_a_criterion():
+    scene = scene_with(rows=4)
+    found = dynamics.solve(scene, tolerance=1e-6)
+    found = replace(found, values={**found.values, "a_max": np.array([0.001, 0.0025, 0.0029, 0.0035])})
+    (check,) = check_ranges(scene, found, ("core_tension",))
+    assert check.share == 0.25
+    assert check.text.startswith("in 25 % of the rows")
 
 
 def test_no_answer_at_all():
