@@ -234,8 +234,8 @@ class Table:
         for k, said in self._no_data.items():
             self._refuse("", said, [k])
         if self.faults:
-            told = [f"{self.name}: {self._at(lines)}: {said}" for (_, said), lines in self.faults.items()]
-            raise TableError("\n".join(told), next(iter(self.faults))[0])
+            messages = [f"{self.name}: {self._at(lines)}: {said}" for (_, said), lines in self.faults.items()]
+            raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:
         """Check, and look at the rows as such."""

@@ -246,13 +246,19 @@ def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> N
         ({}, {"quantities": ("p_min",)}, "p_min"),
         ({}, {"tolerance": 0.0}, "tolerance"),
         ({}, {"tolerance": math.nan}, "tolerance"),
+        ({}, {"tolerance": "1e-6"}, "tolerance"),
+        ({1: [1.0]}, {}, "unknown input '1'"),
+        ({"sphere.E": [5e10 + 1j]}, {}, "numbers in SI are needed, not complex"),
+        ({"sphere.E": [None, pd.NA]}, {}, "numbers in SI are needed, not NAType"),
+        ({"sphere.E": pd.to_datetime(["2020-01-01"])}, {}, "numbers in SI are needed, not Timestamp"),
+        ({}, {"study": "granite.toml"}, "a study of uqsphere.load_study, found str"),
         ({}, {"threads": 0}, "threads"),
         ({}, {"model": lambda x: x}, "impact scene"),
     ],
 )
 def test_wrong_rows_are_refused(bars: Study, rows: Any, options: dict[str, Any], text: str) -> None:
     with pytest.raises(UsageError, match=text):
-        evaluate(bars, rows, **options)
+        evaluate(options.pop("study", bars), rows, **options)
 
 
 @pytest.mark.parametrize("values", [{"sphere.E": 52.0}, {"sphere.radius": 5.0}, {"sphere.density": 2.65}])

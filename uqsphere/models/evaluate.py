@@ -48,6 +48,8 @@ def evaluate(
     wrong tolerance; ModelError when the model raises or returns something of the wrong form. Warns of a number far
     outside its usual range (is the unit right?), and of rows without an answer.
     """
+    if not isinstance(study, Study):
+        raise UsageError(f"evaluate takes a study of uqsphere.load_study, found {type(study).__name__}")
     names = list((quantities,) if isinstance(quantities, str) else quantities or study.analysis.quantities)
     allowed = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
     for name in names:
@@ -56,7 +58,7 @@ def evaluate(
             raise UsageError(f"unknown {kind} {told(name, 60)!r} (allowed: {', '.join(allowed)})")
         if names.count(name) > 1:
             raise UsageError(f"{name!r} is asked for twice")
-    if tolerance is not None and not 1e-12 <= tolerance <= 1e-2:
+    if tolerance is not None and not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
         raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
     table = _table(study, frame)
     if not study.black_box:
