@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -425,3 +426,15 @@ def test_salib_goes_on_with_a_runs_pairs_and_its_measures_are_asked_for_by_name(
     for method in measures:
         measured = run.answers[run.answers["answer"] == method].set_index("at")["value"]
         assert measured["a"] > measured["b"] > 0.0
+
+
+def test_a_model_that_changes_the_folder_moves_no_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "away").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    def restless(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        os.chdir(tmp_path / "away")
+        return linear(inputs)
+
+    uqsphere.run(study(1.0), restless, out="here", threads=1)
+    assert (tmp_path / "here" / "report.html").is_file()

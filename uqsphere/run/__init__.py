@@ -84,7 +84,7 @@ def run(
                        stop=stop, fresh=fresh, rows=rows)  # fmt: skip
     if out is None:
         return _run(study, model, None, executor, threads, seconds, progress, stop, rows)
-    folder = Path(out)
+    folder = Path(out).absolute()  # a function of the user may change the working folder
     with locked(folder):
         _check_owner(folder, study, fresh=fresh)
         return _run(study, model, folder, executor, threads, seconds, progress, stop, rows)

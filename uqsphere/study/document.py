@@ -511,7 +511,7 @@ def _said(table: Any, fault: Any, place: Place) -> str:
         words = re.findall(r"'([^']*)'", context["expected"])
         return f"{found}, allowed: {one_of(words)}{suggestion(fault['input'], words)}"
     if kind.startswith("too_"):
-        found = f"found {context['actual_length']} {name}"
+        found = f"found {context['actual_length'] or 'too many'} {name}"
     return f"{found}, {_FOUND.get(kind, 'which cannot stand here').format(**context)}"
 
 
