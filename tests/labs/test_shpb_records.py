@@ -15,6 +15,7 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.cli import main
 from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.record import load_record
+from uqsphere.labs.shpb.sheet import rows
 from uqsphere.labs.shpb.waves import Reading, read_test
 from uqsphere.mechanics.bars import correct
 
@@ -341,6 +342,29 @@ def test_volts_of_a_bridge(tmp_path: Path) -> None:
     check_sound(read(tmp_path, frame, incident_bar=bridge))
     frame[["I (mV)", "T (mV)"]] *= factor / (4.0 / (2.0 * 5.0))  # one arm, nothing amplified, a gauge factor of 2
     check_sound(read(tmp_path, frame, incident_bar={"excitation": 5.0}))
+
+
+@pytest.mark.parametrize(("polarity", "sign"), [("tension", 1.0), ("compression", -1.0)])
+def test_a_polarity_that_is_given_is_taken(polarity: str, sign: float, tmp_path: Path) -> None:
+    """The sign of compression in the file is what it is said to be, and a wave that then pulls is refused."""
+    frame = waves() * [1.0, sign, sign]
+    check_sound(read(tmp_path, frame, record={"polarity": polarity}), 0.015)
+    with pytest.raises(UsageError, match="does not press"):
+        read(tmp_path, frame * [1.0, -1.0, -1.0], record={"polarity": polarity})
+
+
+def test_the_rows_of_the_sheet_are_the_numbers_of_the_test(tmp_path: Path) -> None:
+    test = read(tmp_path, waves())
+    shown = {name.partition(",")[0]: value for name, value, _ in rows(test)}
+    assert test.energies is not None
+    for name, value in (
+        ("largest force at A", test.peaks["A"].value * 1e-3), ("largest force at B", test.peaks["B"].value * 1e-3),
+        ("energy absorbed", test.energies["absorbed"]), ("loading rate", test.loading_rate * 1e-9),
+        ("first touch", test.touch * 1e6),
+    ):  # fmt: skip
+        assert float(shown[name].split()[0]) == pytest.approx(value, rel=1e-3), name
+    # half the rise of sin² from a quarter of its length to its half: 12.5 kN in 30 us
+    assert test.loading_rate == pytest.approx(12.5e3 / 30e-6, rel=0.05)
 
 
 def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
