@@ -228,7 +228,7 @@ def failure_probability(
     """Probability of limit(rows) < 0 for inputs of these laws, dependent or not.
 
     Design points, subset simulation and importance sampling that certify each other; with fewer than 5,000 evaluations
-    half of them are a plain sample, whose rule of three bounds what no search has seen, and nothing is sure.  The model
+    all of them are a plain sample, whose rule of three bounds what no search has seen, and nothing is sure.  The model
     is not called beyond 9 standard deviations.
 
     Parameters

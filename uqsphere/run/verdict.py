@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.quantities import format_conservative, format_probability, format_value
+from uqsphere.quantities import format_conservative, format_probability, format_value, lookup
 from uqsphere.results import Answers
 from uqsphere.run.assumptions import MOST, Assumptions, along_line, other_distributions, together
 from uqsphere.run.checks import Check
@@ -353,8 +353,8 @@ def _headline(
             rest += ["The study asks for no value to use: it has no [margins]."] * (limit.target is not None)
         elif joint.get("margin") is not None and safe is not None:
             most = _rising(answers, design.subject(limit))
-            rest.append(f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. By "
-                        f"{limit.name}: {format_conservative(safe, margins.axis.path, least=not most)}.")  # fmt: skip
+            rest.append(f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. "
+                        + _alone(limit, safe, margins.axis.path, most=most))  # fmt: skip
         elif curve:
             path = margins.axis.path
             (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
@@ -363,7 +363,8 @@ def _headline(
                         f"{format_probability(p_high)}; widen margins.between.")  # fmt: skip
     else:
         path, planned, most = number["path"], planned_value(design), number["safe_end"] == "largest"
-        first = [f"Use at {'most' if most else 'least'} {format_conservative(number['value'], path, least=not most)}."]
+        value = format_conservative(number["value"], path, least=not most)
+        first = [f"Use at {'most' if most else 'least'} {value} ({lookup(path).meaning})."]
         if planned is not None:
             factor = number["factor"]
             margin = "no margin" if factor is None or factor < 1.0 else f"safety factor {factor:.3g}"
@@ -374,7 +375,7 @@ def _headline(
             rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval{at}; best "
                         f"estimate {best}, by {number['by']}.")  # fmt: skip
         if number["by"] != limit.name and safe is not None:
-            rest.append(f"By {limit.name}: {format_conservative(safe, path, least=not most)}.")
+            rest.append(_alone(limit, safe, path, most=most))
         rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
     if word == "not established":
         rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
@@ -383,6 +384,12 @@ def _headline(
     elif word != "no target":
         rest.append(f"Target {word}.")
     return " ".join(first), " ".join(rest)
+
+
+def _alone(limit: Limit, safe: float, path: str, *, most: bool) -> str:
+    """The safe end by one limit of the study, where other failure modes ask for another value."""
+    end = "most" if most else "least"
+    return f"By {limit.name} alone: at {end} {format_conservative(safe, path, least=not most)}."
 
 
 def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of: str) -> str:
