@@ -59,7 +59,7 @@ class Problem:
 
 
 class StudyError(UqsphereError):
-    """A study file cannot be used; carries every fault that was found."""
+    """A study file cannot be used; carries the faults that were found."""
 
     exit_code = 2
 

@@ -1,4 +1,4 @@
-"""Study files: TOML text → validated, frozen `Study` in SI, with every fault of a file at its line, all at once."""
+"""Study files: TOML text → validated, frozen `Study` in SI, with faults at their lines, a stage of them at once."""
 
 from __future__ import annotations
 

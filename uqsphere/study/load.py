@@ -1,4 +1,4 @@
-"""From a TOML file, a text or a dict to a `Study`, with every fault at its line."""
+"""From a TOML file, a text or a dict to a `Study`, with faults at their lines."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def load_study(
     overrides : ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before anything is checked.
     text : the content of a study file, in place of reading one.
 
-    Raises StudyError with every fault of the file, each with its line; AccessError where the file is missing or cannot
-    be read; UsageError for an override that is none, and a value that no study file can hold.
+    Raises StudyError with every fault of the first of `STAGES` that has one, each with its line; AccessError where the
+    file is missing or cannot be read; UsageError for an override that is none, and a value that no study file can hold.
 
     >>> inputs = {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})

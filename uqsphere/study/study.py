@@ -40,11 +40,9 @@ class Tested:
     """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
 
     diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m], suspended: of every test.  platens:
-    E [Pa], infinite if rigid, and nu.  sphere: E, nu, density and what else
-    `uqsphere.study.strength.equivalent_force` takes.  law: of the
-    force at failure of a sphere of `diameter`.
-    exponent: that force goes with the diameter to this power; size: the law that says so, "weakest link" or "none".
-    The draws of a lab have a diameter and an exponent alone.
+    E [Pa], infinite if rigid, and nu.  sphere: E, nu, density and what else `equivalent_force` takes.  law: of the
+    force at failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power; size: the
+    law that says so, "weakest link" or "none".  The draws of a lab have a diameter and an exponent alone.
     """
 
     diameter: float
