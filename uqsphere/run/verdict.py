@@ -389,7 +389,7 @@ def _headline(
 def _alone(limit: Limit, safe: float, path: str, *, most: bool) -> str:
     """The safe end by one limit of the study, where other failure modes ask for another value."""
     end = "most" if most else "least"
-    return f"By {limit.name} alone: at {end} {format_conservative(safe, path, least=not most)}."
+    return f"By {limit.name} only: at {end} {format_conservative(safe, path, least=not most)}."
 
 
 def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of: str) -> str:
