@@ -354,7 +354,7 @@ def _headline(
         elif joint.get("margin") is not None and safe is not None:
             most = _rising(answers, design.subject(limit))
             rest.append(f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. "
-                        + _alone(limit, safe, margins.axis.path, most=most))  # fmt: skip
+                        + _by_one(limit, safe, margins.axis.path, most=most))  # fmt: skip
         elif curve:
             path = margins.axis.path
             (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
@@ -375,7 +375,7 @@ def _headline(
             rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval{at}; best "
                         f"estimate {best}, by {number['by']}.")  # fmt: skip
         if number["by"] != limit.name and safe is not None:
-            rest.append(_alone(limit, safe, path, most=most))
+            rest.append(_by_one(limit, safe, path, most=most))
         rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
     if word == "not established":
         rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
@@ -386,7 +386,7 @@ def _headline(
     return " ".join(first), " ".join(rest)
 
 
-def _alone(limit: Limit, safe: float, path: str, *, most: bool) -> str:
+def _by_one(limit: Limit, safe: float, path: str, *, most: bool) -> str:
     """The safe end by one limit of the study, where other failure modes ask for another value."""
     end = "most" if most else "least"
     return f"By {limit.name} only: at {end} {format_conservative(safe, path, least=not most)}."
