@@ -60,6 +60,24 @@ def test_a_light_sphere_is_lost_late_and_its_duration_is_finite() -> None:
     assert found / scene.scales.time[0] == pytest.approx(3.071, abs=5e-4)
 
 
+@pytest.mark.parametrize("fidelity", ["full", "massless"])
+@pytest.mark.parametrize("share", [1e-5, 1e-3, 0.099, 0.101])
+def test_a_record_that_is_cut_at_once_keeps_its_digits(fidelity: str, share: float) -> None:
+    """Two fifths of it, and little more; the impulse is a 10^-7 of the approaches then."""
+    plain = scaled(example(numbers=ENDLESS, infinite=True), mu=1.0, theta=1.0)
+    columns = {name: column for name, column in plain.columns.items() if name != "pulse.duration"}
+    end = share * float(plain.scales.time[0])
+    scene = Scene(columns=columns, shape="step", infinite=True, horizon=end)
+    rough, fine = (
+        solve(scene, fidelity=fidelity, tolerance=tolerance, quantities=("contact_duration",)).values[
+            "contact_duration"
+        ][0]
+        for tolerance in (1e-6, 1e-10)
+    )
+    assert rough == pytest.approx(fine, rel=5e-6)
+    assert fine / end == pytest.approx(0.4, abs=0.05 * share)
+
+
 def test_a_long_pulse_is_its_own_duration() -> None:
     scene = scaled(example(numbers=ENDLESS, infinite=True), mu=1e-3, theta=1000.0)
     found = solve(scene, tolerance=1e-8, quantities=("contact_duration",)).values["contact_duration"][0]

@@ -5,12 +5,12 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
 from tests.independent.motion import refer
 from uqsphere.mechanics.integrator import faces, solve
+from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.tracked import (
     ANSWER_CONTACT,
     ANSWER_DURATION,
@@ -171,7 +171,7 @@ def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-6), name
 
 
-@numba.njit(_nrt=False)
+@compiled(entry=True)
 def there_and_back(lanes, given, pressed, approach):
     """The approach at which virgin loading reaches the force that it has at an approach."""
     s = lanes[0]

@@ -19,7 +19,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.roots import bisect
@@ -152,17 +151,14 @@ class FirstMode:
     """The first mode of a bar in units of its radius and c0, tabulated over the wave number.
 
     frequency, wave_number, speed (m,): omega radius/c0, k radius, phase speed over c0; from rest on, ascending.  factor
-    (m,): mean axial stress over E times the strain of the surface.  second_mode: frequency at which the second
-    longitudinal mode begins.  band: frequency below which a record can be corrected: the first mode alone, factor below
-    3.
+    (m,): mean axial stress over E times the strain of the surface.  band: frequency below which
+    a record can be corrected: the first mode alone, factor below 3.
     """
 
-    nu: float
     frequency: Array
     wave_number: Array
     speed: Array
     factor: Array
-    second_mode: float
     band: float
 
     def at(self, frequency: Values) -> tuple[Array, Array]:
@@ -174,10 +170,6 @@ class FirstMode:
         lag = CubicSpline(self.frequency, self.wave_number - self.frequency)(inside)
         factor = CubicSpline(self.frequency, self.factor)(inside)
         return np.asarray(lag + np.asarray(frequency)), np.asarray(factor)
-
-    def limit(self, radius: float, wave_speed: float) -> float:
-        """End of the band in a bar of this radius [m] and wave speed c0 [m/s], as a frequency [Hz]."""
-        return self.band * wave_speed / (2.0 * math.pi * radius)
 
 
 def _second_mode(nu: float) -> float:
@@ -199,30 +191,15 @@ def first_mode(nu: float) -> FirstMode:
     strain, stress = surface_factors(_TABLE, speed, nu)
     factor = strain * stress
     frequency = _TABLE * speed
-    second = _second_mode(nu)
-    bad = (frequency >= second) | ~(np.abs(factor) < _MOST_GAIN) | (factor < 1.0 / _MOST_GAIN)
+    bad = (frequency >= _second_mode(nu)) | ~(np.abs(factor) < _MOST_GAIN) | (factor < 1.0 / _MOST_GAIN)
     last = int(np.argmax(bad)) if bad.any() else len(bad)
     # the tables end where the factor leaves its range: a spline must not feel the pole behind it
     kept = slice(0, max(last, 8))
     return FirstMode(
-        nu=nu, frequency=np.concatenate([[0.0], frequency[kept]]),
+        frequency=np.concatenate([[0.0], frequency[kept]]),
         wave_number=np.concatenate([[0.0], _TABLE[kept]]), speed=np.concatenate([[1.0], speed[kept]]),
-        factor=np.concatenate([[1.0], factor[kept]]), second_mode=second, band=float(frequency[kept][-1]),
+        factor=np.concatenate([[1.0], factor[kept]]), band=float(frequency[kept][-1]),
     )  # fmt: skip
-
-
-def transfer(samples: int, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
-             surface: bool = True) -> npt.NDArray[np.complex128]:  # fmt: skip
-    """What `correct` multiplies the spectrum (`rfft`) of `samples` samples with, (samples // 2 + 1,)."""
-    if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
-        raise ValueError(f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}")
-    mode = first_mode(nu)
-    frequency = 2.0 * math.pi * np.fft.rfftfreq(samples, step) * radius / wave_speed
-    wave_number, factor = mode.at(frequency)
-    turned = np.exp(-1j * (wave_number - frequency) * distance / radius) * (factor if surface else 1.0)
-    if samples % 2 == 0:  # the highest component of a real record has no phase that could be turned
-        turned[-1] = abs(turned[-1])
-    return np.asarray(turned)
 
 
 def correct(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
@@ -232,23 +209,14 @@ def correct(strain: Values, step: float, distance: float, *, radius: float, wave
     eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance): the delay distance/c0 itself is left out.  strain is at
     rest at both ends and has room for the spread of the wave; step: between samples [s]; distance: below zero for where
     it came from; radius, wave_speed, nu of the bar; surface: the gauge sits there, and the answer is the mean stress
-    over E. Valid up to `FirstMode.limit`; beyond, phase lag and factor are held at their values there.
+    over E. Valid up to `FirstMode.band`; beyond, phase lag and factor are held at their values there.
     """
-    strain = np.asarray(strain, dtype=float)
-    turned = transfer(len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface)
+    if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
+        raise ValueError(f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}")
+    strain, mode = np.asarray(strain, dtype=float), first_mode(nu)
+    frequency = 2.0 * math.pi * np.fft.rfftfreq(len(strain), step) * radius / wave_speed
+    wave_number, factor = mode.at(frequency)
+    turned = np.exp(-1j * (wave_number - frequency) * distance / radius) * (factor if surface else 1.0)
+    if len(strain) % 2 == 0:  # the highest component of a real record has no phase that could be turned
+        turned[-1] = abs(turned[-1])
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))
-
-
-def disperse(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
-             surface: bool = True) -> Array:  # fmt: skip
-    """The inverse of `correct`: what a gauge shows of a wave that is known `distance` further on.
-
-    >>> wave = np.exp(-np.square((np.arange(512) - 200) / 20.0))
-    >>> bar = {"radius": 0.01, "wave_speed": 5000.0, "nu": 0.29}
-    >>> seen = disperse(wave, 1e-6, 0.5, **bar)
-    >>> bool(np.abs(correct(seen, 1e-6, 0.5, **bar) - wave).max() < 1e-12)
-    True
-    """
-    strain = np.asarray(strain, dtype=float)
-    turned = transfer(len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface)
-    return np.asarray(np.fft.irfft(np.fft.rfft(strain) / turned, len(strain)))

@@ -266,9 +266,7 @@ def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values 
     """
     beta, v = np.asarray(hertz_constant, dtype=float), np.asarray(speed, dtype=float)
     force = beta**0.4 * mass**0.6 * v**1.2
-    lam = force / (v * np.asarray(impedance, dtype=float))
-    inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
-    at = {name: np.asarray(series(inside)) for name, series in _blow_table().items()}
+    at = _elastic(force / (v * np.asarray(impedance, dtype=float)))
     force = force * at["force"]
     return Blow(
         force=force,

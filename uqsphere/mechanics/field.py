@@ -235,15 +235,6 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     Tension is where more leaves than arrives, g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), with u = t - d/c0 and
     w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on a grid and by zooming in.
     None where the bar sees none up to the horizon.
-
-    >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04,
-    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
-    ...            "bars.receiving_end": 0.0, "striker.speed": 0.5, "striker.length": 0.4}
-    >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
-    >>> first_tension(found, "receiving") is None       # its end absorbs: nothing comes back to pull
-    True
     """
     number = check_position(motion, bar, 0.0)
     share = tension_level(motion) if share is None else share
@@ -344,15 +335,6 @@ def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, si
 
     One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters sees the local field
     as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived (docs/errata.md).
-
-    >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04,
-    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
-    ...            "bars.receiving_end": 0.0, "striker.speed": 0.5, "striker.length": 0.4}
-    >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
-    >>> float(gauge_strain(found, "incident", 0.75, [-100e-6])[0]) * 1e6    # -v0/(2 c0)
-    -51.2989...
     """
     check_position(motion, bar, position)
     stress = field_at(motion, bar, position, times, sides=sides).stress

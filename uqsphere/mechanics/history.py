@@ -6,7 +6,6 @@ nothing in accuracy.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -41,11 +40,6 @@ Course = Callable[[Array], Array]
 
 #: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the integrator
 _TOUCH: Final = 5.0
-#: what a History keeps per instant
-_COURSES: Final = (
-    "time", "approach_a", "approach_b", "force_a", "force_b", "pressure_a", "pressure_b",
-    "velocity", "incident", "returning", "leaving_a", "leaving_b",
-)  # fmt: skip
 
 
 # --- loads, dents, velocities and energies of one motion, for every rig and every law of contact ----------------
@@ -263,11 +257,6 @@ class History:
     gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
     balance: Balance | None = field(default=None, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        shapes = {getattr(self, name).shape for name in _COURSES}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-            raise ValueError(f"all courses of a history need one shape (m,), found {sorted(shapes)}")
-
     def __repr__(self) -> str:
         end = f"{1e6 * self.horizon:.4g} us"
         return f"<History: {len(self.time)} instants to {end}, {len(self.changes)} changes of contact>"
@@ -309,10 +298,9 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         raise ValueError(f"a history needs at least 2 points, found {points}")
     row = range(len(scene))[row]
     found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
-    horizon = found.horizon
     changes = find_changes(found, tolerance=tolerance)
     lost = next((change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf)
-    first, later = largest(found, 0.0, lost), largest(found, lost, horizon)
+    first, later = largest(found, 0.0, lost), largest(found, lost, found.horizon)
     times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
     states, forces = found.states_at(times), found.forces_at(times).T
     waves = waves_at(found, times, sides=sides) if scene.rig == "bars" else Waves.none(len(times))
@@ -325,8 +313,8 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         time=times, approach_a=approaches[0], approach_b=approaches[1], force_a=forces[0], force_b=forces[1],
         pressure_a=pressures[0], pressure_b=pressures[1], velocity=velocity, incident=waves.incident,
         returning=waves.returning, leaving_a=waves.leaving_a, leaving_b=waves.leaving_b, changes=changes,
-        first_peak=first, later_peak=later, horizon=horizon,
-        record_end=horizon if scene.whole_record else min(lost, horizon),
+        first_peak=first, later_peak=later, horizon=found.horizon,
+        record_end=found.horizon if scene.whole_record else min(lost, found.horizon),
         mass_number=float(scales.mass_number[row]), pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
         hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity, motion=found, balance=balance,
@@ -396,6 +384,8 @@ def _approach(found: Motion, face: int) -> Course:
 
 def largest(found: Motion, begin: float, end: float) -> Peak | None:
     """The largest contact pressure at either face between begin and end [s]; None if there is no force."""
+    from scipy.optimize import minimize_scalar
+
     end = min(end, found.horizon)
     if not begin < end:
         return None
@@ -404,7 +394,9 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
     for face, name in enumerate("AB"):
         approach = _approach(found, face)
         highest = int(np.argmax(approach(nodes)))
-        time = _golden(approach, nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)])
+        low, high = nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)]
+        time = float(minimize_scalar(lambda at, of=approach: -of(np.array([at]))[0], bounds=(low, high),
+                                     method="bounded", options={"xatol": 1e-8 * (high - low)}).x)  # fmt: skip
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
         force = float(found.forces_at(np.array([time]))[0, face])
@@ -412,19 +404,6 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
         if force > 0.0 and (best is None or pressure > best.pressure):
             best = Peak(time=float(time), face=name, pressure=pressure, force=force)
     return best
-
-
-def _golden(function: Course, low: float, high: float) -> float:
-    """Time of the maximum between low and high by golden section, to about 1e-8 of the bracket."""
-    ratio = 0.5 * (5.0**0.5 - 1.0)
-    for _ in range(40):
-        left, right = high - ratio * (high - low), low + ratio * (high - low)
-        value_left, value_right = function(np.array([left, right]))
-        if value_left > value_right:
-            high = right
-        else:
-            low = left
-    return 0.5 * (low + high)
 
 
 def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
@@ -460,77 +439,40 @@ def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
 
 @dataclass(frozen=True, kw_only=True)
 class FieldView:
-    """Stress in both bars over place and time, and what is needed to draw the fronts over it.
+    """Stress in both bars over place and time, and where and when each bar that sees tension is first under it.
 
     reach: length of the incident and of the receiving bar that is shown [m]; begin, last: instants [s] since first
-    touch; stress (t, x): [Pa], tension positive, at the middles of an even grid over [begin, last] and [-reach, reach].
-    wave_speed; pulse_end (infinite for a step); record_end; returns: after what time a wave that leaves the sphere is
-    back from the far end of each bar, infinite if never; tensions: where and when each bar that sees any is first under
-    it.
+    touch; stress (t, x): [Pa], tension positive, at times (t,) [s] and places (x,) [m], the sphere at 0: the middles of
+    an even grid over [begin, last] and [-reach, reach], between which there is no bar.
     """
 
     reach: tuple[float, float]
     begin: float
     last: float
+    places: Array
+    times: Array
     stress: Array
-    wave_speed: float
-    pulse_end: float
-    record_end: float
-    returns: tuple[float, float]
     tensions: tuple[Tension, ...]
-
-    @property
-    def places(self) -> Array:
-        """(x,) places [m] along the bars, the sphere at 0: between them, which is itself no bar."""
-        left, right = self.reach
-        edges = np.linspace(-left, right, self.stress.shape[1] + 1)
-        return np.asarray(0.5 * (edges[1:] + edges[:-1]))
-
-    @property
-    def times(self) -> Array:
-        """(t,) instants [s]."""
-        count = self.stress.shape[0]
-        return np.asarray(self.begin + (np.arange(count) + 0.5) / count * (self.last - self.begin))
-
-
-def shown_time(history: History) -> float:
-    """How far pictures go in time [s]: the record, at least one round trip where something comes back."""
-    found = history.motion
-    trips = [found.round_trip(bar) for bar in (0, 1)]
-    echoes = [trip for bar, trip in enumerate(trips) if found.echoes(bar)]
-    last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0))
-    if not echoes and math.isfinite(found.pulse_end):
-        last = min(last, 6.0 * found.pulse_end)
-    return min(last, history.horizon)
-
-
-def extent(history: History) -> tuple[tuple[float, float], float]:
-    """What a picture of the bars shows: length of each bar [m], as far as it goes, and the last instant [s]."""
-    found, last = history.motion, shown_time(history)
-    trips = [found.round_trip(bar) for bar in (0, 1) if found.echoes(bar)]
-    # the regions can be told apart up to the second return
-    last = min(last, 2.2 * max(trips, default=math.inf))
-    speed = found.wave_speed
-    reach = [min(0.5 * speed * found.round_trip(bar), 1.2 * speed * last) for bar in (0, 1)]
-    return (reach[0], reach[1]), last
 
 
 def view_field(history: History, *, places: int = 300, times: int = 380) -> FieldView:
-    """The view of a history on a grid of that many places and instants."""
-    found = history.motion
-    reach, last = extent(history)
-    first, second = (found.round_trip(bar) if found.echoes(bar) else math.inf for bar in (0, 1))
-    tensions = (first_tension(found, bar) for bar in BARS)
-    view = FieldView(
-        reach=reach,
-        begin=-reach[0] / found.wave_speed,
-        last=last,
-        stress=np.zeros((times, places)),
-        wave_speed=found.wave_speed,
-        pulse_end=found.pulse_end,
-        record_end=history.record_end,
-        returns=(first, second),
-        tensions=tuple(one for one in tensions if one is not None),
+    """The view on a grid of that many places and instants: each bar as far as it goes, up to the second return.
+
+    In time it is the record, and at least one round trip where something comes back.
+    """
+    found, speed = history.motion, history.motion.wave_speed
+    trips = [found.round_trip(bar) for bar in (0, 1)]
+    echoes = [trip for bar, trip in enumerate(trips) if found.echoes(bar)]
+    last = min(max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0)), history.horizon)
+    last = min(last, 2.2 * max(echoes) if echoes else 6.0 * found.pulse_end)
+    left, right = (min(0.5 * speed * trip, 1.2 * speed * last) for trip in trips)
+    begin = -left / speed
+    x, t = (
+        low + (np.arange(count) + 0.5) / count * (high - low)
+        for low, high, count in ((-left, right, places), (begin, last, times))
     )
-    view.stress[...] = field_grid(found, view.places, view.times).stress
-    return view
+    tensions = (first_tension(found, bar) for bar in BARS)
+    return FieldView(
+        reach=(left, right), begin=begin, last=last, places=x, times=t, stress=field_grid(found, x, t).stress,
+        tensions=tuple(one for one in tensions if one is not None),
+    )  # fmt: skip

@@ -187,11 +187,6 @@ def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
     return set().union(*(_roots(name, demands) for name in quantities))
 
 
-def all_of(scene: Scene) -> tuple[str, ...]:
-    """All quantities that a scene has the numbers for, and its demands."""
-    return (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)
-
-
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
     """What an integrator has to follow for these quantities and demands, or for all: tracked.WANT_*."""
     wanted = 0
@@ -488,7 +483,7 @@ def answers_from(
         made = {**_of_faces(scene, tracked), **_of_blow(scene, tracked)}
     columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5, **made})
     if quantities is None:
-        quantities = all_of(scene)
+        quantities = (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)
     values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.logical_and.reduce([np.isfinite(value) for value in (columns["x_max"], *values.values())])
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)

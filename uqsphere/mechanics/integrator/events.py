@@ -423,6 +423,22 @@ def _first_at(s, j, made, level):
     return math.nan
 
 
+#: end of a record, over t_c, below which the impulse is less than a fiftieth of what it is the difference of in (Q2)
+BRIEF = 0.1
+
+
+@compiled
+def note_impulse(s, j, theta):
+    """Add the integral of both forces over a step of a brief record; with t = z² it is smooth from a touch on."""
+    apart()
+    for i in range(WAVE):
+        z = 0.5 * (1.0 + _NODES[i])
+        for m in range(j, PAIR, LANES):
+            above = max(searches.value_of(s.x, m, theta * z * z), 0.0)
+            force = above if s.mode == LINEAR else face_force(s, m, above)[0]
+            s.pushed[j] += _WEIGHTS[i] * z * theta * s.h[j] * force
+
+
 @compiled
 def note_duration(s, j, settled):
     """Impulse over peak of the mean force up to now, (Q2): integral of (f - h) less the mean approach.
@@ -431,7 +447,7 @@ def note_duration(s, j, settled):
     """
     apart()
     impulse = 0.5 * s.pushed[j]
-    for m in range(j, PAIR, LANES):
+    for m in range(j, PAIR if s.end[j] >= BRIEF else 0, LANES):
         impulse -= 0.5 * ((0.0 if settled else s.x[0, m]) + s.dent[m])
     s.duration[j] = impulse / s.peak[MEAN, j]
 

@@ -398,7 +398,9 @@ def _events(s, j):
         events.note_peaks(s, j)
     if s.wanted & tracked.WANT_CARRIED:
         events.note_squared_forces(s, j, ending)
-    if s.wanted & tracked.WANT_DURATION and not s.rigged:
+    if s.wanted & tracked.WANT_DURATION and s.end[j] < events.BRIEF:
+        events.note_impulse(s, j, ending)
+    elif s.wanted & tracked.WANT_DURATION and not s.rigged:
         power, pushed = ending * s.h[j], s.pushed[j]
         for k in range(TERMS):
             pushed += (s.push[k, j] + s.push[k, LANES + j]) * power / (k + 1.0)
