@@ -45,8 +45,5 @@ def test_ends():
     assert bars.END_COEFFICIENTS == {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 
 
-def test_the_band_of_a_record_ends_at_a_frequency() -> None:
-    mode = bars.first_mode(0.3)
-    turns = 2.0 * math.pi * mode.limit(0.01, 5000.0) * 0.01 / 5000.0
-    assert turns == pytest.approx(mode.band, rel=EXACT)
-    assert mode.band < mode.second_mode
+def test_the_band_of_a_record_ends_before_the_second_mode() -> None:
+    assert bars.first_mode(0.3).band < bars._second_mode(0.3)

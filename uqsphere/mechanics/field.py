@@ -160,8 +160,8 @@ def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides
     delay = position / motion.wave_speed
     towards = arriving(motion, number, times + delay, sides=sides)
     away = leaving(motion, number, times - delay, sides=sides)
-    stress = motion.impedance / motion.section * (away - towards) * (1.0 if number == 0 else -1.0)
-    return Field(stress=stress, velocity=towards + away)
+    stress = motion.scene.columns["bars.density"][motion.row] * motion.wave_speed * (away - towards)
+    return Field(stress=stress if number == 0 else -stress, velocity=towards + away)
 
 
 def check_position(motion: Motion, bar: str, position: Values) -> int:

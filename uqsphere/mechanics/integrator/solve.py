@@ -81,11 +81,6 @@ class Motion:
         return float(self.scene.scales.impedance[self.row])
 
     @property
-    def section(self) -> float:
-        """F0 of the bars [m²]."""
-        return float(bars.section(self.scene.columns["bars.diameter"][self.row]))
-
-    @property
     def pulse_end(self) -> float:
         """Time at which the incident pulse is over at face A [s]; infinite for a step."""
         return float(self.scene.pulse.end[self.row])

@@ -148,6 +148,9 @@ class Vector:
         width = self.value.type.count
         return ir.Constant(ir.VectorType(ir.DoubleType(), width), [float(other)] * width)
 
+    def __neg__(self):
+        return 0.0 - self
+
     __add__, __radd__ = _operation("fadd"), _operation("fadd", turned=True)
     __sub__, __rsub__ = _operation("fsub"), _operation("fsub", turned=True)
     __mul__, __rmul__ = _operation("fmul"), _operation("fmul", turned=True)
