@@ -17,7 +17,7 @@ from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.cli import main
 from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
 from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes, population
-from uqsphere.labs.comminution.fit import Fit, Model, Posterior, fit, log_likelihoods
+from uqsphere.labs.comminution.fit import PRIORS, Fit, Model, Posterior, fit, log_likelihoods
 from uqsphere.labs.comminution.tests import Specimens, load_tests
 
 ROOT = Path(__file__).parents[2]
@@ -192,6 +192,12 @@ def test_coverage_of_the_median_over_series() -> None:
         low, high = np.quantile(found.posterior.median(0.01)[:, 0], [0.025, 0.975])
         inside += low < float(laws.median_energy("tavares", 0.01, 60.0, 1.1, 0.006)) < high
     assert inside >= 9  # 11.4 expected
+
+
+def test_priors_of_both_laws_have_one_scatter() -> None:
+    """The logarithm of a Weibull energy of shape 3 m/5 has the sd pi/sqrt(6)/(3 m/5)."""
+    sigma, modulus = (math.exp(PRIORS[name][0]) for name in ("sigma", "modulus"))
+    assert math.pi / math.sqrt(6.0) / (0.6 * modulus) == pytest.approx(sigma, rel=1e-3)
 
 
 def test_repeated_blows_determine_gamma() -> None:
