@@ -14,6 +14,7 @@ import pytest
 from scenes import EXAMPLE
 from scipy.integrate import solve_ivp
 
+from uqsphere.mechanics.integrator import compiled as compiled_module
 from uqsphere.mechanics.integrator import events, faces, kernel, searches, step
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
@@ -351,3 +352,11 @@ def test_every_function_is_compiled_in_one_form() -> None:
         for function in vars(module).values():
             if hasattr(function, "py_func") and function.overloads:
                 assert len(function.overloads) <= 2, function.__name__
+
+
+def test_a_numba_that_is_not_known_compiles_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_module, "_TRIED", ())
+    monkeypatch.setattr(compiled_module, "_compilers", compiled_module._compilers.__wrapped__)
+    square = compiled_module.compiled(lambda x: x * x)
+    more = compiled_module.compiled(lambda x: square(x) + 1.0, entry=True)
+    assert more(3.0) == 10.0

@@ -22,6 +22,8 @@ from typing import Any
 
 #: files with compiled code, or with numbers that it takes in
 _SOURCES = ("branches", "compiled", "events", "faces", "incoming", "kernel", "searches", "step", "tracked", "vectors")
+#: versions of numba whose inside `_compilers` knows
+_TRIED = ("0.68.",)
 #: may be written by others
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -96,13 +98,16 @@ def _keep(folder: Path, function: Any) -> None:
 
 
 @lru_cache(maxsize=1)
-def _compilers() -> tuple[Any, Any]:
-    """numba's compiler of inner functions, and of those that Python calls.
+def _compilers() -> tuple[Any, Any] | None:
+    """numba's compiler of inner functions, and of those that Python calls; None for a numba it was not tried with.
 
     numba optimises and translates every function with all that it calls, so that what is at the bottom goes through
     LLVM a dozen times: half of the time of a first run.  Here an inner function is optimised by itself, and the
-    outermost one takes in all that it reaches and translates it once.
+    outermost one takes in all that it reaches and translates it once.  That rests on numba's inside: any other numba
+    compiles in its own way, in twice the time.
     """
+    if not metadata.version("numba").startswith(_TRIED):
+        return None
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler, Flags
 
@@ -180,7 +185,9 @@ def compiled(function: Callable[..., Any] | None = None, *, entry: bool = False,
     if folder is not None:
         setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba makes its settings at run time
     # nothing is allocated in compiled code, so that numba need not count the owners of arrays
-    options |= {"nogil": True, "error_model": "numpy", "_nrt": False, "pipeline_class": _compilers()[entry]}
+    options |= {"nogil": True, "error_model": "numpy", "_nrt": False}
+    if (compilers := _compilers()) is not None:
+        options["pipeline_class"] = compilers[entry]
     options |= {"cache": folder is not None} if entry else {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     made: Any = numba.njit(**options)(function)
     if folder is not None and entry:
