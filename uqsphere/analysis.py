@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, special
-from uqsphere.errors import UsageError, told
+from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, absent, curve, rare, sobol_points, student, tails
 from uqsphere.uq.estimate import REPLICATES, around, between
@@ -177,7 +177,8 @@ def _called(model: Model, columns: dict[str, Array]) -> Array:
         single = [{name: column[k : k + 1] for name, column in columns.items()} for k in range(n)]
         rows = np.concatenate([_called(model, row) for row in single])
         if np.isnan(rows).all():
-            raise UsageError(f"the model raises at each of {n} rows: {type(error).__name__}: {told(error)}") from error
+            text = f"{type(error).__name__}: {as_text(error)}"
+            raise UsageError(f"the model raises at each of {n} rows: {text}") from error
         return rows
     if isinstance(found, Mapping) or hasattr(found, "columns"):
         if len(names := list(found)) != 1:

@@ -17,10 +17,10 @@ __all__ = [
 ]
 
 
-def told(value: object, longest: int = 300) -> str:
+def as_text(value: object, longest: int = 300) -> str:
     """What something from outside says of itself, as one line that can be printed: never raises, and is not long.
 
-    >>> told("a\\x1b[2J  b"), told("x" * 1000, 5)
+    >>> as_text("a\\x1b[2J  b"), as_text("x" * 1000, 5)
     ('a?[2J b', 'xxxx…')
     """
     try:

@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.errors import UsageError, told
+from uqsphere.errors import UsageError, as_text
 from uqsphere.files import TooLarge, read_given
 from uqsphere.units import UNITS, typed_units
 
@@ -202,7 +202,7 @@ class Table:
                 if math.isinf(found[k]):
                     faults[k] = "a number too large"
             elif text and not (blank and text.lower() in _NOTHING):
-                strange = strange or f"found {told(text, 60)!r}, where a number is required"
+                strange = strange or f"found {as_text(text, 60)!r}, where a number is required"
                 faults[k] = strange
             elif not blank:
                 faults[k] = "an empty cell"
@@ -226,7 +226,7 @@ class Table:
         texts = [text.lower() for text in self.texts(column, key)]
         strange = [k for k, text in enumerate(texts) if text not in words and k not in self._no_data]
         if strange:
-            self._refuse(key, f"{column}: found {told(texts[strange[0]], 60)!r}, where {meant} is required", strange)
+            self._refuse(key, f"{column}: found {as_text(texts[strange[0]], 60)!r}, where {meant} is required", strange)
         return np.array([words.get(text, False) for text in texts], dtype=bool)
 
     def check(self) -> None:

@@ -24,7 +24,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.chaos import germ_points
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
+from uqsphere.uq.indices import Blocks, base_points, sampled_indices
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.response import cross_fit, describe_corrected, index_shares, unseen
 
@@ -263,7 +263,7 @@ def sampling(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
 def pairs(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     """Indices of 16 replicates of n base points; those of inputs without effect are points, and not counted."""
     blocks = Blocks(inputs_count=model.dimension)
-    rows = [blocks.mix(*uniform_halves(blocks, count=n, seed=seed, task="coverage", replicate=r)) for r in range(16)]
+    rows = [blocks.mix(*base_points(blocks, count=n, seed=seed, task="coverage", replicate=r)) for r in range(16)]
     found = sampled_indices(model.function(np.stack(rows)), blocks)
     for order in ("first", "total"):
         for estimate, truth in zip(getattr(found, order), getattr(model, order), strict=True):

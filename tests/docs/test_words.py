@@ -9,12 +9,8 @@ import uqsphere
 NAMES = re.compile(r"(?<![a-z])(found|told|said|says?|asked|chance|alone|beside|dear|lacking|halves|heed|grant|due|"
                    r"miss|missed|hold)(?![a-z])", re.IGNORECASE)  # fmt: skip
 MESSAGES = re.compile(r"\b(told|said|asked|chance|alone|dear|lacking|heeds?|granted|likeliest|is due|ways? to break)\b")
-#: room and word, where a room waits for it: take them out, add none
-LEFT = {
-    ("errors", "told"), ("mechanics", "alone"), ("mechanics", "asked"), ("mechanics", "says"), ("models", "asked"),
-    ("models", "say"), ("run", "chance"), ("run", "hold"), ("run", "missed"), ("study", "asked"), ("study", "due"),
-    ("study", "said"), ("uq", "alone"), ("uq", "halves"), ("uq", "miss"),
-}  # fmt: skip
+#: fields of the compiled record of lanes
+LEFT = {("mechanics", "alone"), ("mechanics", "asked")}
 
 
 def test_names_and_messages_have_the_words_of_the_field() -> None:

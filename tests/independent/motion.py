@@ -468,7 +468,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
     def larger(rows: Array) -> Array:
         return np.maximum(rows[2], rows[3])
 
-    def told(x: float) -> dict[str, float]:
+    def peak_of(x: float) -> dict[str, float]:
         """Centre pressure, a² over r_eff alpha_c, dent and plastic work of a face pressed to x, (C8), (C11), (C12)."""
         if x <= law.onset:
             return {"centre": p_y * math.sqrt(x / law.onset), "dent": 0.0, "plastic": 0.0, "area": x}
@@ -486,7 +486,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
     echo = min([trip for trip, reflects in zip(trips, ends, strict=True) if reflects != 0.0], default=math.inf)
     deepest = [motion.top(lambda rows, k=k: rows[k]) for k in (0, 1)]
     early = max(motion.top(lambda rows, k=k: rows[k], echo) for k in (0, 1))
-    parts = [told(x) for x in deepest]
+    parts = [peak_of(x) for x in deepest]
     rise = second * (motion.crossing(larger, 0.9 * top) - motion.crossing(larger, 0.1 * top))
     energy = force * unit * motion.top(lambda rows: rows[4])
     values = {
@@ -494,7 +494,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
         "dent": unit * max(part["dent"] for part in parts),
         "plastic_work": force * unit * sum(part["plastic"] for part in parts),
         "time_to_first_loss": second * end, "rise_time": rise, "loading_rate": 0.8 * force * top / rise,
-        "first_peak": told(early)["centre"],
+        "first_peak": peak_of(early)["centre"],
         "force_imbalance": motion.top(lambda rows: np.abs(rows[2] - rows[3])) / top,
         "energy": energy, "specific_energy": energy / mass,
         "a_max": math.sqrt(radius * unit * max(part["area"] for part in parts)),

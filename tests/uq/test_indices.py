@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from tests.campaigns.intervals import CoverageModel, coverage_models
 from uqsphere.run.drivers import change_per_sd
 from uqsphere.uq.chaos import germ_points, germs_of
-from uqsphere.uq.indices import Blocks, jansen_total, sampled_indices, uniform_halves
+from uqsphere.uq.indices import Blocks, base_points, jansen_total, sampled_indices
 from uqsphere.uq.interop import morris_rows, salib_measures, to_salib
 from uqsphere.uq.joint import Dependence, make_joint
 from uqsphere.uq.law import make_law
@@ -24,7 +24,7 @@ NORMAL = make_law("normal", {"mean": 0.0, "sd": 1.0})
 
 
 def outputs(model: CoverageModel, blocks: Blocks, count: int, seed: int = 2) -> np.ndarray:
-    rows = [blocks.mix(*uniform_halves(blocks, count=count, seed=seed, task="indices", replicate=r)) for r in range(16)]
+    rows = [blocks.mix(*base_points(blocks, count=count, seed=seed, task="indices", replicate=r)) for r in range(16)]
     return model.function(np.stack(rows))
 
 

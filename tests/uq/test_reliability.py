@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri, owens_t
 from uqsphere.uq.estimate import Estimate, absent, share
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.law import make_law
-from uqsphere.uq.limit_state import LimitState, exceedance, miss, reliability_index, safety_factor, target_met
+from uqsphere.uq.limit_state import LimitState, exceedance, failure_of_aim, reliability_index, safety_factor, target_met
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.union import draw_breaking, make_union, residual_correlation, union_state, weighted_quantile
 
@@ -52,7 +52,7 @@ def test_intervals_cover_small_probabilities(probability: float, strength_scatte
 def test_both_sides_keep_their_relative_accuracy(side: str) -> None:
     p = 1e-20
     state = lognormal_state(p if side == "survive" else 1.0 - 1e-12, 0.3, seed=1, n=4096)
-    found = miss(state, side)
+    found = failure_of_aim(state, side)
     # 1 - 1e-12 itself is rounded to one part in 1e4.
     exact = p if side == "survive" else float(stats.norm.sf(-ndtri(1e-12)))
     assert found.value == pytest.approx(exact, rel=max(4.0 * found.std_error / found.value, 3e-4))
@@ -115,7 +115,7 @@ def test_failed_rows_count_on_both_sides_or_not_at_all() -> None:
     assert bound.low < dropped.value * (1.0 - share)
     assert bound.high > dropped.value * (1.0 - share) + share
     for aim in ("survive", "break"):
-        one = miss(LimitState(demands=spoiled, strength=2.0, on_failure="bound"), aim)
+        one = failure_of_aim(LimitState(demands=spoiled, strength=2.0, on_failure="bound"), aim)
         assert one.low <= one.value <= one.high
     # Failures where nothing else fails are no survival.
     safe = LimitState(demands=np.where(failed, math.nan, 1.0), strength=2.0, on_failure="bound")
@@ -134,7 +134,7 @@ def test_censored_demands_may_exceed_any_strength() -> None:
     above = exceedance(LimitState(demands=recorded, strength=2.0, censored=censored))
     assert above.low <= math.exp(-2.0) <= above.high
     assert above.high > math.exp(-1.0) * 0.95
-    breaking = miss(LimitState(demands=recorded, strength=2.0, censored=censored), "break")
+    breaking = failure_of_aim(LimitState(demands=recorded, strength=2.0, censored=censored), "break")
     assert breaking.low <= 1.0 - math.exp(-2.0) <= breaking.high
     assert "censored" in above.method
 

@@ -193,7 +193,7 @@ def _check_end(motion: Motion, bar: str, position: Array, times: Array) -> None:
         k = int(np.argmax(late))
         raise ValueError(
             f"the history ends at {motion.horizon:.6g} s, which decides the {bar} bar at {position[k]:g} m up to "
-            f"{last[k]:.6g} s only, and {times[k]:.6g} s is asked for: compute a history with a longer horizon"
+            f"{last[k]:.6g} s only, and {times[k]:.6g} s is requested: compute a history with a longer horizon"
         )
 
 

@@ -67,7 +67,7 @@ def _struck(table: str) -> tuple[Quantity, ...]:
         Quantity(name=f"{table}.thickness", symbol=f"h_{index}", dimension="length", display="mm",
                  plausible=(1e-4, 1.0), meaning=f"thickness of the {name}, a plate"),
         Quantity(name=f"{table}.width", symbol=f"w_{index}", dimension="length", display="mm", plausible=(1e-2, 10.0),
-                 meaning=f"width of the {name}, a plate (for a check alone)"),
+                 meaning=f"width of the {name}, a plate (for a check only)"),
         *_rod(table),
         _heavy(table),
         _rounded(table),

@@ -340,9 +340,9 @@ NAMES: Final[dict[str, str]] = {
     "shear_depth": "depth of that shear: (1 - u)/(a/r)",
     "volume": "I_V^(1/m), hoop tension over p_0",
     "surface": "I_S^(1/m), hoop tension over p_0",
-    "core_one": "largest hoop tension on the axis over p_0 where one pole alone is pressed",
-    "volume_one": "I_V^(1/m) where one pole alone is pressed",
-    "surface_one": "I_S^(1/m) where one pole alone is pressed",
+    "core_one": "largest hoop tension on the axis over p_0 where only one pole is pressed",
+    "volume_one": "I_V^(1/m) where only one pole is pressed",
+    "surface_one": "I_S^(1/m) where only one pole is pressed",
     "rim": "I_rim^(1/m), radial tension around the contacts, over that of the half space",
 }
 #: rows evaluated at a time, so that the polynomials stay in the cache

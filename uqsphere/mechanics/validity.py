@@ -63,7 +63,7 @@ class Rule:
         """The mildest of the thresholds."""
         return next(value for value in (self.information, self.warning, self.failure) if value is not None)
 
-    def says(self, worst: float, broken: str, further: str = "") -> str:
+    def statement(self, worst: float, broken: str, further: str = "") -> str:
         """What the worst number means: in `broken`, which rows break the check, or that none does."""
         seen = f"{worst:.3g}" if np.isfinite(worst) else "endlessly many"
         limit = f"{self.limit:.3g}"
@@ -280,7 +280,7 @@ def _gravity(scene: Scene, answers: Answers) -> Array | str:
 
 def _restitution_of_waves(scene: Scene, answers: Answers, good: Flags) -> str:
     loss = loss_to_waves(scene)
-    return "" if loss is None else f"; waves alone leave a restitution of {np.sqrt(1.0 - loss[good].max()):.3g}"
+    return "" if loss is None else f"; waves by themselves leave a restitution of {np.sqrt(1.0 - loss[good].max()):.3g}"
 
 
 def _rod_rise(scene: Scene, answers: Answers) -> Array | str | None:
@@ -367,7 +367,7 @@ RULES: Final[tuple[Rule, ...]] = (
                "the pulse's length; the formula Z v_0/2 would overestimate it"),
     Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
          measure=_record_over_echo, information=1.0, rigs=_BARS,
-         words="infinite bars were asked for; but the record runs to {worst} times the first return of a "
+         words="infinite bars were requested; but the record runs to {worst} times the first return of a "
                "reflected wave in bars of the given length"),
     Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
          measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET), warning=1.0,
@@ -490,9 +490,9 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | N
     worst = float(usable.max() if rule.rising else usable.min())
     shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
     if not shares.any():
-        return _result(rule.name, shares, worst, rule.says(worst, ""))
+        return _result(rule.name, shares, worst, rule.statement(worst, ""))
     further = "" if rule.further is None else rule.further(scene, answers, good)
-    return _result(rule.name, shares, worst, rule.says(worst, f"{_percent(float(shares.sum()))} rows", further))
+    return _result(rule.name, shares, worst, rule.statement(worst, f"{_percent(float(shares.sum()))} rows", further))
 
 
 def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:

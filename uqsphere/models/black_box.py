@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, told
+from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
 from uqsphere.models.rows import Code, EvaluatedRows
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs as a dict or a
@@ -38,7 +38,7 @@ def parse_reference(reference: str) -> tuple[Path, str]:
     """File and function of "FILE.py:FUNCTION". Raises UsageError for another form, AccessError for a missing file."""
     file, _, name = reference.rpartition(":")
     if not file.endswith(".py") or not name.isidentifier():
-        raise UsageError(f"a model is given as FILE.py:FUNCTION, not {told(reference, 120)!r}")
+        raise UsageError(f"a model is given as FILE.py:FUNCTION, not {as_text(reference, 120)!r}")
     if not Path(file).is_file():
         raise AccessError(f"the model file {file} does not exist")
     return Path(file), name
@@ -76,7 +76,7 @@ def _described(error: BaseException) -> str:
         for frame in traceback.extract_tb(error.__traceback__)
         if not any(Path(frame.filename).is_relative_to(place) for place in _NOT_THEIRS) and frame.filename[0] != "<"
     ]
-    return f"{type(error).__name__}: {told(error)}{places[-1] if places else ''}"
+    return f"{type(error).__name__}: {as_text(error)}{places[-1] if places else ''}"
 
 
 #: what holds while any thread calls a model: the number of calls, and what the first has set and the last sets back
@@ -115,7 +115,7 @@ def _linear_algebra(modules: int) -> Any:
 def _loaded(reference: str, digest: str) -> BlackBox:
     """The function of a reference, once in the life of a process."""
     if model_digest(reference) != digest:
-        raise ModelError(f"the file of {told(reference, 120)} has changed since the run began, or is another here")
+        raise ModelError(f"the file of {as_text(reference, 120)} has changed since the run began, or is another here")
     return load_black_box(reference)
 
 
@@ -181,7 +181,7 @@ def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
     if hasattr(returned, "iloc") and hasattr(returned, "columns"):  # a DataFrame, without importing pandas
         names = list(returned.columns)
         if repeated := [name for name in names if names.count(name) > 1]:
-            raise ModelError(f"the model returned the column {told(repeated[0], 60)!r} more than once")
+            raise ModelError(f"the model returned the column {as_text(repeated[0], 60)!r} more than once")
         returned = {name: returned[name].to_numpy() for name in names}
     if not isinstance(returned, Mapping):
         shape = np.shape(returned)
@@ -195,7 +195,7 @@ def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
                 f"{len(outputs)}); it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
             )
     if missing := [name for name in outputs if name not in returned]:
-        keys = ", ".join(repr(told(key, 60)) for key in list(returned)[:6]) or "nothing"
+        keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
         raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
     return np.stack([_column(by_index(returned[name], count), name, count) for name in outputs], axis=1)
 
@@ -219,7 +219,7 @@ def _column(value: Any, name: str, count: int) -> Array:
     try:
         column = given.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
+        raise ModelError(f"the model's {name!r} is not an array of numbers: {as_text(error)}") from error
     if isinstance(value, np.ma.MaskedArray):
         column = np.where(value.mask, np.nan, column)
     if count == 1 and column.ndim == 0:

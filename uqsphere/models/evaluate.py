@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from uqsphere.errors import UsageError, told
+from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import BlackBox
 from uqsphere.models.model import Model
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
@@ -55,9 +55,9 @@ def evaluate(
     for name in names:
         if name not in allowed:
             kind = "output" if study.black_box else "quantity"
-            raise UsageError(f"unknown {kind} {told(name, 60)!r} (allowed: {', '.join(allowed)})")
+            raise UsageError(f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
         if names.count(name) > 1:
-            raise UsageError(f"{name!r} is asked for twice")
+            raise UsageError(f"{name!r} is requested twice")
     if tolerance is not None and not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
         raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
     table = _table(study, frame)
@@ -85,7 +85,7 @@ def _table(study: Study, frame: Any) -> pd.DataFrame:
     allowed = list(study.at_means()) if study.black_box else allowed
     for name in names:
         if name not in allowed:
-            raise UsageError(f"unknown input {told(name, 60)!r} (allowed: {', '.join(allowed)})")
+            raise UsageError(f"unknown input {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
         if names.count(name) > 1:
             raise UsageError(f"the column {name!r} is there {names.count(name)} times")
     if isinstance(frame, pd.DataFrame):
@@ -107,7 +107,7 @@ def _table(study: Study, frame: Any) -> pd.DataFrame:
         try:
             table = pd.DataFrame(columns, index=index if labelled or not any(map(np.ndim, columns.values())) else None)
         except ValueError as error:
-            raise UsageError(f"all columns must have the same shape (n,): {told(error, 120)}") from error
+            raise UsageError(f"all columns must have the same shape (n,): {as_text(error, 120)}") from error
     for name, column in table.items():
         for cell in () if column.dtype.kind in "fiub" else column:
             if not isinstance(cell, Real | Decimal | None):
@@ -115,7 +115,7 @@ def _table(study: Study, frame: Any) -> pd.DataFrame:
     try:
         return table.astype(float)
     except (TypeError, ValueError) as error:
-        raise UsageError(f"numbers in SI are needed: {told(error, 120)}") from error
+        raise UsageError(f"numbers in SI are needed: {as_text(error, 120)}") from error
 
 
 def _warn_of_unusual(table: pd.DataFrame) -> None:

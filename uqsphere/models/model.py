@@ -16,7 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.errors import ModelError, UsageError, told
+from uqsphere.errors import ModelError, UsageError, as_text
 from uqsphere.models.black_box import BlackBox, answer_rows, model_digest
 from uqsphere.models.cache import Cache
 from uqsphere.models.rows import TEXTS, Code, EvaluatedRows, Interrupted, where_of
@@ -42,7 +42,7 @@ _LOOK: Final = 0.1
 
 
 @lru_cache(maxsize=1)
-def say_if_compiling() -> None:
+def announce_compilation() -> None:
     """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once in a process."""
     from uqsphere.mechanics.integrator.compiled import cache_folder
 
@@ -151,7 +151,7 @@ class Model:
             return self._evaluate(names, rows, columns, None)
         for kind, given, allowed in (("input", names, self._numbers), ("output", columns, self.study.outputs)):
             if unknown := [name for name in given if name not in allowed]:
-                raise UsageError(f"unknown {kind} {told(unknown[0], 60)!r} (allowed: {', '.join(allowed)})")
+                raise UsageError(f"unknown {kind} {as_text(unknown[0], 60)!r} (allowed: {', '.join(allowed)})")
         answers = self._evaluate(names, rows, columns, self.cache)
         if not self._compared and answers.good.any():
             self._compared, k = True, int(np.argmax(answers.good))
@@ -227,7 +227,7 @@ class Model:
         size = max(1, min(_MOST_ROWS, total // _BLOCKS)) if is_box else _SCENE_ROWS[isinstance(self._workers, Given)]
         starts = [0, *range(1 if self._limited else size, total, size), total]
         if not is_box and not self._times and total:
-            say_if_compiling()
+            announce_compilation()
             task(rows[:1], threads=1)  # the kernel is compiled, or loaded, before anything is timed
         gathered = EvaluatedRows.plain(np.full((total, len(columns)), np.nan))
         done, first_failed = 0, (total, "")

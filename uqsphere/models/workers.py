@@ -28,7 +28,7 @@ from loky.backend.process import LokyProcess  # type: ignore[import-untyped]
 from pebble import ProcessExpired, ProcessPool
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, ModelError, UqsphereError, UsageError, told
+from uqsphere.errors import AccessError, ModelError, UqsphereError, UsageError, as_text
 from uqsphere.models import black_box
 from uqsphere.models.rows import EvaluatedRows
 
@@ -69,7 +69,7 @@ def _packed(task: Task) -> bytes:
     try:
         return cloudpickle.dumps((_versions(), task))  # type: ignore[no-any-return]
     except Exception as error:  # what a function holds refuses as it likes
-        text = f"the model cannot be sent to another process ({type(error).__name__}: {told(error, 120)})"
+        text = f"the model cannot be sent to another process ({type(error).__name__}: {as_text(error, 120)})"
         raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
 
 
@@ -171,7 +171,7 @@ class Processes:
                 raise
             if isinstance(error, TimeoutError):
                 raise ModelError(f"the model was not loaded after {LOADING:g} s: its file hangs") from error
-            text = f"{type(error).__name__}: {told(error, 120)}"
+            text = f"{type(error).__name__}: {as_text(error, 120)}"
             raise ModelError(f"the model could not be loaded in a process of its own ({text})") from error
 
     def _new_pool(self) -> ProcessPool:
@@ -198,7 +198,7 @@ class Processes:
             self._replace(future.pool)
             raise Died("exit code unknown") from error
         except Exception as error:
-            raise AccessError(f"a process could not evaluate: {type(error).__name__}: {told(error)}") from error
+            raise AccessError(f"a process could not evaluate: {type(error).__name__}: {as_text(error)}") from error
 
     def _replace(self, broken: ProcessPool) -> None:
         """Start a new pool in place of a broken one, once."""
@@ -265,7 +265,7 @@ class Given:
 
     def _lost(self, why: BaseException) -> AccessError:
         what = f"the executor {type(self._executor).__name__}" if self._client is None else "the Dask cluster"
-        return AccessError(f"{what} was lost ({type(why).__name__}: {told(why)}); the cache has what was evaluated, "
+        return AccessError(f"{what} was lost ({type(why).__name__}: {as_text(why)}); the cache has what was evaluated, "
                            "and the same run goes on there")  # fmt: skip
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.models.model import say_if_compiling
+from uqsphere.models.model import announce_compilation
 from uqsphere.models.scene import evaluate_scene, scene_of
 from uqsphere.quantities import format_value, lookup
 from uqsphere.report.figures import COLOURS, svg
@@ -42,7 +42,7 @@ def history(study: Study, values: Mapping[str, float] | None = None, *, points: 
     if status := int(scene.status[0]):
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
     fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
-    say_if_compiling()
+    announce_compilation()
     try:
         found = trace(scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points)
         if study.rig == "bars":

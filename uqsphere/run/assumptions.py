@@ -232,10 +232,10 @@ def along_line(design: Design, limits: Sequence[Limit]) -> Callable[[Sample, flo
     """What `fragility.margin_of` asks: the probability that any of some limits is exceeded at a value."""
     axis = design.study.margins.axis if design.study.margins is not None else None
 
-    def chance(sample: Sample, value: float) -> Array:
+    def probability(sample: Sample, value: float) -> Array:
         moved = [replace(limit, model_factor=limit.model_factor * axis.demand_factor(limit, value))
                  if axis is not None and axis.limit == limit.name and not isinstance(limit.model_factor, Law) else limit
                  for limit in limits]  # fmt: skip
         return together(design, sample, moved)
 
-    return chance
+    return probability

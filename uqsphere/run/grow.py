@@ -37,7 +37,7 @@ from uqsphere.run.surrogate import Slow
 from uqsphere.study import Study
 from uqsphere.uq import Sample
 from uqsphere.uq.describe import Description
-from uqsphere.uq.indices import Blocks, uniform_halves
+from uqsphere.uq.indices import Blocks, base_points
 
 #: points of a replicate at first
 FIRST: Final = 256
@@ -80,7 +80,7 @@ class Tables:
     rare: dict[str, RareAnswer] = field(default_factory=dict)
     descriptions: dict[str, tuple[Sample, Description]] = field(default_factory=dict)
     reached: list[tuple[int, float]] = field(default_factory=list)
-    missed: list[Accuracy] = field(default_factory=list)
+    inaccurate: list[Accuracy] = field(default_factory=list)
     stopped: str = ""
     slow: Slow | None = None
 
@@ -157,16 +157,16 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
             return tables
         took = time.monotonic() - started
         errors = accuracies(design, tables)
-        tables.missed = [error for error in errors if error.reached > error.required]
+        tables.inaccurate = [error for error in errors if error.reached > error.required]
         history.append({(error.subject, error.answer): error.reached for error in errors})
         worst = max((error.reached / error.required for error in errors), default=0.0)
         tables.reached.append((model.evaluations + model.reused, worst))
         if progress is not None:
             text = f"{count:,} points in {REPLICATES} randomisations, error / tolerance {worst:.2g}"
             progress(model.evaluations + model.reused, share_done(worst), text)
-        if not tables.missed or not design.drawn.names:
+        if not tables.inaccurate or not design.drawn.names:
             tables.stopped = "accurate"
-        elif all(_is_stuck(history, miss) for miss in tables.missed):
+        elif all(_is_stuck(history, error) for error in tables.inaccurate):
             tables.stopped = "no gain"
         elif count >= MOST or model.evaluations + model.reused + _rows(design, tables, count) > budget:
             tables.stopped = "budget"
@@ -174,14 +174,14 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
             tables.stopped = "time"
         if tables.stopped:
             return _search_rare(design, model, tables, end)
-        if not tables.line or any(miss.answer != "margin" for miss in tables.missed):
+        if not tables.line or any(error.answer != "margin" for error in tables.inaccurate):
             count *= 2
 
 
-def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], miss: Accuracy) -> bool:
+def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], error: Accuracy) -> bool:
     """Whether two doublings have left the error of an answer where it had been: no number of rows would lower it."""
-    before = max((errors.get((miss.subject, miss.answer), 0.0) for errors in history[:-2]), default=math.inf)
-    return miss.reached > 0.95 * before > 0.0
+    before = max((errors.get((error.subject, error.answer), 0.0) for errors in history[:-2]), default=math.inf)
+    return error.reached > 0.95 * before > 0.0
 
 
 def first_count(study: Study) -> int:
@@ -234,7 +234,7 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
         counts = dict.fromkeys(axis.grid(VALUES), max(first_count(design.study) // LINE_SHARE, 2))
     else:
         twice = 2 * max(part.count for part in known.values())
-        counts = dict.fromkeys(_about_missed_margins(design, before), twice)
+        counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
     parts, moving = [], []
     for value, count in counts.items():
         start = known[value].count if value in known else 0
@@ -255,10 +255,10 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
             for value in sorted({*known, *new})}  # fmt: skip
 
 
-def _about_missed_margins(design: Design, tables: Tables) -> set[float]:
+def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
     """The four values about each margin that is too inaccurate, and those half-way between them."""
     margins, found = design.study.margins, set()
-    missed = {miss.subject for miss in tables.missed if miss.answer == "margin"}
+    missed = {error.subject for error in tables.inaccurate if error.answer == "margin"}
     values = sorted(tables.line)
     for limit in design.limits:
         margin, _ = margin_and_scale(design, tables, limit)
@@ -297,7 +297,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
     inputs, mixed = design.joint.only(design.inputs), []
     for replicate in range(REPLICATES):
-        halves = uniform_halves(blocks, count=count, seed=design.study.seed, task="pairs", replicate=replicate,
+        halves = base_points(blocks, count=count, seed=design.study.seed, task="pairs", replicate=replicate,
                                 start=start)  # fmt: skip
         mixed.append(blocks.mix(*(inputs.physical(normal_scores(half)) for half in halves)))
     return np.stack(mixed)
@@ -308,7 +308,7 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
     accuracy = design.study.analysis.accuracy
     found = []
 
-    def hold(subject: str, answer: str, reached: float, required: float) -> None:
+    def require(subject: str, answer: str, reached: float, required: float) -> None:
         if math.isfinite(required):
             found.append(Accuracy(subject=subject, answer=answer, required=required, reached=reached))
 
@@ -318,24 +318,25 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         if description.mean.value is None or not scale > 0.0:
             continue
         least = 1e-13 * abs(description.mean.value) / scale
-        hold(name, "mean", description.mean.half_width / scale - least, accuracy.mean)
+        require(name, "mean", description.mean.half_width / scale - least, accuracy.mean)
         for p, estimate in description.quantiles.items():
             if estimate.value is not None and p not in description.exempt:
-                hold(name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile)
+                require(name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile)
         for input_name, row in of_quantity(design, tables, name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
-            hold(name, f"sobol {input_name}", widest, accuracy.sobol)
+            require(name, f"sobol {input_name}", widest, accuracy.sobol)
     for limit in design.limits:
         estimate = failure(design, tables, limit)
         if not estimate.value or estimate.high is None or estimate.high <= 0.01 * (limit.target or 1e-6):
             continue
         if estimate.value < SMALL and limit.name not in tables.rare and can_search(design, limit):
             continue  # left to the search for rare events
-        hold(f"limits.{limit.name}", "failure_probability", estimate.half_width / estimate.value, accuracy.probability)
+        relative = estimate.half_width / estimate.value
+        require(f"limits.{limit.name}", "failure_probability", relative, accuracy.probability)
     for limit in design.limits if tables.line else ():
         margin, width = margin_and_scale(design, tables, limit)
         if margin.value is not None and width is not None:
-            hold(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
+            require(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
     return found
 
 
@@ -360,5 +361,5 @@ def _search_rare(design: Design, model: Model, tables: Tables, end: float) -> Ta
         except ModelError:
             continue
     if tables.rare:
-        tables.missed = [error for error in accuracies(design, tables) if error.reached > error.required]
+        tables.inaccurate = [error for error in accuracies(design, tables) if error.reached > error.required]
     return tables

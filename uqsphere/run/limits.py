@@ -13,7 +13,7 @@ from uqsphere.run import rare, surrogate
 from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, miss
+from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, failure_of_aim
 from uqsphere.uq.limit_state import reliability_index, safety_factor
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def limits(design: Design, tables: Tables) -> Answers:
 def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     state = state_of(design, limit, tables.sample)
-    found = miss(state, limit.aim)
+    found = failure_of_aim(state, limit.aim)
     if limit.name in tables.rare:
         searched = tables.rare[limit.name].estimate
         # a search that has seen nothing knows no less than the sample does

@@ -194,10 +194,10 @@ def tables_of(
             stopped = "interrupted"
     tables = Tables(sample=sample, line=line, stopped=stopped or "budget", slow=slow)
     errors = accuracies(design, tables)
-    tables.missed = [error for error in errors if error.reached > error.required]
+    tables.inaccurate = [error for error in errors if error.reached > error.required]
     worst = max((error.reached / error.required for error in errors), default=0.0)
     tables.reached = [(model.evaluations + model.reused, worst)]
-    if not tables.missed:
+    if not tables.inaccurate:
         tables.stopped = stopped or "accurate"
     return tables
 

@@ -147,7 +147,7 @@ def _reasons(
 
     if fracture and assumed.plastic is not None:
         base = sample.head(assumed.plastic.count)
-        other = _missed(design, assumed.plastic, limit, judged) - _missed(design, base, limit, judged)
+        other = _failing(design, assumed.plastic, limit, judged) - _failing(design, base, limit, judged)
         value = min(max((p.value or 0.0) + float(other.mean()), 0.0), 1.0)
         if turned(value):
             found.append(Reason(code="contact law", decides="the contact law",
@@ -205,7 +205,7 @@ def _reasons(
     return found
 
 
-def _missed(design: Design, sample: Any, limit: Limit, judged: Sequence[Limit]) -> Array:
+def _failing(design: Design, sample: Any, limit: Limit, judged: Sequence[Limit]) -> Array:
     """Probability (R, n) that the aim is missed given the inputs."""
     if len(judged) > 1:
         return together(design, sample, judged)

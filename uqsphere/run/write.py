@@ -64,7 +64,7 @@ def results_of(
             "reached": [{"runs": runs, "error": as_json(error)} for runs, error in tables.reached],
             "stopped": tables.stopped,
             "missed": [{"subject": m.subject, "answer": m.answer, "required": m.required, "reached": as_json(m.reached)}
-                       for m in tables.missed],
+                       for m in tables.inaccurate],
             "runs": model.evaluations + model.reused, "reused": model.reused, "seconds": round(seconds, 2),
         },
         "versions": _versions(),

@@ -468,7 +468,7 @@ def _margins(draft: Draft) -> Faults:
     if (table := draft.document.margins) is None:
         return
     if not draft.limits:
-        yield ("margins",), "margins need a limit to be asked of: add a table [limits.NAME]"
+        yield ("margins",), "margins need a limit: add a table [limits.NAME]"
     solve = re.sub(r"^insert\.", "bars.insert_", table.solve)
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
     names = [name for name in draft.numbers if not name.endswith(".model_factor")]

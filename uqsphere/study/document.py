@@ -84,7 +84,7 @@ def key(meaning: str | None, default: Any = None, *, usual: str = "") -> Any:
     return Field(**held, description=meaning, json_schema_extra={"usual": usual})
 
 
-def due(meaning: str) -> Any:
+def required(meaning: str) -> Any:
     """A key that must be given."""
     return Field(description=meaning, json_schema_extra={"usual": "required"})
 
@@ -257,8 +257,8 @@ FORMS: Final[dict[str, tuple[str, str]]] = {
 class Gauge(Table):
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Literal["incident", "receiving", "rod"] = due('`"rod"` in a load cell')
-    position: Length = due("distance from the sphere")
+    bar: Literal["incident", "receiving", "rod"] = required('`"rod"` in a load cell')
+    position: Length = required("distance from the sphere")
 
 
 class ModelChoice(Table):
@@ -280,7 +280,7 @@ class LimitTable(Table):
 
     quantity: str | None = key("a quantity of `uqsphere list quantities`", usual="required, or `criterion`")
     criterion: Literal[*CRITERIA] | None = key("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
-    strength: Num = due("value, distribution, or a file with tests or draws")
+    strength: Num = required("value, distribution, or a file with tests or draws")
     strength_is: Literal["hertz", "pressure"] | None = key(
         '`"hertz"`: computed from a force by Hertz; `"pressure"`: the true one', usual="required if `plastic`"
     )
@@ -347,7 +347,7 @@ class Observations(Table):
 class Dependence(Table):
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = due("random numbers, two or more")
+    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = required("random numbers, two or more")
     spearman: Correlation | None = key("Spearman's rank correlation; or `kendall`", usual="required")
     kendall: Correlation | None = key("Kendall's rank correlation, in its place")
     copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
@@ -417,8 +417,8 @@ class Analysis(Table):
 class MarginsTable(Table):
     """The inverse question: at which value of one number is a failure probability reached?"""
 
-    solve: str = due('the free number: `"striker.speed"`, `"limits.NAME.strength"`')
-    between: Annotated[tuple[Any, ...], *_several(2, 2)] = due("lowest and highest value")
+    solve: str = required('the free number: `"striker.speed"`, `"limits.NAME.strength"`')
+    between: Annotated[tuple[Any, ...], *_several(2, 2)] = required("lowest and highest value")
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
 
 
@@ -482,7 +482,7 @@ def faults_of(kind: type[Table], error: ValidationError) -> list[tuple[Place, st
         # a list is not short where its entries are faulty
         missed = fault["type"] == "missing" and place[:-1] in misspelt
         if not missed and not (fault["type"] == "too_short" and place in above):
-            faults.append(((*place, *getattr(fault.get("ctx", {}).get("error"), "at", ())), _said(kind, fault, place)))
+            faults.append(((*place, *getattr(fault.get("ctx", {}).get("error"), "at", ())), _text(kind, fault, place)))
     return faults
 
 
@@ -495,7 +495,7 @@ def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
         raise Fault(message, *place) from None
 
 
-def _said(table: Any, fault: Any, place: Place) -> str:
+def _text(table: Any, fault: Any, place: Place) -> str:
     for part in place[:-1]:
         table = _table_in(table.model_fields[part].annotation) or table if part in table.model_fields else table
     kind, name, context = fault["type"], str(place[-1]) if place else "", fault.get("ctx", {})

@@ -241,7 +241,7 @@ def fitted_law(
         if how not in STRENGTHS:
             why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
             allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
-            raise LawError(f"{why} a fit = {allowed} alone; found {how}", "fit")
+            raise LawError(f"{why} a fit = {allowed}; found {how}", "fit")
         try:
             make_tests([*values, *censored], [0] * values.size + [1] * len(censored))
         except ValueError as error:

@@ -70,7 +70,7 @@ class Blocks:
         return blocks
 
 
-def uniform_halves(
+def base_points(
     blocks: Blocks, *, count: int, seed: int, task: str, replicate: int, start: int = 0
 ) -> tuple[Array, Array]:
     """Uniform halves A, B, (count, d) each, of one replicate; `start` continues the same design.

@@ -13,7 +13,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
-from uqsphere.uq.indices import Blocks, uniform_halves
+from uqsphere.uq.indices import Blocks, base_points
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 
@@ -116,7 +116,7 @@ def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: in
     """The design of this package's Sobol' indices at `count` base points of one randomisation, in SALib's row order."""
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
-    halves = uniform_halves(blocks, count=count, seed=seed, task="sensitivity", replicate=0)
+    halves = base_points(blocks, count=count, seed=seed, task="sensitivity", replicate=0)
     mixed = blocks.mix(*(inputs.physical(np.asarray(special.ndtri(half))) for half in halves))
     return SalibDesign(problem=problem, rows=mixed.reshape(-1, blocks.inputs_count), second=second)
 

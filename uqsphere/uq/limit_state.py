@@ -170,7 +170,7 @@ def exceedance(state: LimitState) -> Estimate:
     return _estimate(state, breaking=False)
 
 
-def miss(state: LimitState, aim: str) -> Estimate:
+def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     """Probability that the aim is missed: of exceedance for "survive", of its complement for "break"."""
     if aim not in ("survive", "break"):
         raise ValueError(f"aim must be survive or break, found {aim!r}")

@@ -19,7 +19,7 @@ from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.chaos.basis import HIGHEST_DEGREE, Germ, GermLike, Indices, germ_points, nested, recurrence_of, rows_of
 from uqsphere.uq.chaos.select import solve_rows
 from uqsphere.uq.estimate import ratio_of_means, student
-from uqsphere.uq.indices import Blocks, jansen_total, saltelli_first, uniform_halves
+from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
 from uqsphere.uq.points import sobol_points
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def integrals(fit: Chaos) -> Integrals:
     if not fit.log:
         return Integrals(mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole)
     blocks = Blocks(inputs_count=d)
-    points = np.stack([blocks.mix(*uniform_halves(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
+    points = np.stack([blocks.mix(*base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
                        for r in range(PAIRS_REPLICATES)])  # fmt: skip
     rows = germ_points(special.ndtri(points.reshape(-1, d)), fit.germs)
     # about the mean of the plain form: what the two means differ by is no scatter
