@@ -18,7 +18,7 @@ from uqsphere.models.model import Model
 from uqsphere.report.study import described
 from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
-from uqsphere.run.grow import evaluate
+from uqsphere.run.tables import evaluate
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.study.observed import modulus_of
 from uqsphere.study.strength import equivalent_force, reached

@@ -1,6 +1,7 @@
 """A run: from a study to its answers.
 
 design   what is evaluated: every column of every failure mode, at points of one design
+tables   what was evaluated
 grow     the loop: one size n, doubled until accurate, out of budget, out of time, or stopped
 analyses functions of the tables, each giving rows of the one long table of answers
 verdict  what the answers mean, and what could turn it
@@ -31,10 +32,11 @@ from uqsphere.run.distributions import distributions
 from uqsphere.run.drivers import drivers
 from uqsphere.run.fracture import fracture
 from uqsphere.run.fragility import fragility
-from uqsphere.run.grow import Tables, grow, pair_rows
+from uqsphere.run.grow import grow, pair_rows
 from uqsphere.run.indices import indices, salib_indices
 from uqsphere.run.limits import limits
 from uqsphere.run.progress import Progress, watched
+from uqsphere.run.tables import Tables
 from uqsphere.run.verdict import verdicts
 from uqsphere.run.write import results_of, samples_of, written
 from uqsphere.study import Study

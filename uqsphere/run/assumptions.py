@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -19,13 +19,11 @@ from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, curve_of, target_of
 from uqsphere.run.limits import failure_given_inputs, state_of
+from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Law, LawError, Sample, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted, possible_laws
 from uqsphere.uq.union import make_union, residual_correlation
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 #: strengths that the tests allow, for the range of a probability, and of a margin
 LAWS, MARGIN_LAWS = 200, 40

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +12,8 @@ from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability
 from uqsphere.run.design import Design
 from uqsphere.run.limits import failure_given_inputs, state_of
+from uqsphere.run.tables import Tables
 from uqsphere.uq import Law
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 #: rows that are checked
 ROWS = 512

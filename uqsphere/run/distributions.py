@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +11,9 @@ from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run import chaos, surrogate
 from uqsphere.run.design import Design
+from uqsphere.run.tables import Tables
 from uqsphere.uq import exact
 from uqsphere.uq.describe import Description, describe, describe_controlled
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample, and at most
 MANY, MOST_MANY = 16, 1 << 16

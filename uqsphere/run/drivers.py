@@ -7,7 +7,6 @@ integrated.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,11 +14,9 @@ from uqsphere.arrays import Array, special
 from uqsphere.results import Answers
 from uqsphere.run.design import Design
 from uqsphere.run.limits import failure_given_inputs, state_of
+from uqsphere.run.tables import Tables
 from uqsphere.study import limit_of, strength_name
 from uqsphere.uq import Estimate, Law, from_replicates, score_of
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 #: points of a replicate that the derivatives rest on at most
 MOST = 2048

@@ -6,8 +6,6 @@ break.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from uqsphere.models.scene import fractures_of
@@ -15,13 +13,11 @@ from uqsphere.results import Answers
 from uqsphere.run.assumptions import _common_factor
 from uqsphere.run.design import Design
 from uqsphere.run.limits import state_of
+from uqsphere.run.tables import Tables
 from uqsphere.uq import random_generator
 from uqsphere.uq.estimate import share as share_of
 from uqsphere.uq.limit_state import exceedance
 from uqsphere.uq.union import draw_breaking, make_union, union_state, weighted_quantile
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 #: spheres of each replicate whose loading is followed, of the first so many points
 SPECIMENS, MOST = 16, 512

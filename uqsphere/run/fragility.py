@@ -15,6 +15,7 @@ from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run.design import VALUES, Design, number
 from uqsphere.run.limits import failure_given_inputs, state_of
+from uqsphere.run.tables import Tables
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, Sample
 from uqsphere.uq.curve import Fragility
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from uqsphere.arrays import Array
-    from uqsphere.run.grow import Tables
 
 METHOD = "the same points at every value"
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,12 +15,10 @@ from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run import chaos, surrogate
 from uqsphere.run.design import Design
+from uqsphere.run.tables import Tables
 from uqsphere.uq import Estimate, absent, from_replicates
 from uqsphere.uq.estimate import ratio_of_means
 from uqsphere.uq.indices import Blocks, sampled_indices
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 CHAOS = "polynomial chaos, corrected by rows"
 

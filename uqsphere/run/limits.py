@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +12,10 @@ from uqsphere.results import Answers
 from uqsphere.run import rare, surrogate
 from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
+from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, failure_of_aim
 from uqsphere.uq.limit_state import reliability_index, safety_factor
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 
 def limits(design: Design, tables: Tables) -> Answers:

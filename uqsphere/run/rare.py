@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from uqsphere.models.model import Model
 from uqsphere.run.chaos import MOST_LEFT, values_at
 from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design, at_normals
+from uqsphere.run.tables import Tables, evaluate
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.joint import CERTAIN
@@ -23,9 +23,6 @@ from uqsphere.uq.limit_state import score_of, tails
 from uqsphere.uq.rare import find_probability
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.problem import Evaluator
-
-if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
 
 #: values of an expansion that the search for a design point takes at most
 MOST_VALUES = 20_000
@@ -48,7 +45,6 @@ def possible(design: Design) -> bool:
 
 def search(design: Design, model: Model, limit: Limit, *, accuracy: float, budget: int) -> RareAnswer:
     """The failure probability of a limit, searched for with at most `budget` runs of the model."""
-    from uqsphere.run.grow import evaluate
     from uqsphere.run.limits import state_of
 
     def state(points: Sample) -> LimitState:

@@ -26,6 +26,7 @@ from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.run.tables import Tables, check_failures, evaluate
 from uqsphere.study import Axis
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germ_points, germs_of
@@ -34,13 +35,12 @@ from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected
 from uqsphere.uq.surrogate import columns_of
 
 if TYPE_CHECKING:
-    from uqsphere.run.grow import Tables
     from uqsphere.run.progress import Progress
 
 #: rows that measure what the model costs, rows of a design at most and at least, and points of a replicate of a table
 PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
 #: share of the budget that rows along the free number take
-LINE_SHARE: Final = 0.4
+LINE_BUDGET: Final = 0.4
 ROUGH: Final = "runs of the model"
 
 
@@ -154,13 +154,13 @@ def tables_of(
 
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget that is too small.
     """
-    from uqsphere.run.grow import Tables, accuracies, check_failures, evaluate
+    from uqsphere.run.grow import accuracies
 
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
     affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
     along = known is None and design.study.margins is not None and design.study.margins.axis.moves_rows
-    count = min(int(affordable * (1.0 - LINE_SHARE * along)), MOST_ROWS) if known is None else known.count
+    count = min(int(affordable * (1.0 - LINE_BUDGET * along)), MOST_ROWS) if known is None else known.count
     if count < LEAST_ROWS:
         raise UsageError(f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
                          "raise analysis.budget or --budget")  # fmt: skip
@@ -244,8 +244,6 @@ def _blocks(rows: Sample, count: int) -> Sample:
 
 def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
     """Predicted columns at values of the free number, by expansions in the inputs and in it."""
-    from uqsphere.run.grow import evaluate
-
     margins = design.study.margins
     if margins is None or count < LEAST_ROWS:
         return {}

@@ -21,6 +21,7 @@ from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, margin_of, planned_value, target_of
 from uqsphere.run.limits import failure, failure_given_inputs, state_of
+from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, means_fracture, strength_name
 from uqsphere.uq import Estimate, Law, absent, complement, target_met
 from uqsphere.uq.fitting import count_tests
@@ -28,7 +29,6 @@ from uqsphere.uq.limit_state import reliability_index
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
-    from uqsphere.run.grow import Tables
 
 WORDS = {True: "met", False: "not met", None: "undecided"}
 

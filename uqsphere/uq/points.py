@@ -8,7 +8,8 @@ The streams of a study's seed, by the names of their tasks:
 
     sample              the points of a run, and of its free number              run.design
     pairs               the design of Sobol' indices                             run.grow
-    slow, factors       the rows of a slow model; model factors of given rows    run.surrogate
+    slow                the rows of a slow model, of which `Study.design` gives the inputs   run.surrogate, study
+    slow line, factors  its rows along the free number; model factors of given rows          run.surrogate
     limits together     strengths of several limits at once                      run.assumptions
     tests of NAME       strengths that the tests of a limit allow                run.assumptions
     strengths of samples, fracture, study sample                                 run.write, run.fracture, study

@@ -1,0 +1,114 @@
+"""The tables of a run: what was evaluated, and the one way in which points become rows of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.arrays import Array
+from uqsphere.errors import TooManyFailures
+from uqsphere.models.model import Model
+from uqsphere.quantities import format_probability
+from uqsphere.run.demands import with_test_forces
+from uqsphere.run.design import Design
+from uqsphere.uq import Sample
+
+if TYPE_CHECKING:
+    from uqsphere.run.chaos import Expansion
+    from uqsphere.run.rare import RareAnswer
+    from uqsphere.run.surrogate import Slow
+    from uqsphere.uq.describe import Description
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """How accurate an answer is, and how accurate it is required to be: half-widths in the unit of the requirement."""
+
+    subject: str
+    answer: str
+    required: float
+    reached: float
+
+
+@dataclass(kw_only=True)
+class Tables:
+    """What was evaluated, and how accurate it is.
+
+    sample : (R, n) points with all columns
+    line : the same at values of the free number; empty where it moves no row, or there is none
+    pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
+    expansions : polynomial chaos by quantity
+    rare : searches for small probabilities by limit
+    descriptions : of quantities, each with the sample that it describes
+    reached : (model runs, largest half-width over what was required) at each size
+    slow : the rows of a slow model, whose tables are predicted
+    """
+
+    sample: Sample
+    line: Mapping[float, Sample] = field(default_factory=dict)
+    pairs: dict[str, Array] = field(default_factory=dict)
+    expansions: dict[str, Expansion] = field(default_factory=dict)
+    rare: dict[str, RareAnswer] = field(default_factory=dict)
+    descriptions: dict[str, tuple[Sample, Description]] = field(default_factory=dict)
+    reached: list[tuple[int, float]] = field(default_factory=list)
+    inaccurate: list[Accuracy] = field(default_factory=list)
+    stopped: str = ""
+    slow: Slow | None = None
+
+
+def evaluate(
+    design: Design, model: Model, points: Sample, further: Mapping[str, Array] | None = None, *, part: bool = False
+) -> Sample:
+    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from point to point.
+
+    part : of a design whose failures are counted when it is whole
+    """
+    names = list(design.inputs)
+    columns = [points.input(name) for name in names]
+    for name, values in (further or {}).items():
+        if name in names:
+            columns[names.index(name)] = values
+        else:
+            names.append(name)
+            columns.append(values)
+    shape = points.scores.shape[:2]
+    rows = np.stack([np.broadcast_to(c, shape).ravel() for c in columns], axis=1) if names else np.zeros((1, 0))
+    answers = model.evaluate(tuple(names), rows, design.columns)
+    if not part or design.study.analysis.policy == "abort":
+        check_failures(design, answers.status, answers.good, answers.note)
+
+    def table(cells: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        return (
+            np.broadcast_to(cells, (*shape, *cells.shape[1:])) if not names else cells.reshape(*shape, *cells.shape[1:])
+        )
+
+    answered = points.with_answers(
+        design.columns,
+        np.asarray(table(np.where(answers.good[:, None], answers.values, np.nan)), dtype=float),
+        censored=np.asarray(table(answers.censored), dtype=bool),
+        status=np.asarray(table(answers.status), dtype=np.int64),
+        failed=np.asarray(table(~answers.good), dtype=bool),
+    )
+    return with_test_forces(design, answered, further or {})
+
+
+def check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str) -> None:
+    """Refuse failed rows as the study's policy says."""
+    analysis = design.study.analysis
+    share = 1.0 - float(good.mean())
+    if good.all() or analysis.policy == "bound":
+        return
+    if analysis.policy == "abort":
+        raise TooManyFailures(f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
+                              'analysis.on_failure = "bound" or "drop" goes on without such rows')  # fmt: skip
+    most = max(analysis.drop_limit, 3.0 / len(good))
+    if share > most:
+        raise TooManyFailures(
+            f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}; "
+            f'analysis.on_failure takes a larger share, such as "{math.ceil(100.0 * share)} %", or "bound"'
+        )
