@@ -180,7 +180,6 @@ def test_principal_stresses() -> None:
     assert upper + lower == pytest.approx(s.radial + s.polar, rel=1e-13)
     assert upper * lower == pytest.approx(s.radial * s.polar - s.shear**2, abs=1e-15)
     assert np.all(s.tension >= np.maximum(upper, around) - 1e-16)
-    assert s.largest_shear == pytest.approx(0.5 * (s.tension - np.minimum(lower, around)), rel=1e-13)
 
 
 @pytest.mark.parametrize("ratio", [0.3, 0.08])

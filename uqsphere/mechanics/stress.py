@@ -83,12 +83,6 @@ class Stress:
         """The largest principal stress, negative where there is no tension."""
         return np.maximum(self.principal[0], self.azimuthal)
 
-    @property
-    def largest_shear(self) -> Array:
-        """Half the difference of the largest and the smallest principal stress."""
-        upper, lower, around = self.principal
-        return np.asarray(0.5 * (np.maximum(upper, around) - np.minimum(lower, around)))
-
 
 def load_coefficients(load: Load, terms: int) -> Array:
     """Legendre coefficients p_n of the pressure -sigma_r on the surface, n = 0 … terms; (terms + 1,)."""

@@ -103,8 +103,7 @@ def _compilers() -> tuple[Any, Any] | None:
 
     numba optimises and translates every function with all that it calls, so that what is at the bottom goes through
     LLVM a dozen times: half of the time of a first run.  Here an inner function is optimised by itself, and the
-    outermost one takes in all that it reaches and translates it once.  That rests on numba's inside: any other numba
-    compiles in its own way, in twice the time.
+    outermost one takes in all that it reaches and translates it once.  Another numba compiles in its own, slower way.
     """
     if not metadata.version("numba").startswith(_TRIED):
         return None

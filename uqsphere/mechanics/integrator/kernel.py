@@ -11,7 +11,8 @@ ends where a face leaves or touches.  One round of `march` takes every lane one 
     waves    how long the step may be, and what runs towards the sphere in it, theory (4) and (5)
     expand   the motion as a power series, theory (9) or (R3); how far it holds
     meet     where in the step a face may leave, touch, yield or be pressed deepest
-    turn     each lane whose step holds: its end, what is kept of it, the state the next one starts from
+    turn     a step that does not hold is tried again, shorter; of one that holds the end, what is kept and the next
+             state; a row that is decided leaves its lane
 """
 
 from __future__ import annotations
