@@ -86,8 +86,8 @@ def format_probability(value: float | None, high: float | None = None) -> str:
 
     Without a value its upper bound, if there is one.
 
-    >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.9996, 0.99996, 0.0)]
-    ['3.3 %', '2.6e-07', '99.96 %', 'above 99.99 %', '0 %']
+    >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 0.99996, 0.0)]
+    ['3.3 %', '2.6e-07', '99.974 %', 'above 99.99 %', '0 %']
     >>> format_probability(None, 1e-5), format_probability(None)
     ('below 1e-05', 'not known')
     """
@@ -97,7 +97,7 @@ def format_probability(value: float | None, high: float | None = None) -> str:
         return f"{value:.2g}"
     if 0.9999 < value < 1.0:
         return "above 99.99 %"
-    digits = 2 if value <= 0.99 else 2 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
+    digits = 2 if value <= 0.99 else 1 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
     return f"{100.0 * value:.{digits}g} %"
 
 

@@ -23,7 +23,8 @@ from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.models.black_box import call_black_box, load_black_box, model_digest
 from uqsphere.models.evaluate import evaluate
 from uqsphere.models.model import Model
-from uqsphere.models.scene import absent_quantity, check_scene, scene_of
+from uqsphere.models.scene import absent_quantity, check_scene, evaluate_scene, scene_of
+from uqsphere.run.design import Design
 from uqsphere.study import Study, load_study, shipped_studies
 
 BARS = """
@@ -489,3 +490,12 @@ def test_a_quantity_asked_for_by_itself_is_that_among_all(name: str) -> None:
         single = evaluate(study, row, quantities=(key,)).iloc[0]
         assert single[key] == pytest.approx(together[key], rel=1e-5, nan_ok=True), key
         assert np.isfinite(together[key]), key
+
+
+def test_a_row_without_meaning_has_a_status_and_warns_nobody() -> None:
+    granite = Design.of(load_study("studies/granite.toml")).study  # with the modes of the library
+    found = evaluate_scene(granite, ("sphere.radius",), np.array([[-0.01], [0.01]]),
+                           ("p_max", *(limit.quantity for limit in granite.limits)))  # fmt: skip
+    assert found.good.tolist() == [False, True]
+    assert np.isnan(found.values[0]).all()
+    assert np.isfinite(found.values[1]).all()

@@ -135,9 +135,10 @@ def evaluate_scene(
     if len(rows) == 0:
         return EvaluatedRows.plain(np.zeros((0, len(columns))))
     try:
-        answers = solve_scene(scene_at(study, names, rows), study.model.fidelity,
-                              tolerance=study.model.tolerance if tolerance is None else tolerance,
-                              threads=threads, quantities=tuple(columns))  # fmt: skip
+        with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
+            answers = solve_scene(scene_at(study, names, rows), study.model.fidelity,
+                                  tolerance=study.model.tolerance if tolerance is None else tolerance,
+                                  threads=threads, quantities=tuple(columns))  # fmt: skip
     except ValueError as error:
         raise UsageError(str(error)) from error
     good, none = np.asarray(answered(answers.status)), np.zeros(len(rows), dtype=bool)

@@ -1,6 +1,6 @@
 """numba's decorator with a private cache on disk.
 
-Compiled code is stored below the user's own cache folder, as_text by that user alone, and keyed by the
+Compiled code is stored below the user's own cache folder, readable by that user alone, and keyed by the
 versions involved.  Where no such folder can be had, functions are compiled again in each process.
 """
 
