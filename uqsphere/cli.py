@@ -209,12 +209,13 @@ def _new(given: argparse.Namespace) -> int:
 
 def _check(given: argparse.Namespace) -> int:
     from uqsphere.models.scene import check_scene
-    from uqsphere.report.study import described
+    from uqsphere.report.study import cost, described
 
     study = _loaded(given)
     if study.black_box or study.rig:
         check_scene(study)
-    print(described(study))
+    print(described(study), flush=True)  # what follows loads the integrator, and times it
+    print(f"\n{cost(study)}")
     return 0
 
 

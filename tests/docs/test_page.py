@@ -51,3 +51,11 @@ def test_a_page_is_whole_short_and_says_what_to_do(path: Path) -> None:
     together = any(verdict["all_modes"] for verdict in results["verdicts"].values())
     assert together is bool(re.search(r'<th scope="row">all together', html))
     assert html.count("<p>Next: ") == html.count('class="say"') >= 1
+
+
+def test_all_modes_together_fail_at_least_as_often_as_each() -> None:
+    results = json.loads((REPORTS[0].parents[1] / "granite" / "results.json").read_text("utf-8"))
+    curve = {row[0]: row[1] for row in results["verdicts"]["crushing"]["all_modes"]["curve"]}
+    each = [row for row in results["answers"] if row["answer"] == "curve"]
+    assert len(each) == 4 * len(curve)
+    assert all(curve[row["at"]] >= row["value"] * (1.0 - 1e-3) for row in each)

@@ -17,7 +17,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import find, label, meaning, of, short
+from uqsphere.report.format import all_together, find, label, meaning, of, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,21 +66,25 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
         raise UsageError("this run has no curve: a study with [margins] has one")
     unit, factor = display_unit(free["path"], free["planned"] or free["high"])
     least = TICKS[0] / 3.0
-    for k, subject in enumerate(subjects):
-        rows = of(results["answers"], subject, "curve")
-        x = np.array([float(r["at"]) for r in rows]) * factor
-        p = np.array([[r["value"], r["low"], r["high"]] for r in rows], dtype=float)
-        inside = (p[:, 0] > least) & (p[:, 0] < 1.0 - least)
+    curves = {s: [[float(r["at"]), r["value"], r["low"], r["high"]] for r in of(results["answers"], s, "curve")]
+              for s in subjects}  # fmt: skip
+    joint = all_together(results)
+    if limit is None and joint is not None and joint.get("curve"):
+        curves["all together"] = joint["curve"]
+    for k, (subject, rows) in enumerate(curves.items()):
+        x, *p = np.array(rows, dtype=float).T
+        x *= factor
+        inside = (p[0] > least) & (p[0] < 1.0 - least)
         # one value on either side of those drawn, so that a curve reaches the frame
         near = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
-        middle, low, high = np.where(near, ndtri(np.clip(p, least, 1.0 - least)).T, np.nan)
-        assumed = subject.startswith("modes.")
-        colour = COLOURS[k % len(COLOURS)]
+        middle, low, high = np.where(near, ndtri(np.clip(p, least, 1.0 - least)), np.nan)
+        own = subject.startswith("limits.")
+        colour, line = COLOURS[k % len(COLOURS)], "-" if own else "--" if "." in subject else "-."
+        if subject == "all together":
+            colour = "#000000"
         dense, curve = _smooth(x, middle, logarithmic=free["low"] > 0.0)
-        axes.plot(
-            dense, curve, "--" if assumed else "-", color=colour, lw=1.2 if assumed else 2.0, label=label(subject)
-        )
-        if not assumed:
+        axes.plot(dense, curve, line, color=colour, lw=2.0 if own else 1.2, label=label(subject))
+        if own:
             axes.fill_between(x, low, high, where=inside, color=colour, alpha=0.25, lw=0)
         entry = results["study"]["limits"].get(subject.removeprefix("limits."))
         if entry and entry.get("test_points"):

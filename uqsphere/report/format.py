@@ -60,11 +60,16 @@ def failure_modes(results: Results) -> list[Mode]:
             modes.append(Mode(subject=subject, name=label(subject), entry=entry, margin=margin,
                               fracture=find(answers, subject, "exceedance_probability"),
                               index=find(answers, subject, "reliability_index")))  # fmt: skip
-    joint = next((verdict["all_modes"] for _, verdict in verdicts(results) if verdict.get("all_modes")), None)
+    joint = all_together(results)
     if joint is not None:
         modes.append(Mode(subject="", name="all together", entry={}, fracture=joint["probability"],
                           index=joint["reliability_index"], margin=joint.get("margin")))  # fmt: skip
     return modes
+
+
+def all_together(results: Results) -> Mapping[str, Any] | None:
+    """What the failure modes say together: the first verdict that rests on several."""
+    return next((verdict["all_modes"] for _, verdict in verdicts(results) if verdict.get("all_modes")), None)
 
 
 def value(number: float | None, name: str, digits: int = 3) -> str:

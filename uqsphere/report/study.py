@@ -14,13 +14,13 @@ from uqsphere.uq.fitting import count_tests, fit_strength, is_fitted, series_beh
 
 
 def described(study: Study) -> str:
-    """Inputs with their scatter and source, strengths with their tests, warnings, and about how long a run takes."""
+    """Inputs with their scatter and source, strengths with their tests, and dependences."""
     parts = [f"{study.title}: the study is valid", "", _inputs(study)]
     if study.limits:
         parts += ["", _strengths(study)]
     if study.dependence:
         parts += ["", "\n".join(f"dependence: {', '.join(tie.of)}" for tie in study.dependence)]
-    return "\n".join([*parts, "", _cost(study)])
+    return "\n".join(parts)
 
 
 def _inputs(study: Study) -> str:
@@ -75,7 +75,7 @@ def _strengths(study: Study) -> str:
     return table(rows)
 
 
-def _cost(study: Study) -> str:
+def cost(study: Study) -> str:
     """About how long the first size of a run takes: 64 rows are timed, and multiplied."""
     from uqsphere.models.model import Model
     from uqsphere.run.design import Design

@@ -227,7 +227,7 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
 
 
 def along_line(design: Design, limits: Sequence[Limit]) -> Callable[[Sample, float], Array]:
-    """What `fragility.margin_of` asks: the probability that any of some limits is exceeded at a value."""
+    """What `fragility.curve_by` asks: the probability that any of some limits is exceeded at a value."""
     axis = design.study.margins.axis if design.study.margins is not None else None
 
     def probability(sample: Sample, value: float) -> Array:

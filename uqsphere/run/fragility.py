@@ -120,6 +120,6 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(high - low)
 
 
-def margin_of(design: Design, tables: Tables, chance: Callable[[Sample, float], Array], target: float) -> Estimate:
-    """The free number at which what `chance` gives takes a probability; absent where it does nowhere."""
-    return _along(design, tables, chance, (target,)).values[target]
+def curve_by(design: Design, tables: Tables, chance: Callable[[Sample, float], Array], target: float) -> Fragility:
+    """The curve of what `chance` gives at points and a value, and the free number at which it takes a probability."""
+    return _along(design, tables, chance, (target,))

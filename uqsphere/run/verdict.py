@@ -19,7 +19,7 @@ from uqsphere.run.assumptions import MOST, Assumptions, along_line, other_distri
 from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
-from uqsphere.run.fragility import allowable_probability, margin_of, planned_value, target_of
+from uqsphere.run.fragility import allowable_probability, curve_by, planned_value, target_of
 from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, means_fracture, strength_name
@@ -64,12 +64,13 @@ def _verdict(
         *(mode.limit for mode in design.modes if limit.aim == "survive" and means_fracture(limit)),
     ]
     governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
-    joint = _joint(design, tables, answers, limit, judged, modes, p)
+    joint, curve = _joint(design, tables, answers, limit, judged, modes, p)
     number = _number_to_use(design, answers, limit, modes, joint)
     verdict = {
         "verdict": word, "aim": limit.aim, "target": target,
         "probability": _ends(p), "all_modes": {name: _ends(e) for name, e in joint.items()} | (
-            {"reliability_index": {"value": reliability_index(joint["probability"].value)}} if joint else {}),
+            {"reliability_index": {"value": reliability_index(joint["probability"].value)}, "curve": curve}
+            if joint else {}),
         "governing": design.subject(number["governing"] if number else governing),
         "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
         "use": None if number is None else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
@@ -87,15 +88,18 @@ def _ends(one: Estimate) -> dict[str, Any]:
 def _joint(
     design: Design, tables: Tables, answers: Answers, limit: Limit, judged: Sequence[Limit], modes: Sequence[Limit],
     p: Estimate,
-) -> dict[str, Estimate]:  # fmt: skip
-    """Failure probability by all modes together, and the free number at the target; empty for a single mode."""
+) -> tuple[dict[str, Estimate], list[list[float]]]:  # fmt: skip
+    """Failure probability by all modes together, the free number at the target, the curve; empty for a single mode."""
     if limit.aim != "survive" or len(modes) < 2:
-        return {}
+        return {}, []
     head = tables.sample.head(min(tables.sample.count, MOST))
     found = {"probability": _added(p, together(design, head, modes) - together(design, head, judged))}
+    curve: list[list[float]] = []
     if answers.where(design.subject(limit), "curve"):
-        found["margin"] = margin_of(design, tables, along_line(design, modes), target_of(design, limit))
-    return found
+        target = target_of(design, limit)
+        along = curve_by(design, tables, along_line(design, modes), target)
+        curve, found["margin"] = along.curve, along.values[target]
+    return found, curve
 
 
 def _judged_together(design: Design, limit: Limit) -> list[Limit]:
