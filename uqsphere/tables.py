@@ -394,16 +394,21 @@ def _with_units(headings: Sequence[str], row: Sequence[str]) -> list[str]:
 def _recorded(name: str, sheet: dict[int, list[str]], lines: list[str], notes: list[str]) -> Table:
     """The table of numbers of a recorder's file, whose divider and decimal mark its second half shows."""
     live = _live(lines)
+    wide = max(map(len, sheet.values()), default=0)
+    if wide > _MOST_COLUMNS:
+        raise TableError(f"{name!r} has {wide:,} columns; {_MOST_COLUMNS:,} are read at most")
+    # a row of a sheet ends with its last cell that is not empty
+    sheet = {k: row + [""] * (wide - len(row)) for k, row in sheet.items()}
     keys, best = list(sheet or live), (0, 0)
     # metadata stand above or beside the first half at the most
     some = keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys
     divider, mark, width, places = " ", ".", 0, list[int]()
     for one, decimal in ((" ", "."),) if sheet else _WRITTEN:
         rows = [sheet[k] if sheet else _split(live[k], one) for k in some]
-        wide, numeric = _numeric_columns(rows, decimal)
-        whole = sum(len(row) == wide and all(_is_number(row[k], decimal) for k in numeric) for row in rows)
+        usual, numeric = _numeric_columns(rows, decimal)
+        whole = sum(len(row) == usual and all(_is_number(row[k], decimal) for k in numeric) for row in rows)
         if numeric and (min(len(numeric), 2), whole) > best:
-            best, divider, mark, width, places = (min(len(numeric), 2), whole), one, decimal, wide, numeric
+            best, divider, mark, width, places = (min(len(numeric), 2), whole), one, decimal, usual, numeric
     if best == (0, 0):
         raise TableError(f"{name}: no table of numbers (columns divided by comma, semicolon, tab or blanks)")
     cells = sheet or {k: _split(line, divider) for k, line in live.items()}
@@ -413,9 +418,9 @@ def _recorded(name: str, sheet: dict[int, list[str]], lines: list[str], notes: l
     for row in body.values():
         if len(row) == width + 1 and not row[-1]:
             del row[-1]
-        if len(row) < width and (sheet or divider == "\t"):
+        if len(row) < width and divider == "\t":
             row += [""] * (width - len(row))
-    ragged = [k for k, row in body.items() if len(row) != width and (not sheet or any(row[width:]))]
+    ragged = [k for k, row in body.items() if len(row) != width]
     if ragged:
         hint = "; columns with a decimal comma are divided by semicolons or tabs" if divider == "," else ""
         raise TableError(f"{name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0]} with "

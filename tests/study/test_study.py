@@ -18,6 +18,7 @@ import pytest
 from study_base import BASE, BLACK_BOX
 from test_broken import CASES
 
+import uqsphere
 from tests.campaigns.fuzz import fuzz
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
@@ -149,7 +150,7 @@ def test_quantities_of_limits_are_not_asked_for(load: Load) -> None:
 
 
 def test_pulses_and_inserts(load: Load) -> None:
-    peaks = 'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = "200 us"'
+    peaks = 'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = "175 us"'
     study = load(BASE, (TRAPEZOID, peaks), ('length = "0.8 m"', ""))
     assert study.fixed["pulse.valley"] == pytest.approx(0.6, rel=1e-12)
     assert "striker.length" not in study.fixed
@@ -185,6 +186,26 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text(f"time;gauge\n{rows}\n")
     with pytest.raises(StudyError, match="factor is missing"):
         load(text, edits[0], volts)
+
+
+@pytest.mark.parametrize(("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "to tension, -4")])
+def test_noise_ahead_of_a_pulse_is_no_contact(load: Load, tmp_path: Path, noise: float, back: float, said: str) -> None:
+    t = np.arange(0.0, 500.0, 0.5)
+    strain = np.interp(t, [100, 125, 275, 300, 350, 375, 400], [0, 150, 150, 0, 0, back, 0])
+    strain += noise * np.random.default_rng(3).standard_normal(len(t))
+    rows = "\n".join(f"{a:g},{b:.3f}" for a, b in zip(t, strain, strict=True))
+    (tmp_path / "p.csv").write_text(f"time [us],gauge [microstrain]\n{rows}\n")
+    striker = '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    edits = (striker, ""), (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"')
+    if said:
+        with pytest.raises(StudyError, match=said):
+            load(BASE.split("[margins]")[0], *edits)
+        return
+    speed = 2.0 * math.sqrt(190e9 / 8000.0) * 150e-6
+    exact = load(BASE, (TRAPEZOID, f'{TRAPEZOID}\nduration = "175 us"'), ('"0.5 m/s"', f'"{speed} m/s"'))
+    of = [uqsphere.evaluate(study, {"sphere.nu": np.array([0.25])}, quantities=("p_max",))["p_max"][0]
+          for study in (load(BASE.split("[margins]")[0], *edits), exact)]  # fmt: skip
+    assert of[0] == pytest.approx(of[1], rel=1e-3)
 
 
 def test_warnings_of_laws(load: Load) -> None:

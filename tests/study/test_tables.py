@@ -74,6 +74,22 @@ def test_workbooks_that_are_larger_than_they_seem(tmp_path: Path, monkeypatch: p
         read_table(path, largest=1 << 20)
 
 
+def test_columns_of_a_recorders_sheet_end_where_they_like(tmp_path: Path) -> None:
+    from openpyxl import Workbook
+
+    book, path = Workbook(), tmp_path / "t.xlsx"
+    book.active.append(["time [s]", "a [V]", "b [V]"])
+    for k in range(100):
+        book.active.append(
+            [1e-6 * k, 0.1 * k, 0.2 * k] if k < 40 else [1e-6 * k, 0.1 * k] if k < 90 else [None, 0.1 * k]
+        )
+    book.save(path)
+    table = read_table(path, recorded=True)
+    assert table.headings == ["time [s]", "a [V]", "b [V]"]
+    assert len(table) == 100
+    assert table.rows[-1] == ["", "9.9", ""]
+
+
 @pytest.mark.parametrize(
     ("heading", "dimension", "found"),
     [

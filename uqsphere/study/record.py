@@ -56,7 +56,12 @@ def measured_pulse(table: Pulse, draft: Draft) -> MeasuredPulse:
         strain = -strain
         notes.append("the largest strain is negative: compression is taken as positive")
     peak = float(strain.max())
-    inside = np.flatnonzero(np.abs(strain) > _COUNTS * peak)
+    if strain.min() < -_ENDS * peak:
+        said = f"{shown(table.file)}: the strain turns to tension, {strain.min() / peak:.0%} of its peak"
+        raise Fault(f"{said}: cut the reflected wave off; {_ROUGH}", "file")
+    # noise swings to both sides: what lies below zero ahead of the pulse says how far it goes above
+    noise = -1.5 * strain[: int(np.argmax(strain > _ENDS * peak))].min(initial=0.0)
+    inside = np.flatnonzero(np.abs(strain) > max(_COUNTS * peak, noise))
     first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
     for k, end in ((first, "begins"), (last, "ends")):
         if abs(strain[k]) > _ENDS * peak:
