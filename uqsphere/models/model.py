@@ -35,6 +35,8 @@ _WORTH: Final = 2.0
 _QUICK: Final = 1e-4
 #: rows in a row that took too long or ended their process, each by itself, after which no more is tried
 _HUNG: Final = 32
+#: seconds of work that are worth a call of a black box of their own: a call costs up to a millisecond by itself
+_CALL: Final = 0.01
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
 #: seconds between two looks at `stop` while answers are waited for
@@ -107,7 +109,7 @@ class Model:
         self._workers: Workers | None = None if self.executor is None else Given(self.executor)
         self._processes = self.threads or thread_count()
         self._task: Task | None = None
-        self._times: list[tuple[float, int]] = []
+        self._times: list[tuple[float, int]] = []  # seconds and rows of the first call, and of all others
         self._compared = False
         self._hung = 0
 
@@ -129,8 +131,10 @@ class Model:
     @property
     def seconds_per_row(self) -> float | None:
         """Mean seconds that a row took, without the first call where there are more; None before the first."""
-        counted = self._times[1:] or self._times
-        return sum(seconds for seconds, _ in counted) / sum(rows for _, rows in counted) if counted else None
+        if not self._times:
+            return None
+        seconds, rows = self._times[-1]
+        return seconds / rows
 
     def evaluate(self, names: Sequence[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
         """Answers of n rows.
@@ -224,7 +228,10 @@ class Model:
             return block
 
         task = self._begin(inputs, columns)
-        size = max(1, min(_MOST_ROWS, total // _BLOCKS)) if is_box else _SCENE_ROWS[isinstance(self._workers, Given)]
+        worth = int(_CALL / self.seconds_per_row) if self.seconds_per_row else 1
+        size = _SCENE_ROWS[isinstance(self._workers, Given)]
+        if is_box:
+            size = max(1, min(_MOST_ROWS, max(total // _BLOCKS, worth)))
         starts = [0, *range(1 if self._limited else size, total, size), total]
         if not is_box and not self._times and total:
             announce_compilation()
@@ -277,7 +284,8 @@ class Model:
             assert self._workers is not None
             try:
                 answers, seconds = self._workers.result(future)
-                self._times.append((seconds, len(places)))
+                known = self._times.pop() if len(self._times) > 1 else (0.0, 0)
+                self._times.append((known[0] + seconds, known[1] + len(places)))
                 self._hung = 0
                 evaluated(places, answers)
             except (TimeoutError, Died) as error:
