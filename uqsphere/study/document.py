@@ -286,7 +286,7 @@ class LimitTable(Table):
     )
     aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Num = key("factor on the quantity for what the model leaves out; may scatter", usual="`1`")
+    model_factor: Num = key("factor on the quantity for what the model leaves out; may scatter", 1.0, usual="`1`")
     fracture: bool | None = key("whether exceeding it breaks the sphere", usual="by the quantity")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
         "of `specific_energy`: stored in both bodies, in the sphere, or offered", usual="required but for bars"
@@ -296,7 +296,6 @@ class LimitTable(Table):
     reference_area: Annotated[float, *_parameter("reference_area")] | None = key("area of a surface strength")
     largest_energy: Annotated[float, *_parameter("largest_energy")] | None = key("upper bound of a fracture energy")
     rate_0: Annotated[float, *_parameter("rate_0")] | None = key("strain rate at which a slow strength is doubled")
-    platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', usual="rigid")
 
     @checked(mode="after")
     def _one_demand(self) -> LimitTable:

@@ -9,7 +9,7 @@ from typing import Final
 
 from uqsphere.materials import Material, library
 from uqsphere.mechanics.criteria import CRITERIA
-from uqsphere.mechanics.outputs import OUTPUTS, PATHS
+from uqsphere.quantities import lookup
 from uqsphere.study.study import Limit, Study
 from uqsphere.uq import Law, make_law
 
@@ -49,10 +49,8 @@ def breaks_by(limit: Limit) -> str:
     >>> breaks_by(Limit(name="a", quantity="core_tension", strength=1e7))
     'core'
     """
-    if limit.criterion is None and limit.quantity not in PATHS:
-        return ""
-    entry = OUTPUTS[limit.quantity] if limit.criterion is None else CRITERIA[limit.criterion]
-    return "energy" if entry.follows == "energy" else entry.place or "force"
+    entry = lookup(limit.quantity)
+    return "" if not entry.fracture else "energy" if entry.follows == "energy" else entry.place or "force"
 
 
 def means_fracture(limit: Limit) -> bool:

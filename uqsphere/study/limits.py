@@ -20,17 +20,7 @@ from uqsphere.study.document import LimitTable, Observations, declared
 from uqsphere.study.draft import Draft
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.study.number import Number, number_of, plain_quantity, value_of, warn_unusual
-from uqsphere.study.observed import (
-    fit,
-    flags_and_counts,
-    is_tests,
-    modulus_of,
-    noted,
-    open_table,
-    required,
-    warn_of_rows,
-    warn_of_tests,
-)
+from uqsphere.study.observed import fit, is_tests, modulus_of, observations, warn_of_rows, warn_of_tests
 from uqsphere.study.strength import reached
 from uqsphere.study.study import Limit, Tested
 from uqsphere.uq import Law
@@ -48,9 +38,12 @@ _PRESSURES: Final = (
 _SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
 #: a criterion rises at least with this power of the force
 _RISES: Final = 0.05
+#: at equal strength a force goes with this power of the diameter, but for flaws; with its square where nothing is said
+_POWERS: Final = {"ring_crack": 1.0, "ring_crack_toughness": 1.0, "energy": 0.2, "energy_sphere": 0.2, "P_max": 0.0}
 #: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
 _USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT: Final = (3e7, 1e11)
+_FACTOR: Final = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
 
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
@@ -61,11 +54,8 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
         paths = one_of(sorted(PATHS))
         said = f"exceeding {limit.quantity} breaks no sphere: fracture = true is for a criterion or one of {paths}"
         raise Fault(said, "fracture")
-    factor = Number(value=1.0)
-    if table.model_factor is not None:
-        entry = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
-        with within("model_factor"):
-            factor = number_of(table.model_factor, entry, draft, (*place, "model_factor"))
+    with within("model_factor"):
+        factor = number_of(table.model_factor, _FACTOR, draft, (*place, "model_factor"))
     with within("strength"):
         strength = _strength(draft, table, limit, (*place, "strength"))
     if limit.needs_modulus:
@@ -78,62 +68,49 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
         elif modulus is not None and abs(own - modulus) > 1e-9 * modulus:
             raise Fault(f"found {modulus:g}, but the strength has the modulus {own:g}: leave modulus out", "modulus")
         limit = replace(limit, parameters={"modulus": own or modulus or 0.0, **limit.parameters})
-    tested = strength.tested
-    by_force = tested is not None and tested.law is not None
-    platens = tested.platens if tested is not None and by_force else None
-    if table.platens is not None and not by_force:
-        platens = _platens(draft, table.platens)
     draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
-    draft.limits[name] = replace(limit, strength=strength.value, model_factor=factor.value, tested=tested,
-                                 platens=None if draft.rig == "bars" else platens)  # fmt: skip
+    draft.limits[name] = replace(limit, strength=strength.value, model_factor=factor.value, tested=strength.tested)
 
 
 def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     """A limit without its strength; raises Fault."""
-    known, quantity, criterion = draft.known, table.quantity, table.criterion
-    if quantity is not None and quantity not in known:
-        raise Fault(unknown("quantity", quantity, known), "quantity")
+    quantity, criterion, meant = table.quantity, table.criterion, table.strength_is
+    if quantity is not None and quantity not in draft.known:
+        raise Fault(unknown("quantity", quantity, draft.known), "quantity")
     if criterion is not None and draft.box:
         raise Fault("a criterion belongs to the impact model: name a quantity instead", "criterion")
     if criterion == "specific_energy":
         if table.energy_is is None and draft.rig != "bars":
             raise Fault(f"energy_is is missing: write what the strength means, {one_of(_ENERGIES)}", "energy_is")
         criterion = _ENERGIES[table.energy_is or "contact"]
-    entry = CRITERIA.get(str(criterion))
-    takes = () if entry is None else (*entry.parameters, *entry.optional)
     given = {part: value for part in PARAMETERS if (value := getattr(table, part)) is not None}
-    if (strange := next((part for part in given if part not in takes), None)) is not None:
+    entry = CRITERIA.get(str(criterion))
+    needs, takes = (entry.parameters, (*entry.parameters, *entry.optional)) if entry else ((), ())
+    if strange := next((part for part in given if part not in takes), ""):
         what = f"the criterion {criterion} takes {one_of(takes)}" if criterion else "add criterion = …"
         raise Fault(f"{strange} belongs to another criterion (uqsphere list criteria): {what}", strange)
-    for part in () if entry is None else entry.parameters:
-        # the modulus may stand in the strength, which is read later
-        if part not in given and part != "modulus":
-            raise Fault(f"{part} is missing: the criterion {criterion} needs the {PARAMETERS[part].meaning}", part)
-    if entry is not None and not given and entry.quantity is not None:
+    # the modulus may stand in the strength, which is read later
+    if missing := next((part for part in needs if part not in (*given, "modulus")), ""):
+        raise Fault(f"{missing} is missing: the criterion {criterion} needs the {PARAMETERS[missing].meaning}", missing)
+    if entry and entry.quantity and not given:
         quantity, criterion = entry.quantity, None
-    quantity = _pressure_meant(draft, table, str(criterion or quantity))
-    return Limit(name=name, quantity=f"{quantity}.{name}" if criterion else quantity, criterion=criterion,
+    compared, pressure = str(criterion or quantity), quantity in ("p_max", "first_peak") and criterion is None
+    for wrong, said in (
+        (meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
+         f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: leave it out"),
+        (draft.plastic and pressure and meant is None, _PRESSURES),
+        (draft.plastic and pressure and meant == "pressure" and is_tests(table.strength),
+         'forces at failure become pressures by Hertz: write strength_is = "hertz"'),
+        (draft.plastic and quantity == "first_peak" and meant == "hertz",
+         'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"'),
+    ):  # fmt: skip
+        if wrong:
+            raise Fault(said, "strength_is")
+    if draft.plastic and meant == "hertz":
+        compared = "p_hertz"
+    return Limit(name=name, quantity=f"{compared}.{name}" if criterion else compared, criterion=criterion,
                  parameters=given, strength=math.nan, aim=table.aim, target=table.target,
                  fracture=table.fracture)  # fmt: skip
-
-
-def _pressure_meant(draft: Draft, table: LimitTable, quantity: str) -> str:
-    """The quantity that a strength is held against, by what the limit says of its pressure; raises Fault."""
-    meant, said = table.strength_is, ""
-    if quantity not in ("p_max", "first_peak"):
-        if meant is not None and not (quantity == "p_hertz" and meant == "hertz"):
-            said = f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out"
-    elif not draft.plastic:
-        return quantity
-    elif meant is None:
-        said = _PRESSURES
-    elif meant == "pressure" and is_tests(table.strength):
-        said = 'forces at failure become pressures by Hertz: write strength_is = "hertz"'
-    elif meant == "hertz" and quantity == "first_peak":
-        said = 'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"'
-    if said:
-        raise Fault(said, "strength_is")
-    return "p_hertz" if meant == "hertz" else quantity
 
 
 def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
@@ -142,16 +119,15 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
         entry = replace(plain_quantity(limit.quantity), plausible=(-math.inf, math.inf))
         return number_of(table.strength, entry, draft, place)
     entry = lookup(limit.quantity)
-    contact = limit.base in ("p_max", "p_hertz", "first_peak")
-    entry = replace(entry, meaning=f"the strength against {limit.quantity}", closed=False,
-                    plausible=_CONTACT if contact else _USUAL.get(entry.dimension, (0.0, math.inf)))  # fmt: skip
+    usual = _CONTACT if entry.place == "contact" else _USUAL.get(entry.dimension, (0.0, math.inf))
+    entry = replace(entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual)
     if is_tests(table.strength):
         found = _tested(draft, declared(Observations, table.strength), limit, place)
         warn_unusual(found.mean, entry, draft, place)
-    else:
-        found = number_of(table.strength, entry, draft, place)
-        if found.tested is not None:
-            compare_sizes(found.tested, _radii(draft), draft, (*place, "draws"))
+        return found
+    found = number_of(table.strength, entry, draft, place)
+    if found.tested is not None:
+        compare_sizes(found.tested, _radii(draft), draft, (*place, "draws"))
     return found
 
 
@@ -160,51 +136,34 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
 
 def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Number:
     """The law of the strength from forces at failure, and the tests themselves; raises Fault."""
-    file, of_force, of_diameter = required(table, file="tests.csv", force="F", diameter="D")
     if limit.criterion is None and not follows_force(limit.quantity):
         raise Fault(f"a force at failure is no measure of {limit.quantity}: name a criterion", "force")
-    platens = _platens(draft, table.platens)
-    sphere, radii = _sphere(draft, platens), _radii(draft)
-    found = open_table(file, draft, "file", table.decimal)
-    with noted(found):
-        force = found.numbers(of_force, "force", table.force_unit, key="force")
-        if of_diameter[:1].isdigit():
-            diameter = np.full(len(force), value_of(of_diameter, INPUTS["bars.diameter"]))
-        else:
-            diameter = found.numbers(of_diameter, "length", table.diameter_unit, key="diameter")
-        rate = None if table.rate is None else found.numbers(table.rate, "loading_rate", key="rate")
-        stopped, many = flags_and_counts(found, table)
-        for key, column in (("force", force), ("diameter", diameter)):
-            found.refuse(key, f"the {key} must be above 0", column <= 0.0)
-    kind = table.fit or "weibull"
-    warn_of_rows(found, force, stopped, many, draft, place)
+    kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
+    sphere = _sphere(draft, platens)
+    found, rows, columns, stopped = observations(table, draft, force="force", diameter="length", rate="loading_rate")
+    force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
+    warn_of_rows(found, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
     warn_of_tests(table, force, diameter, radii[0], draft, place)
-    force, diameter, stopped = (np.repeat(column, many) for column in (force, diameter, stopped))
-    rate = None if rate is None else np.repeat(rate, many)
-    # at equal strength a force goes with this power of the diameter, but for flaws, in a volume or in a surface
-    power = {"ring_crack_toughness": 1.0, "energy": 0.2, "energy_sphere": 0.2, "P_max": 0.0}.get(limit.base, 2.0)
-    flaws = 3.0 if limit.place in ("core", "") or limit.base.endswith("energy") else 2.0
-    mean = float(diameter.mean())
+
+    power, mean = _POWERS.get(limit.criterion or limit.quantity, 2.0), float(diameter.mean())
+    # flaws lie in the surface around a contact, or in the volume
+    flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
     def by_size(exponent: float) -> tuple[Law, float]:
         law = fit(force * (mean / diameter) ** exponent, stopped, table, kind)
         return law, power - flaws / (modulus_of(law) or math.inf) if power else power
 
     law, exponent = _agreeing(by_size, power)
-    tested = Tested(
-        diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()),
-        suspended=tuple(stopped.tolist()), platens=platens, sphere=sphere,
-        law=law, exponent=exponent, size="weakest link" if modulus_of(law) and power else "none",
-    )  # fmt: skip
+    tested = Tested(diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()), platens=platens,
+                    sphere=sphere, law=law, exponent=exponent)  # fmt: skip
     compare_sizes(tested, radii, draft, (*place, "diameter"), limit.needs_modulus)
     if draft.rig != "platens" and "rate_0" not in limit.parameters:
         draft.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
                    "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
 
     def value(modulus: float, factor: float = 1.0) -> Array:
-        weakest = {"modulus": modulus} if limit.needs_modulus else {}
-        own = replace(limit, parameters={**weakest, **limit.parameters})
-        return reached(own, factor * force, sphere, 0.5 * diameter, platens, rate)
+        own = {"modulus": modulus, **limit.parameters} if limit.needs_modulus else limit.parameters
+        return reached(replace(limit, parameters=own), factor * force, sphere, 0.5 * diameter, platens, rate)
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     if not np.isfinite(value(8.0)).all():
@@ -212,29 +171,23 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     if not (slopes > _RISES).all():
         raise Fault(f"{limit.quantity} hardly rises with the force of such tests, so that no force tells its "
                     "strength: take another criterion")  # fmt: skip
-    if kind != "weibull" and limit.needs_modulus and "modulus" not in limit.parameters:
-        raise Fault('the strength of a weakest link is a Weibull distribution: write fit = "weibull"', "fit")
 
     def by_value(modulus: float) -> tuple[Law, float]:
         law = fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
-        return law, (modulus_of(law) or modulus) if limit.needs_modulus else modulus
+        return law, modulus_of(law) or modulus
 
-    return Number(value=_agreeing(by_value, 8.0)[0], synthetic=table.synthetic, tested=tested)
+    law = _agreeing(by_value, 8.0)[0] if limit.needs_modulus else by_value(8.0)[0]
+    return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
 def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tuple[Law, float]:
     """A law that needs a number, and the number that it gives: of the size law, of a weakest link; raises Fault."""
-    for _ in range(60):
-        try:
-            law, after = fitted(number)
-        except Fault:
-            raise
-        except ValueError as error:
-            raise Fault(f"the tests cannot be turned into a strength: {error}", "file") from None
-        if abs(after - number) < 1e-10 * max(abs(number), 1.0):
-            return law, after
-        number = after
-    raise Fault("no modulus agrees with itself: give it by the key modulus")
+    from scipy.optimize import fixed_point
+
+    try:
+        return fitted(float(fixed_point(lambda x: fitted(float(x))[1], number, xtol=1e-10, maxiter=60)))
+    except RuntimeError:
+        raise Fault("no modulus agrees with itself: give it by the key modulus") from None
 
 
 def compare_sizes(tested: Tested, radii: tuple[float, ...], draft: Draft, place: Place, knows: bool = False) -> None:
@@ -242,17 +195,22 @@ def compare_sizes(tested: Tested, radii: tuple[float, ...], draft: Draft, place:
 
     Raises Fault where no size law carries them to one of the radii; `knows`: the criterion itself has such a law.
     """
-    carried = knows or tested.size == "weakest link"
-    ratios = [max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii]
-    far = max(ratios)
-    radius = radii[ratios.index(far) if far > _SIZES_REFUSED and not carried else 0]
-    sizes = f"the tests have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of {2e3 * radius:.4g} mm"
-    if far > _SIZES_REFUSED and not carried:
+
+    def ratio(radius: float) -> float:
+        return max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter)
+
+    def sizes(radius: float) -> str:
+        tests = f"the tests have a mean diameter of {1e3 * tested.diameter:.4g} mm"
+        return f"{tests}, the sphere of {2e3 * radius:.4g} mm"
+
+    far, linked = max(radii, key=ratio), modulus_of(tested.law) is not None and tested.exponent != 0.0
+    if ratio(far) > _SIZES_REFUSED and not (knows or linked):
         way = 'or take fit = "weibull"' if tested.law is not None else "or fit anew with this size as strength_at"
-        raise Fault(f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}", str(place[-1]))
-    if ratios[0] > _SIZES_TOLD:
-        by = "the weakest link" if carried else "its size_exponent" if not tested.law and tested.exponent else "nothing"
-        draft.warn(place, f"{sizes}: {by} carries the strength")
+        said = f"{sizes(far)}, and no size law over more than 50 %: test spheres of this size, {way}"
+        raise Fault(said, str(place[-1]))
+    if ratio(radii[0]) > _SIZES_TOLD:
+        by = "its size_exponent" if tested.law is None and tested.exponent else "nothing"
+        draft.warn(place, f"{sizes(radii[0])}: {'the weakest link' if knows or linked else by} carries the strength")
 
 
 # --- the sphere in the tests ---------------------------------------------------------------------------------------
@@ -262,19 +220,16 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
     """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
     known = {name: (material.properties["E"].value, material.properties["nu"].value)
              for name, material in library()["bars"].items()}  # fmt: skip
-    bars = None if math.isnan(draft.mean("bars.E")) else (draft.mean("bars.E"), draft.mean("bars.nu"))
-    choices = {"bars": bars, "rigid": (math.inf, 0.3), **known}
+    choices = {"bars": (draft.mean("bars.E"), draft.mean("bars.nu")), "rigid": (math.inf, 0.3), **known}
     with within("platens"):
-        if isinstance(raw, Mapping):
-            if set(raw) != {"E", "nu"}:
-                raise Fault(f"a table of platens has E and nu, found {one_of(raw) if raw else 'nothing'}")
+        if isinstance(raw, Mapping) and set(raw) == {"E", "nu"}:
             return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
         if not isinstance(raw, str) or raw not in choices:
-            raise Fault(f"found {shown(raw)}, allowed: {one_of(choices)}{suggestion(raw, known)}")
-        if (found := choices[raw]) is None:
-            said = 'there are no bars here: write what it was measured between, platens = "rigid" or a material'
-            raise Fault(said)
-    return found
+            raise Fault(f"found {shown(raw)}, allowed: {one_of([*choices, 'a table of E and nu'])}"
+                        f"{suggestion(raw, known)}")  # fmt: skip
+        if math.isnan(choices[raw][0]):
+            raise Fault('there are no bars here: write what it was measured between, platens = "rigid" or a material')
+    return choices[raw]
 
 
 def _radii(draft: Draft) -> tuple[float, ...]:
@@ -286,10 +241,10 @@ def _radii(draft: Draft) -> tuple[float, ...]:
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     """The sphere of the tests at its means, as `equivalent_force` takes it: what is elastic, and what yields."""
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
-    own, rigid, tables = (1.0 - nu * nu) / E, bool(draft.options.get("bars.rigid_contact")), RIGS[draft.rig].tables
+    rigid, tables = bool(draft.options.get("bars.rigid_contact")), RIGS[draft.rig].tables
     # the sphere's share of the elastic energy in the contacts of the study's rig
     moduli = [float(reduced_modulus(E, nu, *draft.elastic(table), rigid_bars=rigid)) for table in tables]
-    sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / (sum(moduli) / len(moduli)) - own}
+    sphere = {"E": E, "nu": nu, "density": density, "partner": len(moduli) / sum(moduli) - (1.0 - nu * nu) / E}
     if not draft.plastic:
         return sphere
     # what yields is the same as in the rig if its partner is the platens, else the sphere

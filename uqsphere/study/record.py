@@ -15,8 +15,7 @@ from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.document import Pulse
 from uqsphere.study.draft import Draft
 from uqsphere.study.fault import Fault, shown
-from uqsphere.study.observed import inside_folder, open_table
-from uqsphere.tables import TableError
+from uqsphere.study.observed import inside_folder, opened
 from uqsphere.units import UNITS
 
 if TYPE_CHECKING:
@@ -32,21 +31,17 @@ _ROUGH: Final = "uqsphere shpb records cuts, mends and writes such a file"
 def measured_pulse(table: Pulse, draft: Draft) -> MeasuredPulse:
     """The pulse of the file that [pulse] names; raises Fault."""
     assert table.file is not None
-    found = open_table(table.file, draft, "file")
-    columns = table.columns or tuple(found.headings[:2])
-    if len(columns) != 2:
-        raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
-    time_unit, unit = table.units or (None, None)
-    try:
+    with opened(table.file, draft) as found:
+        columns = table.columns or tuple(found.headings[:2])
+        if len(columns) != 2:
+            raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
+        time_unit, unit = table.units or (None, None)
         dimension, factor = "strain", table.factor or 1.0
         if unit in UNITS["voltage"] or (unit is None and found.unit_of(columns[1], "voltage")):
             dimension = "voltage"
-        time = found.numbers(columns[0], "time", time_unit, key="time")
+        time = found.numbers(columns[0], "time", time_unit)
         strain = factor * found.numbers(columns[1], dimension, unit)
         found.refuse("", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0)
-        found.finish()
-    except TableError as error:
-        raise Fault(str(error), "units" if error.key.endswith("unit") else "file") from None
     if dimension == "voltage" and table.factor is None:
         raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
     notes = list(found.notes)

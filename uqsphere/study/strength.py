@@ -17,7 +17,7 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.mechanics.outputs import at_force
+from uqsphere.mechanics.outputs import Columns, at_force
 from uqsphere.mechanics.yielding import Face
 from uqsphere.study.study import Limit
 
@@ -28,24 +28,23 @@ def reached(limit: Limit, force: Array, sphere: Mapping[str, Values], radius: Ar
 
     Parameters as of `equivalent_force`; rate: of the loading [N/s].
     """
-    full = {key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape) for key, value in sphere.items()}
-    E, nu, mass, takes = full["E"], full["nu"], contact.sphere_mass(radius, full["density"]), full.get("takes")
-    modulus, compliance = np.asarray(contact.reduced_modulus(E, nu, *platens)), (1.0 - nu * nu) / E
-    face = None if takes is None else Face(onset=full["onset_pressure"], hardness=full["hardness"],
-                                           pile_up=full["pile_up"], modulus=modulus,
-                                           effective_radius=radius)  # fmt: skip
+    own = {key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape) for key, value in sphere.items()}
+    modulus, face = np.asarray(contact.reduced_modulus(own["E"], own["nu"], *platens)), None
+    if "takes" in own:
+        face = Face(onset=own["onset_pressure"], hardness=own["hardness"], pile_up=own["pile_up"], modulus=modulus,
+                    effective_radius=radius)  # fmt: skip
     state = at_force(force, {
-        **{f"sphere.{key}": value for key, value in full.items()}, "sphere.radius": radius, "modulus": modulus,
-        "effective_radius": radius, "mass": mass, "hertz_constant": contact.hertz_constant(modulus, radius),
-        "loading_rate": np.zeros(radius.shape) if rate is None else rate, "face": face,
-        "takes": 0.0 if takes is None else takes,
+        **{f"sphere.{key}": value for key, value in own.items()}, "sphere.radius": radius, "modulus": modulus,
+        "effective_radius": radius, "hertz_constant": contact.hertz_constant(modulus, radius), "face": face,
+        "mass": contact.sphere_mass(radius, own["density"]), "takes": own.get("takes", 0.0),
+        "loading_rate": np.zeros(radius.shape) if rate is None else rate,
     })  # fmt: skip
-    # the sphere's share of what both contacts store, here and between the partners of the study's own rig
-    elastic = modulus * compliance * state["energy"]
-    own = elastic + (0.0 if takes is None else takes) * state["dissipated"]
-    both = elastic * (1.0 + full["partner"] / compliance) if "partner" in full else state["energy"]
-    state = type(state)({**state, "energy_sphere": own, "specific_energy_sphere": own / mass, "energy": both,
-                         "specific_energy": both / mass, "specific_impact_energy": state["energy"] / mass})  # fmt: skip
+    energies = {"energy_sphere": state["energy_sphere"], "impact_energy": state["energy"]}
+    if "partner" in own:
+        # what the sphere stores here, and what the partners in the study's own rig would store beside it
+        compliance = (1.0 - np.square(own["nu"])) / own["E"] + own["partner"]
+        energies["energy"] = modulus * compliance * state["energy"]
+    state = Columns({**state, **energies})
     if limit.criterion is not None:
         return demand(CRITERIA[limit.criterion], state, limit.parameters)
     return np.asarray(state[limit.quantity], dtype=float)
@@ -75,23 +74,18 @@ def equivalent_force(
     """
     slow = replace(limit, parameters={k: v for k, v in limit.parameters.items() if k != "rate_0"})
     value, radius = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius)))
-    wanted = np.log(np.where(value > 0.0, value, 1.0))
-
-    def logarithm(log_force: Array) -> Array:
-        with np.errstate(all="ignore"):
-            return np.asarray(np.log(reached(slow, np.exp(log_force), sphere, radius, platens)))
-
-    x = np.log(1e7 * np.square(radius))
-    y, slope = logarithm(x), np.full(radius.shape, 0.7)
-    for _ in range(60):
-        step = np.clip((wanted - y) / slope, -6.0, 6.0)
-        if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
-            break
-        after = logarithm(x + step)
-        with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
+        wanted = np.log(np.where(value > 0.0, value, 1.0))
+        x, slope = np.log(1e7 * np.square(radius)), np.full(radius.shape, 0.7)
+        y = np.log(reached(slow, np.exp(x), sphere, radius, platens))
+        for _ in range(60):
+            step = np.clip((wanted - y) / slope, -6.0, 6.0)
+            if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
+                break
+            after = np.log(reached(slow, np.exp(x + step), sphere, radius, platens))
             secant = (after - y) / step
-        slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
-        x, y = x + step, after
+            slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
+            x, y = x + step, after
     found = np.where(np.abs(wanted - y) < 1e-6, np.exp(x), np.inf)
     return np.where(value > 0.0, found, 0.0)
 

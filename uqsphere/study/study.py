@@ -17,7 +17,6 @@ from pydantic import BaseModel
 from uqsphere.arrays import Array, special
 from uqsphere.files import Json
 from uqsphere.mechanics.criteria import CRITERIA
-from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.quantities import INPUTS
 from uqsphere.study.document import Analysis, Dependence, Document, Gauge, ModelChoice
@@ -39,21 +38,19 @@ if TYPE_CHECKING:
 class Tested:
     """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
 
-    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m], suspended: of every test.  platens:
-    E [Pa], infinite if rigid, and nu.  sphere: E, nu, density and what else `equivalent_force` takes.  law: of the
-    force at failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power; size: the
-    law that says so, "weakest link" or "none".  The draws of a lab have a diameter and an exponent alone.
+    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.  platens: E [Pa],
+    infinite if rigid, and nu.  sphere: E, nu, density and what else `equivalent_force` takes.  law: of the force at
+    failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power.  The draws of a lab
+    have a diameter and an exponent alone.
     """
 
     diameter: float
     forces: tuple[float, ...] = ()
     diameters: tuple[float, ...] = ()
-    suspended: tuple[bool, ...] = ()
     platens: tuple[float, float] = (math.inf, 0.3)
     sphere: Mapping[str, float] = field(default_factory=dict)
     law: Law | None = None
     exponent: float = 2.0
-    size: str = "none"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,10 +58,8 @@ class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
 
     With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.  `fracture`:
-    whether exceeding it breaks the sphere; None leaves that to the quantity.  `platens`: E (infinite: rigid) and nu of
-    what the strength was measured between, in a test that is not the study's own rig; None: it is not transferred.
-    `tested`: the crushing tests behind the strength, if it has such; `uqsphere.study.strength` makes their forces
-    comparable with those of a row.
+    whether exceeding it breaks the sphere; None leaves that to the quantity.  `tested`: the crushing tests behind the
+    strength, if it has such; `uqsphere.study.strength` makes their forces comparable with those of a row.
     """
 
     name: str
@@ -76,19 +71,7 @@ class Limit:
     criterion: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     fracture: bool | None = None
-    platens: tuple[float, float] | None = None
     tested: Tested | None = None
-
-    @property
-    def base(self) -> str:
-        """The quantity of interest that is its demand, but for the parameters."""
-        return self.quantity if self.criterion is None else CRITERIA[self.criterion].quantity or self.criterion
-
-    @property
-    def place(self) -> str:
-        """The part of the sphere that the demand is a load of, as of a `Quantity`."""
-        entry = OUTPUTS.get(self.quantity) if self.criterion is None else CRITERIA[self.criterion]
-        return "" if entry is None else entry.place
 
     @property
     def needs_modulus(self) -> bool:
