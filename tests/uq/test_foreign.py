@@ -68,6 +68,14 @@ def test_a_law_of_scipy_is_the_same_law(family: str) -> None:
         (lambda: chaospy.TruncNormal(lower=-1, upper=2, mu=0.5, sigma=1.5), "normal"),
         (lambda: chaospy.Trunc(chaospy.Gamma(2, 3), upper=8), "gamma"),
         (lambda: chaospy.Triangle(1, 2, 3), "triangular"),
+        (lambda: chaospy.Trunc(chaospy.Trunc(chaospy.Normal(1, 2), lower=-1), upper=1.5), "normal"),
+        (lambda: chaospy.StudentT(5, 1, 2), "student_t"),
+        (lambda: chaospy.LogUniform(1, 2), "loguniform"),
+        (lambda: chaospy.Frechet(3, 2), "chaospy"),
+        (lambda: chaospy.LogWeibull(2, 1), "gumbel"),
+        (lambda: chaospy.Cauchy(1, 2), "scipy.cauchy"),
+        (lambda: chaospy.Laplace(1, 2), "scipy.laplace"),
+        (lambda: chaospy.Logistic(2, 1, 3), "scipy.genlogistic"),
         (lambda: chaospy.Kumaraswamy(2, 3), "chaospy"),
     ],
 )
@@ -77,6 +85,12 @@ def test_a_law_of_chaospy_is_the_same_law(given: Any, family: str) -> None:
     assert law.family.name == family
     p = np.linspace(0.01, 0.99, 9)
     np.testing.assert_allclose(law.ppf(p), made.inv(p), rtol=1e-6, atol=1e-6)
+
+
+def test_a_law_that_chaospy_truncates_at_both_ends_is_taken_by_its_parameters() -> None:
+    # chaospy's own quantiles of it are those of another law
+    law = as_law(chaospy.Trunc(chaospy.Normal(), lower=-1, upper=1.5))
+    assert law.ppf(P) == pytest.approx(stats.truncnorm(-1.0, 1.5).ppf(P), rel=1e-9)
 
 
 def test_converted_tails_are_our_own_where_chaospy_cuts_them_off() -> None:
@@ -92,6 +106,7 @@ def test_converted_tails_are_our_own_where_chaospy_cuts_them_off() -> None:
         (lambda: 3.0, "found float"),
         (lambda: chaospy.J(chaospy.Normal(), chaospy.Normal()), "give each number its own law"),
         (lambda: chaospy.Pareto1(1.2), "heavy tail"),
+        (lambda: chaospy.Trunc(chaospy.Kumaraswamy(2, 3), upper=0.5), "by its table, with lower and upper"),
         (lambda: _Broken(name="broken")(), "has no law 'broken'"),
         (lambda: {"dist": "scipy.johnsonsu", "a": 1.0}, r"takes \(a, b\)"),
         (lambda: {"dist": "scipy.johnsonsu", "a": 1.0, "b": -1.0}, "no law with these shapes"),
