@@ -1,8 +1,8 @@
 """Standard forms of laws that are made from observations: a step function, a kernel density, and the draws of a fit.
 
-The last two are means of many laws.  A table of z(x) = ndtri(F(x)), which is smooth and almost a straight line in both
-tails, and of dz/dx with cubic interpolation gives F and its inverse to 1e-9 anywhere, at the price of a look-up.  Every
-draw is a law of its own, (kind, least, scale, shape, bound), one of those that the tests allow:
+The last two are means of many laws.  A spline of z(x) = ndtri(F(x)), which is smooth and almost a straight line in both
+tails, gives F and its inverse to 1e-9 anywhere, at the price of a look-up.  Every draw is a law of its own, (kind,
+least, scale, shape, bound), one of those that the tests allow:
 
     kind 0   ln(x*/scale)/shape is standard normal, x* = x/(1 - bound x/scale): a lognormal law with an upper end
              scale/bound, or none where bound is 0
@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.forms import GAUSS, ROOT, Form, either, weibull
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
+    from scipy.interpolate import CubicSpline
 
     from uqsphere.uq.law import Law
 
@@ -34,9 +33,8 @@ FURTHEST: Final = 37.5
 #: numbers of a draw, and the kinds
 WIDTH: Final = 5
 LOGNORMAL, WEIBULL = 0.0, 1.0
-#: values times laws up to which a mean is taken of the laws themselves, and that a part of a table is made of at once
+#: values times laws up to which a mean is taken of the laws themselves, at once: 8 MB for each array on the way
 _FEW: Final = 1_000_000
-_PART: Final = 2_000_000
 
 
 def empirical(law: Law) -> Form:
@@ -70,82 +68,56 @@ def bandwidth(data: Array) -> float:
 
 # --- means of many laws: cubics of normal scores between the nodes, a straight line beyond --------------------------
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """Some laws of a mean, by their standard form: y (..., 1) -> z (..., laws), its slope by y, and z -> y."""
-
-    form: Form
-    z: Callable[[Array], Array]
-    slope: Callable[[Array], Array | float]
-    y: Callable[[Array], Array]
+#: laws of a mean by their standard form, and y (..., 1) -> its argument (..., laws)
+Part: TypeAlias = tuple[Form, Callable[[Array], Array]]
 
 
 def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments: tuple[float, float] | None) -> Form:
-    """The form of a mean of `count` laws: of few values by the laws themselves, of more by a table over the nodes."""
+    """The form of a mean of `count` laws: of few values by the laws themselves, of more by a spline over the nodes."""
 
     @np.errstate(all="ignore")
     def own_tails(y: Array) -> tuple[Array, Array]:
-        each = [part.form.tails(part.z(y[..., None])) for part in parts]
+        each = [form.tails(z(y[..., None])) for form, z in parts]
         below, above = (sum(tail.sum(axis=-1) for tail in side) / count for side in zip(*each, strict=True))
         return np.asarray(below), np.asarray(above)
 
-    @np.errstate(all="ignore")
-    def own_density(y: Array) -> Array:
-        y, total = y[..., None], np.zeros(y.shape)
-        for part in parts:
-            assert part.form.pdf is not None
-            total = total + np.nan_to_num(part.form.pdf(part.z(y)) * part.slope(y)).sum(axis=-1)
-        return total / count
-
     @cache
-    def table() -> CubicHermiteSpline:
-        """Normal scores over y, of the two tails and the density there, as far as they are known and rise."""
-        from scipy.interpolate import CubicHermiteSpline
+    def table() -> CubicSpline:
+        """Normal scores over y, as far as they are known and rise."""
+        from scipy.interpolate import CubicSpline
 
         y = nodes()
-        some = np.array_split(y, 1 + y.size * count // _PART)
-        below, above, density = np.hstack([(*own_tails(one), own_density(one)) for one in some])
-        with np.errstate(all="ignore"):
-            score = GAUSS.quantile(below, above)
-            slope = density * ROOT * np.exp(0.5 * score * score)
-            known = np.isfinite(score) & np.isfinite(slope) & (np.diff(score, prepend=-math.inf) >= 0.0)
-        return CubicHermiteSpline(y[known], score[known], slope[known])
+        some = np.array_split(y, 1 + y.size * count // _FEW)
+        score = GAUSS.quantile(*np.hstack([own_tails(one) for one in some]))
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(score) & (np.diff(score, prepend=-math.inf) >= 0.0)
+        return CubicSpline(y[known], score[known])
 
-    def inside(y: Array) -> Array:
-        return np.clip(y, table().x[0], table().x[-1])
+    def score_at(y: Array) -> Array:
+        near = np.clip(y, table().x[0], table().x[-1])
+        return np.asarray(table()(near) + np.where(y == near, 0.0, table()(near, 1) * (y - near)))
 
     def tails(y: Array) -> tuple[Array, Array]:
-        if y.size * count <= _FEW:
-            return own_tails(y)
-        near = inside(y)
-        score = table()(near) + np.where(y == near, 0.0, table()(near, 1) * (y - near))
-        return GAUSS.tails(score)
+        return own_tails(y) if y.size * count <= _FEW else GAUSS.tails(score_at(y))
 
+    @np.errstate(divide="ignore", invalid="ignore")
     def of_score(score: Array) -> Array:
-        """Solved inside one cell of the table."""
-        from scipy.optimize import elementwise
-
+        """By Newton's method inside a cell of the table, where the score hardly bends."""
         spline = table()
         scores = spline(spline.x)
         near = np.clip(score, scores[0], scores[-1])
         cell = np.clip(np.searchsorted(scores, near) - 1, 0, scores.size - 2)
-        ends = spline.x[cell], spline.x[cell + 1]
-
-        def gap(y: Array, wanted: Array) -> Array:
-            return np.asarray(spline(y) - wanted)
-
-        solved = elementwise.find_root(gap, ends, args=(near,), tolerances={"fatol": 1e-13})
-        # in a gap between observations the score does not rise at all
-        found = np.where(solved.success, solved.x, np.where(near > scores[cell], ends[1], ends[0]))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(found + np.where(score == near, 0.0, (score - near) / spline(found, 1)))
+        y = np.interp(near, scores, spline.x)
+        for _ in range(4):
+            step = (spline(y) - near) / spline(y, 1)
+            # in a gap between observations the score does not rise at all
+            y = np.clip(y - np.where(np.isfinite(step), step, 0.0), spline.x[cell], spline.x[cell + 1])
+        return np.asarray(y + np.where(score == near, 0.0, (score - near) / spline(y, 1)))
 
     def pdf(y: Array) -> Array:
-        if y.size * count <= _FEW:
-            return own_density(y)
-        near = inside(y)
-        return np.where(y == near, table()(near, 1) * np.exp(-0.5 * table()(near) ** 2) / ROOT, 0.0)
+        inside = (y >= table().x[0]) & (y <= table().x[-1])
+        density = np.maximum(table()(y, 1), 0.0) * np.exp(-0.5 * table()(y) ** 2) / ROOT
+        return np.where(inside, density, 0.0)
 
     quantile = either(lambda p: of_score(special.ndtri(p)), lambda q: of_score(-special.ndtri(q)))
     return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
@@ -160,8 +132,8 @@ def _kernels(data: Array, width: float) -> Form:
         return np.concatenate([np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
                                for a, b in zip(starts, ends, strict=True)])  # fmt: skip
 
-    part = Part(form=GAUSS, z=lambda y: (y - data) / width, slope=lambda y: 1.0 / width, y=lambda z: data + width * z)
-    return _mean_of(data.size, [part], nodes, (float(data.mean()), math.hypot(float(data.std()), width)))
+    moments = float(data.mean()), math.hypot(float(data.std()), width)
+    return _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes, moments)
 
 
 def drawn(law: Law) -> Form:
@@ -169,25 +141,22 @@ def drawn(law: Law) -> Form:
     rows = np.array(law.draws)
     _, _, median, sd, bound = rows[rows[:, 0] == LOGNORMAL].T
     _, least, scale, modulus, _ = rows[rows[:, 0] == WEIBULL].T
+    hazard = weibull(modulus)
 
-    def left(y: Array) -> Array:
-        """What is left of 1 below the upper end of each lognormal law."""
-        return np.asarray(np.maximum(1.0 - bound * (np.exp(y) / median), 0.0))
-
-    parts = [
-        Part(form=GAUSS, z=lambda y: (y - np.log(median) - np.log(left(y))) / sd, slope=lambda y: 1.0 / (sd * left(y)),
-             y=lambda z: np.log(median) + sd * z - np.log1p(bound * np.exp(sd * z))),
-        Part(form=weibull(modulus), z=lambda y: (np.exp(y) - least) / scale, slope=lambda y: np.exp(y) / scale,
-             y=lambda z: np.log(least + scale * z)),
-    ]  # fmt: skip
+    def logarithm(y: Array) -> Array:
+        # what is left of 1 below the upper end of each law
+        left = np.maximum(1.0 - bound * (np.exp(y) / median), 0.0)
+        return np.asarray((y - np.log(median) - np.log(left)) / sd)
 
     @np.errstate(all="ignore")
     def nodes() -> Array:
-        # 4001 nodes between scores of -6 and 6, and 400 on either side: shares are then known to 1e-8
+        # 4001 nodes between scores of -6 and 6, and 1000 on either side: shares are then known to 1e-8
         scores = np.array([-FURTHEST, -6.0, 6.0, FURTHEST])[:, None]
-        y = np.hstack([part.y(part.form.quantile(*GAUSS.tails(scores))) for part in parts])
+        y = np.hstack([np.log(median) + sd * scores - np.log1p(bound * np.exp(sd * scores)),
+                       np.log(least + scale * hazard.quantile(*GAUSS.tails(scores)))])  # fmt: skip
         start, low, high, end = y[0].min(), y[1].min(), y[2].max(), y[3].max()
-        tails = np.linspace(max(start, -690.0), low, 400)[:-1], np.linspace(high, end, 400)[1:]
+        tails = np.linspace(max(start, -690.0), low, 1000)[:-1], np.linspace(high, end, 1000)[1:]
         return np.concatenate([tails[0], np.linspace(low, high, 4001), tails[1]])
 
+    parts: list[Part] = [(GAUSS, logarithm), (hazard, lambda y: (np.exp(y) - least) / scale)]
     return _mean_of(len(rows), parts, nodes, None)
