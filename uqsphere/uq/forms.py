@@ -36,13 +36,18 @@ class LawError(ValueError):
         self.key = key
 
 
+def no_density(y: Array) -> Array:
+    """The density of a step function, which has none."""
+    raise LawError("a step function has no density", "fit")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Form:
     """A law in standard form."""
 
     tails: Callable[[Array], tuple[Array, Array]]  # y -> P(Y <= y), P(Y > y)
     quantile: Quantile  # p and q = 1 - p, each exact where it is small -> y
-    pdf: Function | None  # a step function has none
+    pdf: Function = no_density
     moments: tuple[float, float] | None = None  # mean and sd, where quadrature in normal scores is slow or inexact
     orders: tuple[float, float] = (math.inf, math.inf)  # from which on the lower, the upper tail has no moments
     mass: float = 1.0  # probability that truncation has left
@@ -74,9 +79,8 @@ def truncated(form: Form, a: float, b: float) -> Form:
         upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
         return form.quantile(lower, upper)
 
-    density, (low, high) = form.pdf, form.orders
-    assert density is not None
-    return Form(tails=tails, quantile=quantile, pdf=lambda y: density(y) / mass, mass=mass,
+    low, high = form.orders
+    return Form(tails=tails, quantile=quantile, pdf=lambda y: form.pdf(y) / mass, mass=mass,
                 orders=(low if a == -math.inf else math.inf, high if b == math.inf else math.inf))  # fmt: skip
 
 

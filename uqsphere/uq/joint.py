@@ -64,28 +64,21 @@ class Copula:
 
     def conditional_score(self, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
         """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known` (n, j))."""
-        score = np.asarray(score, dtype=float)
-        if not len(given):
-            return score
         centre, scale = self._given(target, given, known)
         return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(given))
 
     def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
         """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of `conditional_score`."""
-        if not len(given):
-            return np.asarray(normal, dtype=float)
         centre, scale = self._given(target, given, known)
         return _score(centre + scale * _variate(normal, self.dof + len(given)), self.dof)
 
     def conditional_scores(self, given: Sequence[int], known: Array, normals: Array) -> Array:
         """Scores (n, size - j) of the members not given, in their order, from independent standard normals."""
-        rest = [member for member in range(self.size) if member not in given]
-        held, before = list(given), np.asarray(known, dtype=float)
-        for column, member in enumerate(rest):
-            found = self.score_at(member, held, before, np.asarray(normals)[:, column])
+        held, scores = list(given), known
+        for member, normal in zip((k for k in range(self.size) if k not in given), normals.T, strict=True):
+            scores = np.column_stack([scores, self.score_at(member, held, scores, normal)])
             held.append(member)
-            before = np.concatenate([before, found[:, None]], axis=1)
-        return before[:, len(given) :]
+        return scores[:, len(given) :]
 
     def score_gradient(self, scores: Array) -> Array:
         """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
@@ -97,10 +90,8 @@ class Copula:
         # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals t(x); dx/ds = phi(s)/t(x)
         joint = (nu + self.size) * (x @ inverse) / (nu + distance)[:, None]
         single = (nu + 1.0) * x / (nu + x**2)
-        density = student_t(nu).pdf
-        assert density is not None
         with np.errstate(over="ignore"):
-            rate = np.exp(-0.5 * scores**2) / math.sqrt(2.0 * math.pi) / density(x)
+            rate = GAUSS.pdf(scores) / student_t(nu).pdf(x)
         return np.asarray((joint - single) * rate + scores)
 
 
@@ -167,11 +158,11 @@ class Dependence:
             rho = 2.0 * math.sin(math.pi * value / 6.0)
         else:
             rho = math.copysign(_correlation_of_t(abs(value), dof), value)
-        if 1.0 + (size - 1) * min(rho, 0.0) < _SMALLEST or rho > 1.0 - _SMALLEST:
-            said = f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)"
-            raise LawError(said, key)
-        correlation = np.full((size, size), rho)
-        np.fill_diagonal(correlation, 1.0)
+        correlation = np.where(np.eye(size), 1.0, rho)
+        if np.linalg.eigvalsh(correlation)[0] < _SMALLEST:
+            raise LawError(
+                f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)", key
+            )
         return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
 
 
@@ -235,16 +226,14 @@ class Joint:
     @property
     def correlation(self) -> Array | None:
         """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are tied so."""
+        found = np.eye(len(self.names))
         for columns, copula in self.blocks:
             if math.isinf(copula.dof):
-                found = np.eye(len(self.names))
                 found[np.ix_(columns, columns)] = copula.correlation
-                return found if np.any(found - np.eye(len(found))) else None
-        return None
+        return found if np.any(found - np.eye(len(found))) else None
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
-        normals = np.asarray(normals, dtype=float)
         flat = normals.reshape(-1, len(self.names))
         return self.given((), flat, flat).reshape(normals.shape) if self.blocks else normals
 
@@ -312,11 +301,12 @@ class Joint:
 
         z_target | z_given is normal with mean weights · z_given and this standard deviation; independent: 0, 1.
         """
-        if self.correlation is None or not given:
+        correlation = self.correlation
+        if correlation is None:
             return np.zeros(len(given)), 1.0
         at, others = self.names.index(target), [self.names.index(name) for name in given]
-        across = self.correlation[others, at]
-        weights = np.asarray(np.linalg.solve(self.correlation[np.ix_(others, others)], across))
+        across = correlation[others, at]
+        weights = np.asarray(np.linalg.solve(correlation[np.ix_(others, others)], across))
         return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights)))
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:

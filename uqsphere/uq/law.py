@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
-from uqsphere.uq.forms import GAUSS, Form, LawError, truncated
+from uqsphere.uq.forms import GAUSS, Form, LawError, no_density, truncated
 
 #: sum of the weights of a discrete law
 _MOST_STEPS: Final = 10_000
@@ -69,7 +69,7 @@ class Law:
     def _form(self) -> Form:
         """The standard form in force: the bounds of a bounded family are its own, and steps are left out."""
         form = self._whole[2]
-        if self.family.bounded or form.pdf is None or (math.isinf(self.lower) and math.isinf(self.upper)):
+        if self.family.bounded or form.pdf is no_density or (math.isinf(self.lower) and math.isinf(self.upper)):
             return form
         with np.errstate(divide="ignore"):
             a, b = self._standard(np.array([self.lower, self.upper])).tolist()
@@ -87,7 +87,7 @@ class Law:
     @property
     def is_steps(self) -> bool:
         """Whether it is a step function, which has no density."""
-        return self._form.pdf is None
+        return self._form.pdf is no_density
 
     @property
     def mass(self) -> float:
@@ -132,15 +132,12 @@ class Law:
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         values = np.asarray(x, dtype=float)
-        scale, pdf = self._whole[1], self._form.pdf
-        if pdf is None:
-            raise LawError("a step function has no density", "fit")
         inside = np.isfinite(values) & (values >= self.lower) & (values <= self.upper)
         if self.family.logarithmic:
             inside &= values > 0.0
         safe = np.where(inside, values, 1.0)
         with np.errstate(divide="ignore", over="ignore"):
-            density = pdf(self._standard(safe)) / scale / (safe if self.family.logarithmic else 1.0)
+            density = self._form.pdf(self._standard(safe)) / self._whole[1] / (safe if self.family.logarithmic else 1.0)
         return np.where(inside, density, 0.0)
 
     # --- moments ------------------------------------------------------------------------------------------

@@ -55,7 +55,7 @@ def empirical(law: Law) -> Form:
         return np.asarray(inside[np.clip(rank, 0, inside.size - 1)])
 
     moments = (float(inside.mean()), float(inside.std())) if inside.size else (math.nan, math.nan)
-    return Form(tails=tails, quantile=quantile, pdf=None, moments=moments, mass=inside.size / data.size)
+    return Form(tails=tails, quantile=quantile, moments=moments, mass=inside.size / data.size)
 
 
 def bandwidth(data: Array) -> float:
