@@ -19,8 +19,6 @@ from uqsphere.uq.estimate import (
     CELL,
     Estimate,
     absent,
-    around,
-    corrected,
     from_replicates,
     quantile,
     sample_reader,
@@ -103,49 +101,35 @@ def describe(
 
 def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estimate, float]:
     """Mean and standard deviation of the kept samples, and the scale for relative accuracies."""
-    replicates, evaluations = len(samples), samples.size
-    counts = kept.sum(axis=1).astype(float)
+    counts, evaluations = kept.sum(axis=1), samples.size
     total = float(counts.sum())
     values = np.where(kept, samples, 0.0)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         sums = values.sum(axis=1)
         means, centre = sums / counts, float(sums.sum() / total)
-        reach = float(np.abs(samples[kept] - centre).max())
-        # dividing by a power of two rounds nothing, and keeps the squares of 1e300 inside floating point
-        root = 2.0 ** -np.frexp(reach)[1] if 0.0 < reach < math.inf else 1.0
-        squares = np.where(kept, ((samples - centre) * root) ** 2, 0.0)
+        squares = np.where(kept, (samples - centre) ** 2, 0.0)
         # each replicate about its own mean: a common offset of the replicates is not scatter of the quantity
-        deviations = np.sqrt(np.maximum(squares.sum(axis=1) / counts - ((means - centre) * root) ** 2, 0.0)) / root
-        one, two, three = (float((squares**k).sum()) / total for k in (1, 2, 3))
-        deviation = math.sqrt(one) / root if one >= 0.0 else math.nan
+        deviations = np.sqrt(np.maximum(squares.sum(axis=1) / counts - (means - centre) ** 2, 0.0))
         if not np.ptp(samples[kept]):  # nothing but the rounding of a sum
-            deviations, deviation = np.zeros(replicates), 0.0
+            deviations, squares = np.zeros(len(samples)), np.zeros(samples.shape)
+        deviation = math.sqrt(float(squares.sum()) / total)
+        parts = squares / (deviation * deviation or 1.0)
+        two, three = (float((parts**k).sum()) / total for k in (2, 3))
     mean = from_replicates(means, method, evaluations, centre)
     sd = from_replicates(deviations, method, evaluations, deviation)
-    if sd.low is not None and sd.high is not None and sd.std_error is not None:
+    if sd.low is not None and sd.high is not None and sd.std_error is not None and two > 1.0 + 1e-12:
         # A sample that lacks the rare large values has too small a deviation and too narrow an interval at once.  The
         # upper end is moved up by the term of the third moment in Johnson's t (J. Am. Stat. Assoc. 73, 1978, 536),
-        # g (1 + 2 t²)/(6 sqrt(R)), g the larger of the replicates' own skewness and of that of independent squares.
-        variance = two - one * one
-        bent = (three - 3.0 * one * two + 2.0 * one**3) / variance**1.5 if variance > 1e-12 * two else 0.0
-        g = max(_skewness(deviations), bent / math.sqrt(total / replicates), 0.0)
-        moved = g * (1.0 + 2.0 * student(replicates) ** 2) / (6.0 * math.sqrt(replicates))
+        # g (1 + 2 t²)/(6 sqrt(R)), g the skewness of the squares of a replicate.
+        skewness = (three - 3.0 * two + 2.0) / (two - 1.0) ** 1.5 / math.sqrt(total / len(samples))
+        moved = max(skewness, 0.0) * (1.0 + 2.0 * student(len(samples)) ** 2) / (6.0 * math.sqrt(len(samples)))
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + moved * sd.std_error)
-    largest = float(squares.max()) / (one * total) if one > 0.0 else 0.0
+    largest = float(parts.max()) / total
     if largest > DOMINANT and total >= CONVERGES:
         reason = f"does not converge: one sample of {total:.0f} makes {100.0 * largest:.0f} % of the variance"
         read = sample_reader(np.sort(samples[kept]))
         return mean, absent(reason, method, evaluations), 0.5 * (read(0.84) - read(0.16))
     return mean, sd, deviation
-
-
-def _skewness(values: Array) -> float:
-    rest = values - values.mean()
-    scale = float(np.abs(rest).max(initial=0.0))
-    if not 0.0 < scale < math.inf:
-        return 0.0
-    rest = rest / scale
-    return float(np.mean(rest**3) / np.mean(rest**2) ** 1.5)
 
 
 def quantile_estimates(
@@ -205,24 +189,20 @@ def describe_controlled(
     quantiles : probabilities
     method : text of every estimate
     """
-    replicates, total = len(expensive), expensive.size
-    if replicates < 4:
-        raise ValueError(f"a control variate needs at least four replicates, found {replicates}")
-    mean, error = corrected(expensive.mean(axis=1), cheap.mean(axis=1) - cheap_many.mean(axis=1))
+    total = expensive.size
+    mean = from_replicates((expensive - cheap).mean(axis=1) + cheap_many.mean(axis=1), method, total)
     # about one centre for all replicates, so that their means are not taken for scatter of the quantity
-    squares = [((rows - mean) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)]
-    variance, error_of_it = corrected(squares[0], squares[1] - squares[2])
-    scale = math.sqrt(variance) if variance > 0.0 else float(expensive.std())
-    loose = 0.5 * error_of_it / scale if scale > 0.0 else 0.0
-    read, factor = _corrected_reader(expensive, cheap, cheap_many), student(replicates)
-    sd = around(scale, factor * loose, loose, method, total)
+    squares = [((rows - (mean.value or 0.0)) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)]
+    variances = squares[0] - squares[1] + squares[2]
+    scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
+    # the standard deviation moves by half of what the variance does, over itself
+    sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
+    read = _corrected_reader(expensive, cheap, cheap_many)
     return Description(
-        mean=around(mean, factor * error, error, method, total),
-        sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
+        mean=mean, sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
         quantiles={p: _controlled_quantile(p, (expensive, cheap, cheap_many), read, method) for p in quantiles},
-        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
-        scale=scale,
-    )
+        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"), scale=scale,
+    )  # fmt: skip
 
 
 def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[float], float]:
