@@ -26,5 +26,3 @@ def test_rooms_import_only_what_stands_before_them() -> None:
                 known = other == room or other not in rank or (room, other) in LATE
                 before = known or rank[other] < rank[room] or rank[other] == rank[room] <= 1
                 assert before, f"{path}:{node.lineno}: {room} imports {other}"
-            private = room == "labs" and ".labs" not in (node.module or "") and any(n.startswith("_") for n in names)
-            assert not private, f"{path}:{node.lineno}: a lab imports {names}"

@@ -297,14 +297,11 @@ def test_a_unit_that_is_taken_is_printed_and_a_time_in_another_is_refused(tmp_pa
     assert any("seconds are taken" in change.text for change in read(tmp_path, frame).changes)
 
 
-def test_noise_alone_and_records_without_a_rest_are_refused(tmp_path: Path) -> None:
+def test_noise_alone_is_refused(tmp_path: Path) -> None:
     frame = waves(noise=2e-4)
     frame["receiving [strain]"] = 1e-5 * np.random.default_rng(5).standard_normal(len(frame))
     with pytest.raises(UsageError, match=r"no wave rises above the noise|no force at the receiving face"):
         read(tmp_path, frame)
-    inside = read(tmp_path, waves().iloc[340:])  # begins on the top of the pulse: the transmitted wave gives it away
-    assert "A" not in inside.peaks
-    assert any("too early" in doubt for doubt in inside.peaks["B"].doubts)
 
 
 def test_gaps_uneven_steps_and_too_few_digits(tmp_path: Path) -> None:
@@ -322,16 +319,11 @@ def test_gaps_uneven_steps_and_too_few_digits(tmp_path: Path) -> None:
 def test_files_that_are_no_records(tmp_path: Path) -> None:
     frame = waves()
     with pytest.raises(UsageError, match="sample_interval"):
-        read(
-            tmp_path,
-            frame[["incident [strain]", "receiving [strain]", "incident [strain]"]].sample(frac=1, random_state=1),
-        )
+        read(tmp_path, frame[[INC, REC, INC]].sample(frac=1, random_state=1))
     with pytest.raises(UsageError, match="the bridge is required"):
         read(tmp_path, frame, incident_bar={"unit": "V"})
     with pytest.raises(UsageError, match="column 'x' is not in"):
         read(tmp_path, frame, record={"incident": "x", "receiving": "y"})
-    with pytest.raises(UsageError, match="which no elastic bar bears"):
-        read(tmp_path, frame * np.array([1.0, 1e6, 1e6]))
 
 
 def test_volts_of_a_bridge(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scenes import EXAMPLE
-from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics.integrator import compiled as compiled_module
 from uqsphere.mechanics.integrator import events, faces, kernel, searches, step
@@ -118,49 +117,7 @@ def test_step_pulse_on_infinite_bars() -> None:
             assert absolute[0] == pytest.approx(imbalance, abs=6e-6)
 
 
-def test_massless_loading_follows_the_closed_form() -> None:
-    plain = scaled_scene([1.0], [1.0])
-    scene = scaled_scene([1.0], [1.0], shape="step", horizon=float(4.0 * plain.scales.time[0]))
-    found = motion(scene, 0, fidelity="massless", tolerance=1e-10)
-    for x, s in ((0.1, 0.101290500691672), (0.5, 0.591935816247519), (0.9, 1.74173318478238), (0.99, 3.29214573533166)):
-        n = np.searchsorted(found.start, s) - 1
-        at = np.polynomial.polynomial.polyval((s - found.start[n]) / found.length[n], found.states[n, 0])
-        assert at == pytest.approx(x, rel=1e-9)
-
-
 # ---- independent integrations
-
-
-def _right_hand_side(s: float, y: Any, mu: float, pulse: float, returning: float = 0.0) -> list[float]:
-    forces = np.maximum(y[:2], 0.0) ** 1.5
-    return [2.0 * pulse - forces[0] - y[2], y[2] - forces[1] - 2.0 * returning, (forces[0] - forces[1]) / mu]
-
-
-@pytest.mark.parametrize("mu", [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0])
-@pytest.mark.parametrize("theta", [0.5, 5.0])
-def test_infinite_bars_against_scipy(mu: float, theta: float) -> None:
-    horizon = theta + 4.0
-    scene = scaled_scene([mu], [theta])
-    scene = Scene(columns=scene.columns, infinite=True, horizon=float(horizon * scene.scales.time[0]))
-    tolerance = 1e-7
-    found = solve(scene, tolerance=tolerance)
-    y, best, lost = np.zeros(3), 0.0, np.nan
-    for begin, end, pulse in ((0.0, theta, 1.0), (theta, horizon, 0.0)):
-        events = [lambda s, y, *_, face=face: y[face] if s > 0.05 * min(1.0, mu**0.5) else 1.0 for face in (0, 1)]
-        for event in events:
-            event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
-        run = solve_ivp(_right_hand_side, (begin, end), y, method="DOP853", rtol=1e-11, atol=1e-13, args=(mu, pulse),
-                        events=events, dense_output=True, max_step=0.1 * mu**0.5)  # fmt: skip
-        fine = np.linspace(begin, run.t[-1], 200_001)
-        best = max(best, run.sol(fine)[:2].max())
-        y = run.y[:, -1]
-        if run.status == 1:
-            lost = run.t[-1]
-            break
-    assert relative(over(found, scene, "alpha_max"), best).max() < SOLVER * tolerance
-    assert found.censored["time_to_first_loss"][0] == np.isnan(lost)
-    if not np.isnan(lost):
-        assert relative(over(found, scene, "time_to_first_loss"), lost).max() < SOLVER * tolerance
 
 
 # ---- properties

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from scenes import ENDLESS, EXAMPLE, example
+from scenes import EXAMPLE, example
 
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import Scene
@@ -48,9 +48,3 @@ def test_the_first_loading_ends_at_the_echo() -> None:
     first = example(numbers=HEAVY, first_loading_only=True)
     assert value(first, "p_max") == value(first, "first_peak")
     assert value(first, "p_max") == pytest.approx(value(example(numbers=HEAVY), "first_peak"), rel=1e-7)
-
-
-def test_a_massless_model_is_the_limit_of_a_light_sphere() -> None:
-    scene = example(numbers={**ENDLESS, "sphere.density": 2.0}, infinite=True)
-    for name in ("p_max", "contact_duration"):
-        assert value(scene, name, "massless") == pytest.approx(value(scene, name), rel=5e-3)

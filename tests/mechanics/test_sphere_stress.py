@@ -235,26 +235,17 @@ def test_tables_of_the_axis_and_the_equator(name: str) -> None:
     assert np.abs(found / wanted - 1.0).max() < STATED
 
 
-@pytest.mark.parametrize(("name", "integrals"), [("volume", volume_integrals), ("surface", surface_integrals)])
-def test_tables_of_the_weakest_link(name: str, integrals: object) -> None:
-    moduli = np.array([2.0, 2.7, 5.0, 8.3, 15.0, 31.0, 50.0])
-    for ratio, nu in [(0.3, 0.0), (0.3, 0.4), *random_points(8, 0.4)[4:]]:
-        field = hoop_field(ratio, nodes=20, growth=1.4)
-        wanted = integrals(field, nu, moduli)  # type: ignore[operator]
+@pytest.mark.parametrize("name", ["volume", "surface", "volume_one", "surface_one"])
+def test_tables_of_the_weakest_link(name: str) -> None:
+    integrals = volume_integrals if name.startswith("volume") else surface_integrals
+    one = name.endswith("one")
+    moduli = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 50.0] if one else [2.0, 2.7, 5.0, 8.3, 15.0, 31.0, 50.0])
+    # of one force alone the ends of m are rougher
+    most = 2.0 * STATED * np.array([10.0, *[1.0] * 5, 50.0] if one else [1.0] * 7)
+    for ratio, nu in random_points(4, 0.4)[4:] if one else [(0.3, 0.0), (0.3, 0.4), *random_points(8, 0.4)[4:]]:
+        wanted = integrals(hoop_field(ratio, nodes=20, growth=1.4, one_sided=one), nu, moduli)
         found = stress.ratio(name, np.full(7, ratio), nu, moduli)
-        assert np.abs(found / wanted - 1.0).max() < 2.0 * STATED, (ratio, nu)
-
-
-@pytest.mark.parametrize(("name", "integrals"), [("volume", volume_integrals), ("surface", surface_integrals)])
-def test_tables_of_one_force_alone(name: str, integrals: object) -> None:
-    moduli = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 50.0])
-    for ratio, nu in random_points(4, 0.4)[4:]:
-        wanted = integrals(hoop_field(ratio, nodes=18, growth=1.45, one_sided=True), nu, moduli)  # type: ignore[operator]
-        found = stress.ratio(f"{name}_one", np.full(7, ratio), nu, moduli)
-        error = np.abs(found / wanted - 1.0)
-        assert error[0] < 2e-5
-        assert error[1:6].max() < 2e-6
-        assert error[6] < 1e-4
+        assert (np.abs(found / wanted - 1.0) < most).all(), (ratio, nu)
 
 
 def test_fields_of_one_force_are_those_of_the_theory() -> None:
@@ -300,15 +291,6 @@ def test_outside_the_nearest_ratio_is_taken_and_said() -> None:
     assert stress.outside(0.1, [-0.1, 0.45]).tolist() == [True, False]
     assert stress.outside(0.1, [0.3, 0.45], 10.0).tolist() == [False, True]
     assert np.isnan(stress.ratio("core", [np.nan], [0.2])).all()
-
-
-def test_tension_falls_short_of_the_largest_value() -> None:
-    """An equivalent stress over the whole volume lies below the largest hoop tension and rises with m towards it."""
-    moduli = np.linspace(2.0, 50.0, 40)
-    for ratio in (0.01, 0.1, 0.3):
-        found = stress.ratio("volume", np.full(40, ratio), 0.2, moduli)
-        assert np.all(np.diff(found) > 0.0)
-        assert found[-1] < float(stress.core_ratio(ratio, 0.2)[0])
 
 
 def test_the_rim_against_the_series_step_by_step() -> None:

@@ -129,17 +129,6 @@ def test_an_expansion_is_a_table_a_sample_and_chaospys() -> None:
     assert "terms" in repr(made)
 
 
-def test_tied_inputs_have_shapley_effects_and_kucherenkos_indices() -> None:
-    tied = analysis.joint({"u": stats.norm(), "v": stats.norm()}, {("u", "v"): 0.6})
-    x = tied.physical(np.random.default_rng(3).normal(size=(200, 2)))
-    rho = 2.0 * math.sin(math.pi * 0.1)
-    found = analysis.sobol_indices(x, x.sum(axis=1), tied)
-    assert found["first"]["u"].value == pytest.approx((1.0 + rho) / 2.0, abs=0.02)
-    assert found["total"]["u"].value == pytest.approx((1.0 - rho) / 2.0, abs=0.02)
-    assert [e.value for e in found["shapley"].values()] == pytest.approx([0.5, 0.5], abs=0.02)
-    assert found.to_frame().shape == (6, 9)
-
-
 def test_rough_outputs_are_refused_with_the_way_out() -> None:
     with pytest.raises(UsageError, match="give more rows, or call the model"):
         analysis.sobol_indices(FRAME, RNG.normal(size=200), LAWS)

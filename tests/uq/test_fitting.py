@@ -14,7 +14,6 @@ from uqsphere.uq.fitting import (
     count_tests,
     fit_strength,
     fitted_law,
-    fitted_parameters,
     law_of_draws,
     make_tests,
     possible_laws,
@@ -80,17 +79,6 @@ def test_intervals_cover(kind: str, stop: float) -> None:
         hits += [low <= true <= high for (low, high), true in zip(intervals, (shape, 2.0), strict=True)]
     # four standard errors of the count below 95 %
     assert (hits / series >= 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / series)).all()
-
-
-def test_unbiased_modulus_is_right_on_average() -> None:
-    generator = np.random.default_rng(5)
-    factor = unbiasing(STRENGTHS["weibull"], np.ones(8))
-    fits = [
-        fitted_parameters(make_tests(generator.weibull(6.0, 8)), STRENGTHS["weibull"])["modulus"] for _ in range(400)
-    ]
-    error = np.std(fits, ddof=1) / 20.0
-    assert np.mean(fits) - 6.0 > 4.0 * error
-    assert factor * np.mean(fits) == pytest.approx(6.0, abs=4.0 * error)
 
 
 def test_a_wrong_law_is_seen() -> None:
@@ -259,18 +247,6 @@ def test_the_bootstrap_covers_nearly_so(
         low, high = np.quantile(found, [0.025, 0.975])
         covered += bool(low <= 0.05 <= high)
     assert covered >= 18
-
-
-def test_weibull_estimates_are_those_of_the_likelihood() -> None:
-    data = stats.weibull_min.rvs(5.0, scale=2.0, size=(3, 9), random_state=1)
-    location, spread = STRENGTHS["weibull"].maximum(np.log(data), np.ones(9))
-    modulus, scale = 1.0 / spread, np.exp(location)
-    for k, row in enumerate(data):
-        around = [
-            stats.weibull_min.logpdf(row, modulus[k] * (1.0 + a), scale=scale[k] * (1.0 + b)).sum()
-            for a, b in ((0.0, 0.0), (1e-4, 0.0), (-1e-4, 0.0), (0.0, 1e-4), (0.0, -1e-4))
-        ]
-        assert max(around) == around[0]
 
 
 @pytest.mark.parametrize("fit", ["normal", "kde", "steps"])
