@@ -35,13 +35,13 @@ def verdicts(results: Results) -> list[tuple[str, Mapping[str, Any]]]:
 @dataclass(frozen=True, kw_only=True)
 class Mode:
     """A limit, a failure mode beside it, or all of them together (no `entry`): rows of the answers that stand side by
-    side, `margin` being the free number at the target."""
+    side, `index` being the reliability index and `margin` the free number at the target."""
 
     subject: str
     name: str
     entry: Mapping[str, Any]
     fracture: Row | None
-    index: Row | None
+    index: float | None
     margin: Row | None
 
 
@@ -59,11 +59,11 @@ def failure_modes(results: Results) -> list[Mode]:
                 margin = next((row for row in rows if abs(row["at"] - at) <= 1e-9), None)
             modes.append(Mode(subject=subject, name=label(subject), entry=entry, margin=margin,
                               fracture=find(answers, subject, "exceedance_probability"),
-                              index=find(answers, subject, "reliability_index")))  # fmt: skip
+                              index=(find(answers, subject, "reliability_index") or {}).get("value")))  # fmt: skip
     joint = all_together(results)
     if joint is not None:
         modes.append(Mode(subject="", name="all together", entry={}, fracture=joint["probability"],
-                          index=joint["reliability_index"], margin=joint.get("margin")))  # fmt: skip
+                          index=joint["reliability_index"]["value"], margin=joint.get("margin")))  # fmt: skip
     return modes
 
 

@@ -133,7 +133,7 @@ def _modes(results: Results) -> list[dict[str, str]]:
             "p": probability(mode.fracture), "tests": " to ".join(ends),
             "missed": probability(find(answers, mode.subject, "failure_probability"))
                       if entry.get("aim") == "break" else "",
-            "index": "–" if mode.index is None else f"{mode.index['value']:.2f}",
+            "index": "–" if mode.index is None else f"{mode.index:.2f}",
             "margin": "not in the range" if mode.margin and mode.margin["value"] is None else
                       estimate(mode.margin, path, 3),
             "strength": entry["strength"]["text"] if entry else "–",

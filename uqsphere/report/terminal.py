@@ -51,7 +51,7 @@ def results_names(results: Results) -> list[str]:
 def _modes(results: Results) -> list[tuple[str, ...]]:
     path = (results["study"]["free"] or {}).get("path", "")
     return [(mode.name.replace(" (assumed)", "*"), probability(mode.fracture),
-             "–" if mode.index is None else f"{mode.index['value']:.2f}",
+             "–" if mode.index is None else f"{mode.index:.2f}",
              "–" if mode.margin is None else value(mode.margin["value"], path))
             for mode in failure_modes(results)]  # fmt: skip
 
