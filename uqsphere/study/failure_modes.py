@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
-from uqsphere.materials import Material, library
+from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.quantities import lookup
 from uqsphere.study.study import Limit, Study
@@ -39,8 +39,8 @@ class FailureMode:
 class FailureModes:
     """The failure modes that a study has no limit for: those assumed, and why the others are not judged."""
 
-    assumed: tuple[FailureMode, ...] = ()
-    not_judged: Mapping[str, str] = field(default_factory=dict)
+    assumed: tuple[FailureMode, ...]
+    not_judged: Mapping[str, str]
 
 
 def breaks_by(limit: Limit) -> str:
@@ -63,46 +63,32 @@ def failure_modes_of(study: Study) -> FailureModes:
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
     given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
-        return FailureModes()
-    assumed, not_judged = [], {}
-    for place, (called, *_) in _FAILURE_MODES.items():
-        if place not in given:
-            found = _assumed(rock, place, 2.0 * study.at_means()["sphere.radius"])
-            if isinstance(found, FailureMode):
-                assumed.append(found)
-            else:
-                not_judged[called] = f"no strength: {found}"
-    return FailureModes(assumed=tuple(assumed), not_judged=not_judged)
-
-
-def _assumed(rock: Material, place: str, diameter: float) -> FailureMode | str:
-    """The failure mode with the strength of the library for particles of a diameter [m], or why there is none."""
-    called, assumed, key = _FAILURE_MODES[place]
-    entry, modulus, own = rock.properties.get(key), rock.properties.get("weibull_modulus"), {}
-    if entry is None or entry.range is None:
-        if place == "core" and entry is not None:
-            return "the library's tensile strength is of no known volume"
-        return f"neither the study nor the library has one for {rock.title.lower()}"
-    if place == "core":
-        # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
-        if "volume" not in entry.further or modulus is None:
-            return "a tensile strength needs its volume and a Weibull modulus to be carried to the core"
-        own = {"modulus": modulus.value, "reference_volume": entry.further["volume"]}
-
-    def law(value: float) -> Law:
-        """Specimens whose typical strength is a value: Weibull's by its modulus, else lognormal."""
+        return FailureModes(assumed=(), not_judged={})
+    assumed, not_judged, diameter = [], {}, 2.0 * study.at_means()["sphere.radius"]
+    for place, (called, criterion, key) in _FAILURE_MODES.items():
+        if place in given:
+            continue
+        entry, own = rock.properties.get(key), dict[str, float]()
+        if entry is None or entry.range is None:
+            none = f"neither the study nor the library has one for {rock.title.lower()}"
+            not_judged[called] = (
+                f"no strength: {none if entry is None else "the library's strength is of no known volume"}"
+            )
+            continue
+        values = (entry.value, *entry.range)
         if place == "core":
-            return make_law("weibull", {"mean": value, "modulus": own["modulus"]})
-        if place == "energy":
+            # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
+            own = {"modulus": rock.properties["weibull_modulus"].value, "reference_volume": entry.further["volume"]}
+            laws = [make_law("weibull", {"mean": value, "modulus": own["modulus"]}) for value in values]
+        elif place == "energy":
             # the median of particles of this size (Tavares and King 1998, equation 15)
-            median = value * (1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
-            return make_law("lognormal", {"log_mean": math.log(median), "log_sd": entry.cov})
-        return make_law("lognormal", {"mean": value, "cov": entry.cov})
-
-    name, criterion, (low, high) = f"{called} (assumed)", CRITERIA[assumed], entry.range
-    quantity = criterion.quantity if criterion.quantity and not own else f"{criterion.name}.{name}"
-    limit = Limit(name=name, quantity=quantity, strength=law(entry.value), criterion=criterion.name if own else None,
-                  parameters=own)  # fmt: skip
-    return FailureMode(
-        called=called, limit=limit, weak=law(low), strong=law(high), source=entry.source, seen=entry.seen
-    )
+            size = 1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"]
+            laws = [make_law("lognormal", {"log_mean": math.log(x * size), "log_sd": entry.cov}) for x in values]
+        else:
+            laws = [make_law("lognormal", {"mean": value, "cov": entry.cov}) for value in values]
+        name = f"{called} (assumed)"
+        limit = Limit(name=name, quantity=CRITERIA[criterion].quantity or f"{criterion}.{name}", strength=laws[0],
+                      criterion=criterion if own else None, parameters=own)  # fmt: skip
+        assumed.append(FailureMode(called=called, limit=limit, weak=laws[1], strong=laws[2], source=entry.source,
+                                   seen=entry.seen))  # fmt: skip
+    return FailureModes(assumed=tuple(assumed), not_judged=not_judged)

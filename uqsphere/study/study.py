@@ -147,11 +147,11 @@ class Study:
             from uqsphere.study.load import load_study
             from uqsphere.uq.foreign import of_salib
 
-            outputs = given.get("outputs")
+            outputs, inputs = given.get("outputs"), given.get("inputs")
             if isinstance(outputs, str | list | tuple):
                 given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}
-            if isinstance(given.get("inputs"), Mapping):
-                given["inputs"] = of_salib(given["inputs"])
+            if isinstance(inputs, Mapping):
+                given["inputs"] = of_salib(inputs)
             given = {**vars(load_study(given))}
         for entry in fields(self):
             object.__setattr__(self, entry.name, given.pop(entry.name, entry.default))
@@ -252,8 +252,8 @@ class Study:
 
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
-        found: dict[str, Json] = {name: plain(getattr(self, name)) for name in self.__dataclass_fields__
-                                  if name not in ("path", "text", "warnings", "overrides", "files")}  # fmt: skip
+        beside = {"path", "text", "warnings", "overrides", "files"}
+        found: dict[str, Json] = {e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside}
         # the order of the random variables decides which point of a sequence goes to which of them
         return {**found, "order": list(self.laws())}
 
@@ -276,15 +276,14 @@ def plain(value: Any) -> Json:
     if isinstance(value, Family):
         return value.name
     if isinstance(value, BaseModel):
-        value = value.model_dump()
+        value = dict(value)
     elif is_dataclass(value):
         value = {entry.name: getattr(value, entry.name) for entry in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
         return [plain(part) for part in value]
-    result: Json = None if isinstance(value, float) and not math.isfinite(value) else value
-    return result
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # --- the free number of an inverse question: where it may lie, and what of a study it moves ------------------------
@@ -292,11 +291,8 @@ def plain(value: Any) -> Json:
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """A number that is free between two values (SI).
-
-    A number of the scene or of a black box (the mean of its law, where it scatters), or the mean strength of a limit,
-    all its values in proportion.
-    """
+    """A number that is free between two values (SI): a number of the scene or of a black box, the mean of its law where
+    it scatters, or the mean strength of a limit, all its values in proportion."""
 
     path: str
     low: float
@@ -320,7 +316,7 @@ class Axis:
     def grid(self, count: int) -> list[float]:
         """`count` values from one end to the other, in equal ratios or steps."""
         spaced = np.geomspace if self.logarithmic else np.linspace
-        return [self.low, *map(float, spaced(self.low, self.high, count)[1:-1]), self.high]
+        return list(map(float, spaced(self.low, self.high, count)))
 
     def value(self, share: Array | float) -> Array:
         """The value a share of the way from one end to the other, in ratios or steps."""
@@ -339,8 +335,7 @@ class Axis:
         """What the demands of a limit are multiplied by where the number has a value, in place of its free strength."""
         if self.limit != limit.name:
             return 1.0
-        nominal = limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength
-        return nominal / value
+        return (limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength) / value
 
 
 def strength_name(limit: str) -> str:
