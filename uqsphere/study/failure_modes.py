@@ -71,9 +71,8 @@ def failure_modes_of(study: Study) -> FailureModes:
         entry, own = rock.properties.get(key), dict[str, float]()
         if entry is None or entry.range is None:
             none = f"neither the study nor the library has one for {rock.title.lower()}"
-            not_judged[called] = (
-                f"no strength: {none if entry is None else "the library's strength is of no known volume"}"
-            )
+            of_no_volume = "the library's strength is of no known volume"
+            not_judged[called] = f"no strength: {none if entry is None else of_no_volume}"
             continue
         values = (entry.value, *entry.range)
         if place == "core":
