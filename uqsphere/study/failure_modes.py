@@ -70,9 +70,10 @@ def failure_modes_of(study: Study) -> FailureModes:
             continue
         entry, own = rock.properties.get(key), dict[str, float]()
         if entry is None or entry.range is None:
-            none = f"neither the study nor the library has one for {rock.title.lower()}"
-            of_no_volume = "the library's strength is of no known volume"
-            not_judged[called] = f"no strength: {none if entry is None else of_no_volume}"
+            said = f"neither the study nor the library has one for {rock.title.lower()}"
+            if entry is not None:
+                said = "the library's strength is of no known volume"
+            not_judged[called] = f"no strength: {said}"
             continue
         values = (entry.value, *entry.range)
         if place == "core":
