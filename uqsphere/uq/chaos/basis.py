@@ -1,8 +1,8 @@
 """Germs, their orthonormal polynomials, and products of these.
 
 A germ is the standardised random number that an input is expanded in: Hermite polynomials of a standard normal score,
-Legendre polynomials of 2Φ(z) - 1 for laws between bounds, or the polynomials of the input's own law (Jacobi's for a
-beta law, else by Stieltjes' procedure; Gautschi 2004).  A lognormal input is expanded in its logarithm: polynomials of
+Legendre polynomials of 2Φ(z) - 1 for laws between bounds, or the polynomials of the input's own law by Stieltjes'
+procedure (Gautschi 2004).  A lognormal input is expanded in its logarithm: polynomials of
 a lognormal law are not complete (Ernst et al. 2012).  Points are given in the base of a germ, "normal" or "uniform", so
 that both bases of an input are compared on the same points.
 """
@@ -10,7 +10,7 @@ that both bases of an input are compared on the same points.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -31,8 +31,6 @@ Indices: TypeAlias = npt.NDArray[np.int64]
 HIGHEST_DEGREE: Final = 15
 #: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and the knots of the table
 REACH, KNOTS = 12.0, 2401
-#: Gauss-Legendre nodes of a density: twice as many move coefficients by 1e-13, of a density with a kink by 2e-7
-NODES: Final = 1600
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,49 +70,19 @@ def recurrence_of(germ: GermLike, degree: int) -> Array:
     return np.array([np.zeros_like(k), k if germ == "normal" else k * k / (4.0 * k * k - 1.0)])
 
 
-def jacobi(alpha: float, beta: float, degree: int = HIGHEST_DEGREE) -> Array:
-    """Recurrence (2, degree + 1) of the beta law with these parameters on [-1, 1] (Gautschi 2004, table 1.1).
+def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Array:
+    """Recurrence (2, degree + 1) of a law with these values (n,) and probabilities (Gautschi 2004, section 2.2.3).
 
-    >>> [round(float(b), 9) for b in jacobi(1.0, 1.0, 2)[1]]
-    [1.0, 0.333333333, 0.266666667]
+    >>> stieltjes(np.array([-1.0, 1.0]), np.array([0.5, 0.5]), 0).tolist()
+    [[0.0], [1.0]]
     """
-    k, p, q = np.arange(degree + 1.0), beta - 1.0, alpha - 1.0
-    whole = 2.0 * k + p + q
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a = (q * q - p * p) / (whole * (whole + 2.0))
-        b = 4.0 * k * (k + p) * (k + q) * (k + p + q) / (whole**2 * (whole + 1.0) * (whole - 1.0))
-    a[0], b[0] = (q - p) / (p + q + 2.0), 1.0
-    if degree:
-        b[1] = 4.0 * (1.0 + p) * (1.0 + q) / ((2.0 + p + q) ** 2 * (3.0 + p + q))
-    return np.array([a, b])
-
-
-@lru_cache(maxsize=1)
-def _legendre_nodes() -> tuple[Array, Array]:
-    nodes, weights = special.roots_legendre(NODES)
-    return np.asarray(nodes), np.asarray(weights)
-
-
-def stieltjes(density: Callable[[Array], Array], degree: int = HIGHEST_DEGREE) -> Array:
-    """Recurrence (2, degree + 1) of a density on [-1, 1], by Stieltjes' procedure (Gautschi 2004, section 2.2.3).
-
-    Raises ValueError for a density whose integral is not 1 within 1e-4.
-
-    >>> [round(float(x), 6) for x in stieltjes(lambda x: 0.5 * (1.0 + x), 1).ravel()]
-    [0.333333, 0.066667, 1.0, 0.222222]
-    """
-    nodes, weights = _legendre_nodes()
-    weights = weights * density(nodes)
-    mass = float(weights.sum())
-    if not abs(mass - 1.0) < 1e-4:
-        raise ValueError(f"the density integrates to {mass:.6g} over its bounds, not to 1")
     found = np.ones((2, degree + 1))
-    before, now, last = np.zeros(NODES), np.ones(NODES), 1.0
+    before, now, last = np.zeros_like(values), np.ones_like(values), 1.0
     for k in range(degree + 1):
         square = float(weights @ now**2)
-        found[0, k] = float(weights @ (nodes * now**2)) / square
+        found[0, k] = float(weights @ (values * now**2)) / square
         found[1, k] = square / last if k else 1.0
-        before, now, last = now, (nodes - found[0, k]) * now - found[1, k] * before, square
+        before, now, last = now, (values - found[0, k]) * now - found[1, k] * before, square
     return found
 
 
@@ -139,28 +107,24 @@ def _own_polynomials(law: Law) -> bool:
 
 @lru_cache(maxsize=256)
 def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float) -> GermLike:
-    """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no such polynomials."""
+    """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no such polynomials.
+
+    Its integrals are those of the trapezoidal rule in normal scores, as for the moments of a law.
+    """
     from scipy.interpolate import CubicSpline
 
     law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
     scores = np.linspace(-REACH, REACH, KNOTS)
-    values = law.from_normal(scores)
+    values, weights = law.from_normal(scores), np.exp(-0.5 * scores**2)
     least = float(law.ppf(np.array([0.0]))[0])
     low, high = (float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper)))
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
-
-    def density(x: Array) -> Array:
-        return np.asarray(law.pdf(centre + half * x) * half)
-
-    try:
-        own = law.parameters
-        recurrence = jacobi(own["alpha"], own["beta"]) if family.name == "beta" else stieltjes(density)
-        table = CubicSpline(scores, (values - centre) / half)
-    except ValueError:
-        return family.germ
+    standard = (values - centre) / half
+    recurrence = stieltjes(standard, weights / weights.sum())
     if not (np.isfinite(recurrence).all() and (recurrence[1] > 0.0).all()):
         return family.germ
-    return Germ(law=law, centre=centre, half=half, base=family.germ, table=table, recurrence=recurrence)
+    return Germ(law=law, centre=centre, half=half, base=family.germ, table=CubicSpline(scores, standard),
+                recurrence=recurrence)  # fmt: skip
 
 
 def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
@@ -221,19 +185,17 @@ def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Indice
 
     The rows are ordered so that the set of every degree comes first.  None where degree 1 has too many.
     """
-    sizes: list[int] = []
-    largest = None
+    sets: list[Indices] = []
     for degree in range(1, highest + 1):
         indices = hyperbolic_indices(dimension, degree, norm, most)
         if indices is None:
             break
-        sizes.append(len(indices))
-        largest = indices
-    if largest is None:
+        sets.append(indices)
+    if not sets:
         return None
-    reach = (largest.astype(float) ** norm).sum(axis=1, where=largest > 0) ** (1.0 / norm)
+    reach = (sets[-1].astype(float) ** norm).sum(axis=1, where=sets[-1] > 0) ** (1.0 / norm)
     # a sum of roots may miss a whole number by rounding
-    return largest[np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(sizes)
+    return sets[-1][np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(map(len, sets))
 
 
 def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
@@ -242,28 +204,28 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
     A neighbour is let in where everything just below it is there (Gerstner and Griebel 2003; for regression, Jakeman,
     Eldred and Sargsyan 2015); where there are too many, those of the terms with the largest `weights` (k,) come first.
     """
-    rows = [tuple(int(k) for k in row) for row in active]
+    rows = list(map(tuple, active.tolist()))
     ranks = dict(zip(rows, weights.tolist(), strict=True))
     base, waiting = set(rows), list(rows)
     while waiting:
-        row = waiting.pop()
-        for j, k in enumerate(row):
-            below = (*row[:j], k - 1, *row[j + 1 :])
-            if k and below not in base:
-                base.add(below)
-                waiting.append(below)
+        new = set(_below(waiting.pop())) - base
+        base |= new
+        waiting += new
     found: dict[tuple[int, ...], float] = {}
     for row in base:
-        for j, k in enumerate(row):
-            above = (*row[:j], k + 1, *row[j + 1 :])
-            if k >= highest or above in base or above in found:
-                continue
-            lower = [(*above[:i], m - 1, *above[i + 1 :]) for i, m in enumerate(above) if m]
-            if all(low in base for low in lower):
+        for j in range(len(row)):
+            above = (*row[:j], row[j] + 1, *row[j + 1 :])
+            lower = _below(above)
+            if row[j] < highest and above not in base and base.issuperset(lower):
                 found[above] = max(ranks.get(low, 0.0) for low in lower)
     inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
     outer = sorted(found, key=lambda row: (-found[row], sum(row), row))
     return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=np.int64)
+
+
+def _below(row: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Degrees with one less in one input."""
+    return [(*row[:j], k - 1, *row[j + 1 :]) for j, k in enumerate(row) if k]
 
 
 def skipping(active: Indices, highest: int) -> Indices:
