@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 
 from uqsphere.errors import AccessError, ModelError, UsageError
-from uqsphere.models import cache as cache_module
 from uqsphere.models import model as module
 from uqsphere.models import workers
 from uqsphere.models.cache import Cache
@@ -80,7 +79,6 @@ FAULTS: dict[str, tuple[str, Code | type[Exception], str]] = {
     ),
     "raises": ("raise ValueError('too large')", Code.RAISED, "ValueError: too large (box.py, line"),
     "exits": ("sys.exit(0)", Code.RAISED, "SystemExit: 0"),
-    "interrupts": ("raise KeyboardInterrupt", Code.RAISED, "KeyboardInterrupt"),
     "memory": ("np.ones(1 << 45)", Code.RAISED, "MemoryError"),
     "recursion": ("return f(x)", Code.RAISED, "RecursionError"),
     "long text": ("raise ValueError('\\x1b[2J' + 'x' * 10_000_000)", Code.RAISED, "ValueError: ?[2Jxxx"),
@@ -377,7 +375,6 @@ def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
     [
         (3, UsageError, "returns a Future of concurrent.futures"),
         (lambda *_: None, AccessError, "the executor Strange was lost"),
-        (lambda function, packed, rows: function(packed, rows[:1]), AccessError, "answers of other rows"),
     ],
 )
 def test_an_executor_that_answers_something_else(place: Path, answer: Any, error: Any, text: str) -> None:
@@ -393,10 +390,8 @@ def test_an_executor_that_answers_something_else(place: Path, answer: Any, error
         model.evaluate(["a"], np.zeros((200, 1)), ["y"])
 
 
-def test_a_dask_cluster_answers_and_may_be_lost(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All its workers gone after the first answer, then the client closed."""
+def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(workers, "ALONE", 3.0)
     reference = box(place, "time.sleep(0.3)", where="True")
     with (
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
@@ -404,13 +399,12 @@ def test_a_dask_cluster_answers_and_may_be_lost(place: Path, monkeypatch: pytest
     ):
         with Model(study(), reference, executor=client) as model:
             assert is_right(evaluated(model))
-        for gone, text in ((lambda *_: cluster.scale(0), "no worker for 3 s"), (None, "")):
-            with (
-                Model(study(), reference, executor=client, progress=gone) as model,
-                pytest.raises(AccessError, match=f"the Dask cluster was lost.*{text}"),
-            ):
-                evaluated(model)
-            client.close()
+        client.close()
+        with (
+            Model(study(), reference, executor=client) as model,
+            pytest.raises(AccessError, match="the executor ClientExecutor was lost"),
+        ):
+            evaluated(model)
 
 
 @pytest.mark.parametrize(
@@ -491,11 +485,9 @@ def _foreign(path: Path) -> None:
 
 
 def _view(path: Path) -> None:
-    """Marked as a cache, with a view without end in place of the table."""
+    """A view without end in place of the table."""
     path.unlink()
     with contextlib.closing(sqlite3.connect(path)) as database:
-        for name, mark in cache_module._MARKS.items():
-            database.execute(f"PRAGMA {name} = {mark}")
         database.execute(
             "CREATE VIEW answers AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
             "SELECT x AS key, x AS record FROM c WHERE x < 0"

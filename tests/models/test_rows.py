@@ -242,7 +242,7 @@ def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> N
         ({"sphere.E": [[5e10, 6e10]]}, {}, "numbers in SI are needed, not list"),
         ({"striker.speed": ["0.5 m/s"]}, {}, "numbers in SI are needed"),
         ({"striker.speed": ["0.5"]}, {}, "numbers in SI are needed"),
-        ({"sphere.E": pd.Series([5e10], ["a"]), "striker.speed": pd.Series([1.0], ["b"])}, {}, "another index"),
+        ({"sphere.E": pd.Series([5e10], ["a"]), "striker.speed": pd.Series([1.0], ["b"])}, {}, "different indices"),
         ([1.0, 2.0], {}, "DataFrame or a dict"),
         ({}, {"quantities": ("p_min",)}, "p_min"),
         ({}, {"tolerance": 0.0}, "tolerance"),
@@ -303,7 +303,7 @@ FORMS: dict[str, Any] = {
 WRONG: dict[str, tuple[Any, str]] = {
     "missing": (lambda x: {"y": x["a"]}, "no 'z'"),
     "empty": (lambda x: {}, "returned nothing"),
-    "none": (lambda x: None, "returned nothing"),
+    "none": (lambda x: None, "must return a dict with 'y', 'z'"),
     "one array": (lambda x: x["a"], r"must return a dict with 'y', 'z'"),
     "transposed": (lambda x: np.stack([x["a"], x["a"]]), r"shape \(4, 2\)"),
     "short": (lambda x: {"y": x["a"], "z": x["a"][:2]}, r"must have shape \(4,\)"),
@@ -313,7 +313,7 @@ WRONG: dict[str, tuple[Any, str]] = {
     "objects": (lambda x: {"y": x["a"], "z": np.array([1, 2, 3, "x"], dtype=object)}, "not an array of numbers"),
     "dates": (lambda x: {"y": x["a"], "z": np.zeros(4, "M8[s]")}, "not an array of numbers"),
     "complex": (lambda x: {"y": x["a"], "z": x["a"] + 1j}, "complex"),
-    "repeated": (lambda x: pd.DataFrame(np.zeros((4, 3)), columns=["y", "z", "y"]), "more than once"),
+    "repeated": (lambda x: pd.DataFrame(np.zeros((4, 3)), columns=["y", "z", "y"]), r"its shape is \(4, 2\)"),
     "raises": (lambda x: 1 / 0, "ZeroDivisionError"),
     "generator": (lambda x: (a for a in x["a"]), "must return a dict"),
 }

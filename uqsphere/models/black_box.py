@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import inspect
+import io
 import os
 import pickle
 import re
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any, Final
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
-from uqsphere.models.rows import Code, EvaluatedRows
+from uqsphere.models.rows import EvaluatedRows
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs as a dict or a
 #: DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,) where there is one output
 BlackBox = Callable[[dict[str, Array]], Any]
-
-#: what is the model's own fault; Ctrl-C too in a process that nobody interrupts (`workers`)
-FAULTS: tuple[type[BaseException], ...] = (Exception, SystemExit)
-#: where the code of a user does not stand
-_NOT_THEIRS: Final = (Path(__file__).parent, sys.prefix, sys.base_prefix)
 
 
 def parse_reference(reference: str) -> tuple[Path, str]:
@@ -57,7 +51,7 @@ def load_black_box(reference: str) -> BlackBox:
     if (folder := str(path.resolve().parent)) not in sys.path:
         sys.path.append(folder)  # what stands beside it can be imported, as in a script
     try:
-        with _aside():
+        with _settings():
             # compiled from the file as it is: bytecode on disk may be that of the same second
             exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:
@@ -74,33 +68,22 @@ def _described(error: BaseException) -> str:
     places = [
         f" ({Path(frame.filename).name}, line {frame.lineno})"
         for frame in traceback.extract_tb(error.__traceback__)
-        if not any(Path(frame.filename).is_relative_to(place) for place in _NOT_THEIRS) and frame.filename[0] != "<"
+        if _is_theirs(frame.filename) and frame.filename[0] != "<"
     ]
     return f"{type(error).__name__}: {as_text(error)}{places[-1] if places else ''}"
 
 
-#: what holds while any thread calls a model: the number of calls, and what the first has set and the last sets back
-_LOCK: Final = threading.Lock()
-_CALLS: Final[list[None]] = []
-_SETTINGS: Final = contextlib.ExitStack()
+def _is_theirs(file: str) -> bool:
+    """Whether code of a file is the user's."""
+    return not any(Path(file).is_relative_to(place) for place in (Path(__file__).parent, sys.prefix, sys.base_prefix))
 
 
 @contextlib.contextmanager
-def _aside() -> Iterator[None]:
+def _settings() -> Iterator[None]:
     """What is printed goes to stderr, linear algebra has one thread, and NumPy's settings come back as they were."""
-    with _LOCK:
-        if not _CALLS:
-            _SETTINGS.enter_context(contextlib.redirect_stdout(sys.stderr))
-            _SETTINGS.enter_context(_linear_algebra(len(sys.modules) // 64).limit(limits=1, user_api="blas"))
-        _CALLS.append(None)
-    try:
-        with np.errstate():
-            yield
-    finally:
-        with _LOCK:
-            _CALLS.pop()
-            if not _CALLS:
-                _SETTINGS.close()
+    libraries = _linear_algebra(len(sys.modules) // 64)
+    with contextlib.redirect_stdout(sys.stderr), libraries.limit(limits=1, user_api="blas"), np.errstate():
+        yield
 
 
 @lru_cache(maxsize=1)
@@ -120,35 +103,23 @@ def _loaded(reference: str, digest: str) -> BlackBox:
 
 
 def answer_rows(
-    rows: Array, *, box: str | BlackBox, digest: str, names: Sequence[str], outputs: Sequence[str], row_by_row: bool,
+    rows: Array, *, box: str | BlackBox, digest: str, names: Sequence[str], outputs: Sequence[str],
     threads: int | None = None,
 ) -> EvaluatedRows:  # fmt: skip
     """Answers of all outputs to rows (n, d); without rows the model is loaded.
 
     box : a function, or a reference with the digest of its file.
-    row_by_row : a call that raises is repeated row by row, so that one bad row does not take the others with it.
     threads : one, whatever is asked for.
+
+    Raises as `call_black_box`. A number that is not finite is no failure yet, for it may not be needed.
     """
-    box = _loaded(box, digest) if isinstance(box, str) else box
-    process = os.getpid()
+    function, process = _loaded(box, digest) if isinstance(box, str) else box, os.getpid()
     try:
-        # a number that is not finite is no failure yet, for it may not be needed
-        return EvaluatedRows.plain(call_black_box(box, names, rows, outputs) if len(rows) else np.zeros((0, 0)))
-    except ModelRaised as error:
-        if not row_by_row:
-            raise
-        if len(rows) == 1:
-            return EvaluatedRows.plain(np.full((1, len(outputs)), np.nan), Code.RAISED, str(error))
+        values = call_black_box(function, names, rows, outputs) if len(rows) else np.zeros((0, len(outputs)))
     finally:
         if os.getpid() != process:
             os._exit(1)  # the model forked, and its child came back from the call
-    parts = [answer_rows(rows[k : k + 1], box=box, digest=digest, names=names, outputs=outputs, row_by_row=True)
-             for k in range(len(rows))]  # fmt: skip
-    return EvaluatedRows.plain(
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.status for part in parts]),
-        next((part.note for part in parts if part.note), ""),
-    )
+    return EvaluatedRows.plain(values)
 
 
 def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:
@@ -161,9 +132,9 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
     """
     columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
     try:
-        with _aside():
+        with _settings():
             returned = box(columns)
-    except FAULTS as error:
+    except (Exception, SystemExit) as error:
         raise ModelRaised(f"the model raised {_described(error)}") from error
     try:
         return _table(returned, outputs, len(rows))
@@ -175,15 +146,8 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
 
 def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
     """What a model returned, as numbers (n, q)."""
-    if returned is None:
-        raise ModelError("the model returned nothing: it must return a dict of output name -> array")
     returned = by_index(returned, count)
-    if hasattr(returned, "iloc") and hasattr(returned, "columns"):  # a DataFrame, without importing pandas
-        names = list(returned.columns)
-        if repeated := [name for name in names if names.count(name) > 1]:
-            raise ModelError(f"the model returned the column {as_text(repeated[0], 60)!r} more than once")
-        returned = {name: returned[name].to_numpy() for name in names}
-    if not isinstance(returned, Mapping):
+    if not isinstance(returned, Mapping) and not hasattr(returned, "columns"):  # nor a DataFrame
         shape = np.shape(returned)
         if shape == (count, len(outputs)):
             returned = dict(zip(outputs, np.asanyarray(returned).T, strict=True))
@@ -240,46 +204,42 @@ def model_digest(model: str | BlackBox) -> str:
     what it assigns; of an object, a method or a `functools.partial` its state too. What is read or imported besides is
     not seen.
     """
-    digest = hashlib.sha256()
     if isinstance(model, str):
         path, name = parse_reference(model)
-        digest.update(path.read_bytes() + b"\0" + name.encode())
+        content = path.read_bytes() + b"\0" + name.encode()
     else:
-        _add_state(digest, model, {})
-    return digest.hexdigest()[:32]
+        stream = io.BytesIO()
+        _SourcePickler(stream, 5).dump(model)
+        content = stream.getvalue()
+    return hashlib.sha256(content).hexdigest()[:32]
 
 
-def _add_state(digest: Any, value: Any, seen: dict[int, Any]) -> None:
-    """Add functions by their source and what it names, other values as they are pickled, each once."""
-    if id(value) in seen:
-        return
-    seen[id(value)] = value  # which keeps it, and its number with it
-    parts: list[tuple[str, Any]] = []
-    if isinstance(value, functools.partial):
-        parts = [("", value.func), *(("", part) for part in value.args), *value.keywords.items()]
-    elif inspect.ismethod(value):
-        parts = [("", value.__func__), ("", value.__self__)]
-    elif inspect.isfunction(function := inspect.unwrap(value)):
-        source = _source(function)
-        assigned = re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source)))
-        names = inspect.getclosurevars(function)
-        digest.update(f"{function.__qualname__}\0{source}\0".encode())
-        parts = [("", function.__defaults__), ("", function.__kwdefaults__)]
-        for name, part in {**names.globals, **names.nonlocals}.items():
-            library = callable(part) and getattr(part, "__module__", None) != function.__module__
-            if name not in assigned and not library and not inspect.ismodule(part):
-                parts.append((name, part))
-    elif inspect.isclass(value):
-        digest.update(_source(value).encode())
-    else:
-        parts = [("", type(value).__call__)] if callable(value) else []
+class _SourcePickler(pickle.Pickler):
+    """Pickles functions and classes by their source, and a function with what it names outside of itself."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if inspect.isclass(value):
+            file = getattr(sys.modules.get(value.__module__), "__file__", None) or ""
+            by_source = value.__module__ != "builtins" and _is_theirs(file)
+            return (str, (_source(value),)) if by_source else NotImplemented
+        if inspect.isfunction(value):
+            function = inspect.unwrap(value)
+            source = _source(function)
+            assigned = re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source)))
+            names = inspect.getclosurevars(function)
+            outside = {
+                name: part
+                for name, part in sorted({**names.globals, **names.nonlocals}.items())
+                if name not in assigned
+                and not inspect.ismodule(part)
+                and not (callable(part) and getattr(part, "__module__", None) != function.__module__)
+            }
+            return str, (source,), [function.__qualname__, function.__defaults__, function.__kwdefaults__, outside]
         try:
-            pickle.Pickler(SimpleNamespace(write=digest.update), 5).dump(value)
+            value.__reduce_ex__(5)
         except Exception:  # what refuses to be pickled is seen by its attributes
-            parts += getattr(value, "__dict__", {}).items()
-    for name, part in sorted(parts, key=lambda one: one[0]):
-        digest.update(name.encode())
-        _add_state(digest, part, seen)
+            return str, (type(value).__qualname__,), getattr(value, "__dict__", None)
+        return NotImplemented
 
 
 def _source(value: Any) -> str:

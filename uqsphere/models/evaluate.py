@@ -51,13 +51,8 @@ def evaluate(
     if not isinstance(study, Study):
         raise UsageError(f"evaluate takes a study of uqsphere.load_study, found {type(study).__name__}")
     names = list((quantities,) if isinstance(quantities, str) else quantities or study.analysis.quantities)
-    allowed = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
-    for name in names:
-        if name not in allowed:
-            kind = "output" if study.black_box else "quantity"
-            raise UsageError(f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
-        if names.count(name) > 1:
-            raise UsageError(f"{name!r} is requested twice")
+    outputs = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
+    _check_names("output" if study.black_box else "quantity", names, outputs)
     if tolerance is not None and not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
         raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
     table = _table(study, frame)
@@ -73,21 +68,24 @@ def evaluate(
     return found
 
 
+def _check_names(kind: str, names: Sequence[str], allowed: Sequence[str]) -> None:
+    """Refuse names that are unknown or repeated."""
+    for name in names:
+        if name not in allowed:
+            raise UsageError(f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
+        if names.count(name) > 1:
+            raise UsageError(f"the {kind} {name!r} is there {names.count(name)} times")
+
+
 def _table(study: Study, frame: Any) -> pd.DataFrame:
     """The rows that a caller gave, as numbers by the names of inputs."""
     if isinstance(frame, pd.Series):
-        frame = pd.DataFrame([frame.to_numpy()], columns=frame.index)
+        frame = frame.to_frame().T
     if not isinstance(frame, (pd.DataFrame, Mapping)):
         raise UsageError(f"rows are a DataFrame or a dict of arrays by name, not {type(frame).__name__}")
-    names = list(frame)
-    tables = {"pulse", "contact", *(name.partition(".")[0] for name in study.at_means())}
-    allowed = [name for name in INPUTS if name.partition(".")[0] in tables]
-    allowed = list(study.at_means()) if study.black_box else allowed
-    for name in names:
-        if name not in allowed:
-            raise UsageError(f"unknown input {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
-        if names.count(name) > 1:
-            raise UsageError(f"the column {name!r} is there {names.count(name)} times")
+    names, means = list(frame), list(study.at_means())
+    tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
+    _check_names("input", names, means if study.black_box else [n for n in INPUTS if n.partition(".")[0] in tables])
     if isinstance(frame, pd.DataFrame):
         if missing := [name for name in study.random if name not in names]:
             raise UsageError(
@@ -96,26 +94,19 @@ def _table(study: Study, frame: Any) -> pd.DataFrame:
             )
         table = frame
     else:
-        labelled = {name: value for name, value in frame.items() if isinstance(value, pd.Series)}
-        index = next((value.index for value in labelled.values()), pd.RangeIndex(1))
-        for name, value in labelled.items():
-            alike = value.index.is_unique and len(value.index.symmetric_difference(index)) == 0
-            if not (alike or value.index.equals(index)):
-                raise UsageError(f"the Series {name!r} has another index than the Series before it")
-        columns = {name: value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value
-                   for name, value in frame.items()}  # fmt: skip
+        labels = [value.index for value in frame.values() if isinstance(value, pd.Series)]
+        one = pd.RangeIndex(1) if not any(map(np.ndim, frame.values())) else None
         try:
-            table = pd.DataFrame(columns, index=index if labelled or not any(map(np.ndim, columns.values())) else None)
+            table = pd.DataFrame(dict(frame), index=labels[0] if labels else one)
         except ValueError as error:
             raise UsageError(f"all columns must have the same shape (n,): {as_text(error, 120)}") from error
+        if any(len(own.symmetric_difference(table.index)) for own in labels):
+            raise UsageError("the Series have different indices: give them by to_numpy() where the order is right")
     for name, column in table.items():
         for cell in () if column.dtype.kind in "fiub" else column:
             if not isinstance(cell, Real | Decimal | None):
                 raise UsageError(f"{name}: numbers in SI are needed, not {type(cell).__name__}")
-    try:
-        return table.astype(float)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"numbers in SI are needed: {as_text(error, 120)}") from error
+    return table.astype(float)
 
 
 def _warn_of_unusual(table: pd.DataFrame) -> None:

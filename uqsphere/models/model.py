@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -16,7 +17,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.errors import ModelError, UsageError, as_text
+from uqsphere.errors import ModelError, ModelRaised, UsageError, as_text
 from uqsphere.models.black_box import BlackBox, answer_rows, model_digest
 from uqsphere.models.cache import Cache
 from uqsphere.models.rows import TEXTS, Code, EvaluatedRows, Interrupted, where_of
@@ -29,7 +30,7 @@ _SCENE_ROWS: Final = (16_384, 2_048)
 #: blocks that the rows of one call are cut into for a black box, and the most rows of one
 _BLOCKS: Final = 64
 _MOST_ROWS: Final = 16_384
-#: seconds of work left that are worth starting processes for
+#: seconds of work that are worth starting processes for
 _WORTH: Final = 2.0
 #: seconds per row below which to evaluate again costs less than to store
 _QUICK: Final = 1e-4
@@ -86,32 +87,36 @@ class Model:
     def __post_init__(self) -> None:
         from uqsphere.mechanics.integrator.solve import thread_count
 
-        self._limited = self.study.analysis.time_limit is not None
-        if self.study.black_box and self.model is None:
+        study, box = self.study, self.model
+        if study.black_box and box is None:
             raise UsageError("a black box is run with --model FILE.py:FUNCTION, in Python with model=")
-        if not self.study.black_box and self.model is not None:
+        if not study.black_box and box is not None:
             raise UsageError("a model of one's own belongs to a black-box study; this one describes an impact scene")
-        if self.model is not None and not callable(self.model) and not isinstance(self.model, str):
-            raise UsageError(f"a model is a function or FILE.py:FUNCTION, not {type(self.model).__name__}")
-        if self.executor is not None and self._limited:
+        if box is not None and not callable(box) and not isinstance(box, str):
+            raise UsageError(f"a model is a function or FILE.py:FUNCTION, not {type(box).__name__}")
+        if self.executor is not None and study.analysis.time_limit is not None:
             raise UsageError(
                 "analysis.time_limit needs local processes, which can be ended: leave out it or the executor"
             )
         if self.threads is not None and (type(self.threads) is not int or self.threads < 1):
             raise UsageError(f"threads must be a whole number from 1 on, not {self.threads!r}")
-        means = self.study.at_means()
-        #: what scatters comes first, as notes name but some inputs
-        self._numbers = {name: means[name] for name in (*self.study.random, *self.study.fixed)}
-        self._digest = "" if self.model is None else model_digest(self.model)
-        self.cache: Cache | None = None
-        if self.cache_file is not None and self.model is not None:
-            self.cache = Cache(self.cache_file, self._digest, [*self._numbers], self.study.outputs, self._note)
-        self._workers: Workers | None = None if self.executor is None else Given(self.executor)
         self._processes = self.threads or thread_count()
-        self._task: Task | None = None
-        self._times: list[tuple[float, int]] = []  # seconds and rows of the first call, and of all others
-        self._compared = False
-        self._hung = 0
+        self._workers: Workers | None = None if self.executor is None else Given(self.executor)
+        #: seconds and rows of the first call, and of all others
+        self._times: list[tuple[float, int]] = []
+        self._compared, self._hung = False, 0
+        self.cache: Cache | None = None
+        means = study.at_means()
+        #: inputs of the black box; what scatters comes first, as notes name but some of them
+        self._numbers = {name: means[name] for name in (*study.random, *study.fixed)}
+        if box is not None:
+            digest, inputs = model_digest(box), [*self._numbers]
+            if self.cache_file is not None:
+                self.cache = Cache(self.cache_file, digest, inputs, study.outputs, self._note)
+            if isinstance(box, str):
+                file, _, name = box.rpartition(":")
+                box = f"{Path(file).resolve()}:{name}"
+            self._box = partial(answer_rows, box=box, digest=digest, names=inputs, outputs=study.outputs)
 
     def __enter__(self) -> Self:
         return self
@@ -122,7 +127,7 @@ class Model:
             self.cache.close()
         if self._workers is not None:
             self._workers.close()
-        self._workers = self._task = None
+        self._workers = None
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -131,10 +136,7 @@ class Model:
     @property
     def seconds_per_row(self) -> float | None:
         """Mean seconds that a row took, without the first call where there are more; None before the first."""
-        if not self._times:
-            return None
-        seconds, rows = self._times[-1]
-        return seconds / rows
+        return self._times[-1][0] / self._times[-1][1] if self._times else None
 
     def evaluate(self, names: Sequence[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
         """Answers of n rows.
@@ -162,94 +164,56 @@ class Model:
             # by itself: its answer may have been that of the rows next to it
             again = self._evaluate(names, rows[k : k + 1], columns, None)
             self.evaluations -= 1
-            differs = ~np.isclose(answers.values[k], again.values[0], rtol=_HALF_OF_THE_DIGITS, atol=0.0)
+            one, other = answers.values[k], again.values[0]
+            differs = ~np.isclose(one, other, rtol=_HALF_OF_THE_DIGITS, atol=0.0)
             if again.good[0] and differs.any():
                 j = int(np.argmax(differs))
-                text = f"{answers.values[k, j]:.6g} and {again.values[0, j]:.6g} as {columns[j]!r}"
                 cause = "or it answers a row by the rows next to it; no interval covers that"
                 if self.reused:
                     cause = "or what it reads or imports has changed since answers were stored; --fresh drops those"
-                self._note(f"the model gave two answers to the same row ({text} {where_of(names, rows[k])}): "
-                           f"it is not deterministic, {cause}")  # fmt: skip
+                text = f"{one[j]:.6g} and {other[j]:.6g} as {columns[j]!r} {where_of(names, rows[k])}"
+                self._note(f"the model gave two answers to the same row ({text}): it is not deterministic, {cause}")
         return answers
-
-    def _begin(self, inputs: Sequence[str], columns: Sequence[str]) -> Task:
-        """What answers rows of the inputs; a scene and a function begin in this process, a file in one of its own."""
-        if self.model is None:
-            self._workers = self._workers or Here(self.threads)
-            return partial(evaluate_scene, self.study, inputs, columns=columns, tolerance=self.tolerance)
-        if self._task is None:
-            box = self.model
-            if isinstance(box, str):
-                file, _, name = box.rpartition(":")
-                box = f"{Path(file).resolve()}:{name}"
-            self._task = partial(answer_rows, box=box, digest=self._digest, names=inputs, outputs=self.study.outputs,
-                                 row_by_row=self.study.analysis.on_failure != "abort")  # fmt: skip
-            if self._workers is None:
-                alone = callable(box) and not self._limited
-                many = self._processes if self._limited else 1
-                self._workers = Here() if alone else Processes(many, self._task)
-        return self._task
-
-    def _grow(self, task: Task, left: int) -> None:
-        """Start more processes where the rows that are left have proved worth it; nothing may be running."""
-        workers, each = self._workers, self.seconds_per_row or 0.0
-        if workers is None or workers.count in (0, self._processes) or each * left < _WORTH:
-            return
-        try:
-            self._workers = Processes(self._processes, task)
-            workers.close()
-        except (UsageError, ModelError):  # it cannot be had elsewhere, and goes on where it is
-            self._processes = workers.count
-
-    def _limit(self, rows: int) -> float | None:
-        """Seconds that a call may take: of one row the study's limit, of many ten times what is usual, if that is more.
-
-        Rows of a call that takes longer are tried one by one, each with its whole limit.
-        """
-        limit, each = self.study.analysis.time_limit, self.seconds_per_row
-        if limit is None or rows == 1:
-            return limit
-        return rows * limit if each is None else max(limit, min(rows * limit, 10.0 * rows * each))
 
     def _evaluate(
         self, names: Sequence[str], rows: Array, columns: Sequence[str], cache: Cache | None
     ) -> EvaluatedRows:
-        """The one loop over calls; what the cache has is not evaluated."""
+        """The table of answers, filled block by block; what the cache has is not evaluated."""
         is_box, total = self.study.black_box, len(rows)
-        numbers: Mapping[str, float] = self._numbers if is_box else dict.fromkeys(names, math.nan)
-        outputs, inputs = self.study.outputs if is_box else columns, list(numbers)
+        inputs, outputs = ([*self._numbers], self.study.outputs) if is_box else (names, columns)
         taken, given = [outputs.index(name) for name in columns], [inputs.index(name) for name in names]
+        task: Task = partial(evaluate_scene, self.study, names, columns=columns, tolerance=self.tolerance)
+        if is_box:
+            task = self._box
 
         def whole(places: Places) -> Array:
             """Rows of all inputs."""
-            block = np.tile(np.fromiter(numbers.values(), float), (len(places), 1))
+            block = np.tile([*self._numbers.values()] if is_box else np.zeros(len(names)), (len(places), 1))
             block[:, given] = rows[places]
             return block
 
-        task = self._begin(inputs, columns)
-        worth = int(_CALL / self.seconds_per_row) if self.seconds_per_row else 1
         size = _SCENE_ROWS[isinstance(self._workers, Given)]
         if is_box:
+            worth = int(_CALL / self.seconds_per_row) if self.seconds_per_row else 1
             size = max(1, min(_MOST_ROWS, max(total // _BLOCKS, worth)))
-        starts = [0, *range(1 if self._limited else size, total, size), total]
+        # where time is limited, one row tells first what a row takes
+        starts = [0, *range(1 if self.study.analysis.time_limit else size, total, size), total]
         if not is_box and not self._times and total:
             announce_compilation()
             task(rows[:1], threads=1)  # the kernel is compiled, or loaded, before anything is timed
-        gathered = EvaluatedRows.plain(np.full((total, len(columns)), np.nan))
+        found = EvaluatedRows.plain(np.full((total, len(columns)), np.nan))
         done, first_failed = 0, (total, "")
-        again, died, running = deque[Places](), set[int](), dict[Future[Timed], Places]()
 
         def settle(places: Places, answers: EvaluatedRows) -> None:
             nonlocal done, first_failed
             values, status = answers.values[:, taken], answers.status
             if is_box:
                 status = np.where((status == 0) & ~np.isfinite(values).all(axis=1), Code.NOT_FINITE, status)
-            gathered.values[places] = np.where((status == 0)[:, None], values, np.nan)
+            found.values[places] = np.where((status == 0)[:, None], values, np.nan)
             if answers.censored.any():
-                gathered.censored[places] = answers.censored[:, taken]
+                found.censored[places] = answers.censored[:, taken]
             if (status != 0).any():
-                gathered.status[places] = status
+                found.status[places] = status
                 k = int(np.argmax(status != 0))
                 text = answers.note or TEXTS.get(int(status[k]), "")
                 if status[k] == Code.NOT_FINITE:
@@ -260,12 +224,6 @@ class Model:
             if self.progress is not None:
                 self.progress(done, total)
 
-        def evaluated(places: Places, answers: EvaluatedRows) -> None:
-            self.evaluations += len(places)
-            if cache is not None and (self.seconds_per_row or 0.0) >= _QUICK:
-                cache.write(whole(places), answers)
-            settle(places, answers)
-
         def missing() -> Iterator[Places]:
             """Rows of each block that are not in the cache; those that are there are settled."""
             for start, end in pairwise(starts):
@@ -273,46 +231,34 @@ class Model:
                 if cache is not None:
                     answers, stored = cache.read(whole(places))
                     self.reused += int(stored.sum())
-                    if stored.any():
-                        settle(places[stored], answers)
+                    settle(places[stored], answers)
                     places = places[~stored]
                 if len(places):
                     yield places
 
-        def take(future: Future[Timed], places: Places) -> None:
-            """Rows of a call that took too long or ended its process are tried one by one, and one row twice."""
-            assert self._workers is not None
-            try:
-                answers, seconds = self._workers.result(future)
-                known = self._times.pop() if len(self._times) > 1 else (0.0, 0)
-                self._times.append((known[0] + seconds, known[1] + len(places)))
-                self._hung = 0
-                evaluated(places, answers)
-            except (TimeoutError, Died) as error:
-                dead = isinstance(error, Died)
-                if len(places) > 1:
-                    again.extendleft(places[k : k + 1] for k in reversed(range(len(places))))
-                elif dead and int(places[0]) not in died:
-                    died.add(int(places[0]))
-                    again.appendleft(places)
-                else:
-                    self._hung += 1
-                    code = Code.DIED if dead else Code.TIME_OVER
-                    text = f"{TEXTS[code]} ({error if dead else f'{self.study.analysis.time_limit:g} s'})"
-                    if self._hung == _HUNG:
-                        text = f"{text} {where_of(inputs, whole(places)[0])}"
-                        raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text}") from error
-                    evaluated(places, EvaluatedRows.plain(np.full((1, len(outputs)), np.nan), code, text))
+        # threads of an executor print as they like: what each call sets could stay
+        shared = isinstance(self._workers, Given)
+        with contextlib.redirect_stdout(sys.stderr) if shared else contextlib.nullcontext():
+            for places, answers in self._calls(task, missing(), whole, total):
+                self.evaluations += len(places)
+                if cache is not None and (self.seconds_per_row or 0.0) >= _QUICK:
+                    cache.write(whole(places), answers)
+                settle(places, answers)
+        at, text = first_failed
+        note = f"{text} {where_of(inputs, whole(np.array([at]))[0])}" if at < total else ""
+        return replace(found, note=note)
 
-        due = missing()
+    def _calls(
+        self, task: Task, due: Iterator[Places], whole: Callable[[Places], Array], total: int
+    ) -> Iterator[tuple[Places, EvaluatedRows]]:
+        """Answers as they come. A call that raises is cut in two, so that one bad row does not take the others with it;
+        rows of one that took too long or ended its process are tried one by one, and one that ended it twice."""
+        again, died, running = deque[Places](), set[int](), dict[Future[Timed], Places]()
         try:
-            while done < total:
+            while True:
                 if self.stop is not None and self.stop():
                     raise Interrupted
-                if not running and is_box:
-                    self._grow(task, total - done)
-                workers = self._workers
-                assert workers is not None
+                workers = self._workers if self._workers is not None and running else self._staffed(task, total)
                 # one call tells what a row takes, before many are handed out
                 window = workers.window if self._times or isinstance(workers, Given) else 1
                 while len(running) < window:
@@ -320,15 +266,67 @@ class Model:
                     if places is None:
                         break
                     running[workers.submit(task, whole(places), self._limit(len(places)))] = places
+                if not running:
+                    return
                 ended, _ = wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED)
                 # answers first: what is lost with an executor ends the run
                 for future in sorted(ended, key=lambda f: f.cancelled() or f.exception() is not None):
-                    take(future, running.pop(future))
-                if not ended and isinstance(workers, Given):
-                    workers.check()
+                    places = running.pop(future)
+                    try:
+                        answers, seconds = workers.result(future)
+                        known = self._times.pop() if len(self._times) > 1 else (0.0, 0)
+                        self._times.append((known[0] + seconds, known[1] + len(places)))
+                        self._hung = 0
+                    except (ModelRaised, TimeoutError, Died) as error:
+                        if isinstance(error, ModelRaised) and self.study.analysis.on_failure == "abort":
+                            raise
+                        if len(places) > 1:
+                            parts = 2 if isinstance(error, ModelRaised) else len(places)
+                            again.extend(np.array_split(places, parts))
+                            continue
+                        if isinstance(error, Died) and int(places[0]) not in died:
+                            died.add(int(places[0]))
+                            again.append(places)
+                            continue
+                        answers = self._unanswered(error, whole(places)[0])
+                    yield places, answers
         finally:
             for future in running:
                 future.cancel()
-        at, text = first_failed
-        note = f"{text} {where_of(inputs, whole(np.array([at]))[0])}" if at < total else ""
-        return replace(gathered, note=note)
+
+    def _staffed(self, task: Task, rows: int) -> Workers:
+        """Where calls are made: a scene and a function begin in this process, a file in one of its own, and rows that
+        have proved worth it get more processes. Nothing may be running."""
+        workers, limited = self._workers, self.study.analysis.time_limit is not None
+        if workers is None:
+            here = self.model is None or (callable(self.model) and not limited)
+            workers = Here(self.threads) if here else Processes(self._processes if limited else 1, task)
+        slow = self.model is not None and (self.seconds_per_row or 0.0) * rows >= _WORTH
+        if slow and workers.count not in (0, self._processes):
+            try:
+                more = Processes(self._processes, task)
+                workers.close()
+                workers = more
+            except (UsageError, ModelError):  # it cannot be had elsewhere, and goes on where it is
+                self._processes = workers.count
+        self._workers = workers
+        return workers
+
+    def _limit(self, rows: int) -> float | None:
+        """Seconds that a call may take: the study's limit, or ten times what is usual of many rows if that is more."""
+        limit, each = self.study.analysis.time_limit, self.seconds_per_row
+        if limit is None or rows == 1:
+            return limit
+        return max(limit, rows * min(limit, math.inf if each is None else 10.0 * each))
+
+    def _unanswered(self, error: Exception, row: Array) -> EvaluatedRows:
+        """What stands for the answers to a row (d,) that has none. Raises ModelError after `_HUNG` rows without one."""
+        code, text = Code.RAISED, str(error)
+        if not isinstance(error, ModelRaised):
+            self._hung += 1
+            code = Code.DIED if isinstance(error, Died) else Code.TIME_OVER
+            text = f"{TEXTS[code]} ({error if code == Code.DIED else f'{self.study.analysis.time_limit:g} s'})"
+        if self._hung == _HUNG:
+            text = f"{text} {where_of([*self._numbers], row)}"
+            raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text}") from error
+        return EvaluatedRows.plain(np.full((1, len(self.study.outputs)), np.nan), code, text)
