@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -37,7 +36,7 @@ from uqsphere.uq import Dependence, Estimate, Joint, LimitState, absent, curve, 
 from uqsphere.uq.estimate import REPLICATES, around, between
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.surrogate import Expansion, columns_of, fit_expansion, in_order_of, index_of
+from uqsphere.uq.surrogate import Expansion, columns_of, each_once, fit_expansion, in_order_of, index_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -114,12 +113,7 @@ def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():
         raise UsageError("y must be finite: leave rows without an answer out")
-    different, place, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-    if (n := len(different)) < len(rows):
-        text = f"each of the {n} different rows counts once, with the mean of its answers"
-        warnings.warn(f"{len(rows) - n} of {len(rows)} rows repeat another: {text}", stacklevel=3)
-        return different, np.bincount(place.ravel(), values) / counts
-    return rows, values
+    return each_once(rows, values)
 
 
 # --- rows that are there ----------------------------------------------------------------------------------------
@@ -185,7 +179,7 @@ def _called(model: Model, columns: dict[str, Array]) -> Array:
             raise UsageError(f"the model answers {', '.join(map(str, names))}: one output is required")
         found = found[names[0]]
     given = np.asarray(by_index(found, n))
-    if given.dtype.kind not in "fiub":
+    if given.dtype.kind not in "fiu":
         raise UsageError(f"the model must answer with real numbers, found {given.dtype}")
     values = given.astype(float)
     if values.shape != (n,):

@@ -32,7 +32,7 @@ from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected, half_width, index_shares, unseen
-from uqsphere.uq.surrogate import columns_of
+from uqsphere.uq.surrogate import columns_of, each_once
 
 if TYPE_CHECKING:
     from uqsphere.run.progress import Progress
@@ -108,8 +108,9 @@ class KnownRows:
 def known_rows(design: Design, frame: Any) -> KnownRows:
     """Inputs and outputs (N rows) by their names; model factors of limits are drawn besides.
 
-    Raises UsageError for a study of a scene, columns that are missing, unknown or no numbers, fewer than 16 rows, and
-    inputs that do not follow their distributions (Kolmogorov and Smirnov, at one in a million).
+    Rows that repeat count once, with a warning.  Raises UsageError for a study of a scene, columns that are missing,
+    unknown or no numbers, fewer than 16 rows, and inputs that do not follow their distributions (one value beyond them,
+    or Kolmogorov and Smirnov at one in a million).
     """
     from scipy.stats import kstest
 
@@ -120,13 +121,16 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
     if not hasattr(frame, "fillna"):
         raise UsageError(f"analyse takes a DataFrame with {', '.join((*inputs, *outputs))}, not {type(frame).__name__}")
     columns_of(frame.fillna(0.0), (*inputs, *outputs))
-    x, y = columns_of(frame[list(inputs)], inputs), frame[list(outputs)].to_numpy(dtype=float)
+    x, y = each_once(columns_of(frame[list(inputs)], inputs), frame[list(outputs)].to_numpy(dtype=float))
     if len(x) < LEAST_ROWS:
         raise UsageError(f"{len(x)} rows are too few: {LEAST_ROWS} or more are needed")
     if steps := [name for name in inputs if design.study.random[name].is_steps]:
         raise UsageError(f"{steps[0]} is discrete: rows from elsewhere need inputs with a density")
     own = design.joint.only(inputs).normals(x)
-    for name, column, law in zip(inputs, own.T, design.joint.only(inputs).laws, strict=True):
+    for name, column, values, law in zip(inputs, own.T, x.T, design.joint.only(inputs).laws, strict=True):
+        if (beyond := np.flatnonzero((law.cdf(values) <= 0.0) | (law.sf(values) <= 0.0))).size:
+            raise UsageError(f"column {name!r}: {values[beyond[0]]:g} cannot come from the distribution of the study, "
+                             f"{law!r}: {len(beyond)} of {len(x)} rows lie beyond it")  # fmt: skip
         if kstest(column, "norm").pvalue < 1e-6:
             raise UsageError(f"the column {name!r} does not follow the distribution of the study, {law!r}: "
                              "rows are drawn as by study.design or study.sample")  # fmt: skip

@@ -12,6 +12,7 @@ with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -75,14 +76,29 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
     elif hasattr(rows, "index") and hasattr(rows, "to_frame"):  # a Series: one row, its index the names
         return columns_of(rows.to_frame().T, names)
     try:
-        x = np.asarray(rows, dtype=float)
+        if np.iscomplexobj(x := np.asarray(rows)):
+            raise TypeError("complex numbers")
+        x = x.astype(float)
     except (TypeError, ValueError) as error:
         raise UsageError(f"the rows are no columns of numbers: {error}") from error
     if x.ndim != 2 or x.shape[1] != len(names):
         raise UsageError(f"rows of shape (n, {len(names)}) are required, found {x.shape}")
-    if not np.isfinite(x).all():
-        raise UsageError("the rows hold what is no finite number")
+    if (bad := np.argwhere(~np.isfinite(x.T))).size:
+        raise UsageError(f"column {names[bad[0, 0]]!r} has no finite number in row {bad[0, 1] + 1}")
     return x
+
+
+def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
+    """Different rows, in the order of their first, and the mean of what each has; a warning where some repeat."""
+    different, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    if len(different) == len(rows):
+        return rows, values
+    text = f"each of the {len(different)} different rows counts once, with the mean of its answers"
+    warnings.warn(f"{len(rows) - len(different)} of {len(rows)} rows repeat another: {text}", stacklevel=4)
+    sums = np.zeros((len(different), *values.shape[1:]))
+    np.add.at(sums, place.ravel(), values)
+    order = np.argsort(first)
+    return different[order], (sums.T / np.bincount(place.ravel())).T[order]
 
 
 def index_of(rows: Any) -> Any:
