@@ -219,7 +219,7 @@ TRUTHS = {
 def test_ranges_cover_a_small_probability_as_often_as_they_promise(kind: str) -> None:
     """Five tests, the probability of lying below the true 1 % quantile; Student's intervals would cover 60 to 80 %."""
     truth, rng = TRUTHS[kind], np.random.default_rng(11)
-    at, repetitions = np.array([truth.ppf(0.01)]), 300
+    at, repetitions = np.array([truth.ppf(0.01)]), 100
     covered = 0
     for _ in range(repetitions):
         law = fitted_law(truth.rvs(5, random_state=rng), kind)
