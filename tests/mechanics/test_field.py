@@ -76,30 +76,19 @@ def test_tension_begins_where_the_tail_meets_the_reflection():
     assert found.time == pytest.approx(BASE["striker.length"] / C0, rel=1e-7)
 
 
-def test_tension_in_the_receiving_bar_against_a_plain_search():
-    history = history_with()
-    found = first_tension(history.motion, "receiving")
-    level = 1e-6 * 0.5 * 7850.0 * C0
-    d = np.linspace(0.0, 1.2, 2401)
-    # nothing a little earlier anywhere, and tension at the place found a little later
-    for share, some in ((0.999, False), (1.001, True)):
-        stress = field_at(history.motion, "receiving", d, np.full(d.shape, share * found.time)).stress
-        assert (stress > level).any() == some
-    there = field_at(history.motion, "receiving", found.position, [found.time * (1.0 + 1e-5)]).stress[0]
-    assert there > 0.0
-    assert found.time > 1.2 / C0
-
-
-@pytest.mark.parametrize("shape", ["half_sine", "trapezoid"])
-def test_tension_of_smooth_pulses_against_a_plain_search(shape):
-    numbers = {"pulse_rise": 30e-6, "pulse_fall": 50e-6} if shape == "trapezoid" else {}
+@pytest.mark.parametrize(
+    ("bar", "shape", "numbers", "share", "near"),
+    [("receiving", "rectangular", {}, 1e-6, 0.001), ("incident", "half_sine", {}, 0.01, 0.005),
+     ("incident", "trapezoid", {"pulse_rise": 30e-6, "pulse_fall": 50e-6}, 0.01, 0.005)],
+)  # fmt: skip
+def test_the_first_tension_against_a_plain_search(bar, shape, numbers, share, near):
+    """Nothing a little earlier anywhere, tension somewhere a little later, and at the place found at once."""
     history = history_with(shape, **numbers)
-    found = first_tension(history.motion, "incident", share=0.01)
-    level = 0.01 * 0.5 * 7850.0 * C0
-    d = np.linspace(0.0, 1.5, 3001)
-    for share, some in ((0.995, False), (1.005, True)):
-        stress = field_at(history.motion, "incident", d, np.full(d.shape, share * found.time)).stress
-        assert (stress > level).any() == some
+    found, level = first_tension(history.motion, bar, share=share), share * 0.5 * 7850.0 * C0
+    d = np.linspace(0.0, {"incident": 1.5, "receiving": 1.2}[bar], 3001)
+    for time, some in (((1.0 - near) * found.time, False), ((1.0 + near) * found.time, True)):
+        assert (field_at(history.motion, bar, d, np.full(d.shape, time)).stress > level).any() == some
+    assert field_at(history.motion, bar, found.position, [found.time * (1.0 + 1e-5)]).stress[0] > 0.0
 
 
 def test_no_tension_where_nothing_pulls():

@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import massless_approach
-from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.history import find_changes, trace
 from uqsphere.mechanics.integrator import solve as dynamics
 
@@ -107,38 +106,6 @@ def test_recontact_against_an_independent_integration():
     assert len(history.changes) >= 4
     for change in history.changes:
         assert abs(rest.sol(change.time)["AB".index(change.face)]) < 1e-7
-
-
-def test_waves_obey_their_definitions(example):
-    """P_A = Z (f - g_A), P_B = Z (k_B - h), and alpha' = bar end less sphere: theory (3) to (5)."""
-    scene, history = example
-    motion = dynamics.motion(scene, 0, tolerance=TOLERANCE)
-    unit, (T_1, T_3) = scene.scales.time[0], scene.round_trips[0]
-    inside = (motion.start + 0.5 * motion.length) * unit
-    inside = inside[inside < motion.end * unit]
-    waves, states = waves_at(motion, inside), motion.states_at(inside)
-    Z, beta = scene.scales.impedance[0], scene.scales.hertz_constant[0]
-    scale = scene.scales.force[0]
-    np.testing.assert_allclose(
-        Z * (waves.incident - waves.leaving_a), contact.hertz_force(states[:, 0], beta), atol=1e-12 * scale
-    )
-    np.testing.assert_allclose(
-        Z * (waves.leaving_b - waves.returning), contact.hertz_force(states[:, 1], beta), atol=1e-12 * scale
-    )
-    # what comes back is what left one round trip ago
-    ago_a, ago_b = waves_at(motion, inside - T_1), waves_at(motion, inside - T_3)
-    pulse = np.where(inside < scene.pulse.end[0], 0.5, 0.0)
-    np.testing.assert_allclose(waves.incident, pulse + ago_a.leaving_a * (inside > T_1), atol=1e-12)
-    np.testing.assert_allclose(waves.returning, ago_b.leaving_b * (inside > T_3), atol=1e-12)
-    # the rates, from the polynomials themselves
-    k, steps = np.arange(1, motion.states.shape[2]), len(inside)
-    rates = (motion.states[:steps, :2, 1:] * k * 0.5 ** (k - 1)).sum(axis=2) / motion.length[:steps, None]
-    rates *= scene.scales.approach[0] / unit
-    ends = np.stack([waves.incident + waves.leaving_a, -waves.leaving_b - waves.returning], axis=1)
-    error = np.abs(rates - ends - states[:, [2]] * [-1.0, 1.0])
-    assert error[inside < history.record_end].max() < 1e-6
-    # a polynomial across a loss of contact, or its echo, bends less than the force does
-    assert error.max() < 1e-4
 
 
 def test_jumps_stand_twice_with_both_values(example):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import example
 
 from tests.campaigns import sweep
 from tests.campaigns.sweep import (
@@ -17,6 +18,7 @@ from tests.campaigns.sweep import (
     unbalanced,
     with_law,
 )
+from tests.independent.motion import Unaffordable, refer
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered
@@ -44,6 +46,13 @@ def test_other_tolerances_hold_too(tolerance: float) -> None:
         design(11, 8, narrower=SHORT), tolerance=tolerance, budget=300, rtol=max(1e-3 * tolerance, 1e-12)
     )
     assert found.silent == (), report(found)
+
+
+def test_no_answer_of_the_second_integrator_rather_than_a_doubtful_one() -> None:
+    with pytest.raises(Unaffordable, match="more than 20 steps"):
+        refer(example(), budget=20)
+    with pytest.raises(ValueError, match="outside the domain"):
+        refer(example(sphere_radius=1.0))
 
 
 def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,14 +1,12 @@
 """Faces that yield inside the equations of motion: converged scenes, a second integrator, limits."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.independent.motion import refer
 from uqsphere.mechanics.integrator import faces, solve
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.tracked import (
@@ -66,31 +64,6 @@ def test_converged_scenes(case):
         assert value[0] == pytest.approx(wanted[name], rel=1e-7), name
     if wanted["contact_time"] is not None:
         assert answers[ANSWER_CONTACT] * scale.time[0] == pytest.approx(wanted["contact_time"], rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("speed", "onset", "ratio", "pile_up", "length"),
-    [(1.2, 1.3e9, 1.78, 8.0 / 3.0, 0.1), (3.0, 0.75e9, 2.0, 2.0, 0.05), (0.8, 0.9e9, 1.0, 1.0, 0.2)],
-)
-def test_a_second_integrator_of_another_method_agrees(speed, onset, ratio, pile_up, length):
-    numbers = {**GRANITE, **STEEL, "striker.length": length, "striker.speed": speed}
-    scene = scene_of(
-        {**numbers, "pulse": "half_sine", "infinite": True, "horizon": 2.5 * length / math.sqrt(205e9 / 7850.0)},
-        onset_pressure=onset,
-        hardness=onset * ratio,
-        pile_up=pile_up,
-    )
-    found = solve.integrate(scene, tolerance=1e-8, threads=1).answers[0]
-    course = refer(scene, rtol=1e-12).motion
-    mass, wave = float(scene.scales.mass_number[0]), course.state[9]
-    laws = [pole.law for pole in course.poles]
-    # what the bar brings in less what leaves through both faces is in the sphere and its faces
-    inside = 0.5 * mass * course.state[2] ** 2 + sum(law.energy(course.state[k]) for k, law in enumerate(laws))
-    assert inside == pytest.approx(wave - course.state[5:7].sum(), rel=1e-8)
-    assert course.top(lambda rows: rows[0]) > laws[0].onset
-    for k in range(2):
-        assert found[ANSWER_FACES + k] == pytest.approx(course.top(lambda rows, k=k: rows[k]), rel=5e-8)
-    assert found[ANSWER_UNLOADINGS] == sum(law.unloadings for law in laws)
 
 
 def granite_rows(**law: float) -> Scene:
