@@ -11,7 +11,7 @@ from uqsphere.study.study import Axis, Limit, Study, limit_of, strength_name, wi
 
 __all__ = [
     "Axis", "FailureMode", "Limit", "Study", "breaks_by", "failure_modes_of", "json_schema", "limit_of", "load_study",
-    "means_fracture", "reference", "shipped_studies", "strength_name", "with_number",
+    "means_fracture", "shipped_studies", "strength_name", "with_number",
 ]  # fmt: skip
 
 
@@ -20,13 +20,6 @@ def json_schema() -> dict[str, Any]:
     from uqsphere.study.reference import build_schema
 
     return build_schema()
-
-
-def reference() -> str:
-    """The page docs/study-file.md, made from the declarations."""
-    from uqsphere.study.reference import build_page
-
-    return build_page()
 
 
 def shipped_studies() -> dict[str, Path]:

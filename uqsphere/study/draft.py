@@ -63,7 +63,7 @@ class Draft:
     @property
     def rig(self) -> str:
         """What loads the sphere."""
-        return self.document.rig.kind
+        return str(self.document.rig.kind)
 
     @property
     def plastic(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 
+from uqsphere.errors import as_text
 from uqsphere.units import bare_number
 
 Place = tuple[str | int, ...]
@@ -46,10 +47,9 @@ def shown(value: object, longest: int = 60) -> str:
         return str(value).lower()
     if isinstance(value, int | float):
         return bare_number(value)
-    if not isinstance(value, str):
-        return f"a {type(value).__name__}"
-    text = json.dumps("".join(c if c.isprintable() else "?" for c in value[: 2 * longest]), ensure_ascii=False)
-    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+    if isinstance(value, str):
+        return json.dumps(as_text(value, longest), ensure_ascii=False)
+    return f"a {type(value).__name__}"
 
 
 def one_of(words: Iterable[str]) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, within
 from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
@@ -19,9 +21,6 @@ if TYPE_CHECKING:
     from uqsphere.study.draft import Draft
     from uqsphere.study.study import Tested
 
-BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
-#: a standard deviation over the mean that is worth a warning, and that is refused
-_WIDE, _TOO_WIDE = 1.0, 1000.0
 #: a share of a law outside what has a meaning that is worth a warning
 NOTABLE: Final = 1e-6
 
@@ -46,9 +45,12 @@ def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Qu
     return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name)
 
 
-def number_path(table: str, key: str) -> str:
-    """The name of a number in the nomenclature: inserts stand there among the numbers of the bars."""
-    return f"bars.insert_{key}" if table == "insert" else f"{table}.{key}"
+@cache
+def numbers_of(table: str) -> dict[str, Quantity]:
+    """The numbers that a table of a scene can have, by their keys; those of inserts stand among those of the bars."""
+    start = "bars.insert_" if table == "insert" else f"{table}."
+    numbers = {name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)}
+    return {key: entry for key, entry in numbers.items() if not key.startswith(("insert_", "noise_"))}
 
 
 def bounds_in_words(quantity: Quantity) -> str:
@@ -63,13 +65,10 @@ def bounds_in_words(quantity: Quantity) -> str:
 def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
     if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
-        if raw not in BAR_ENDS:
-            found = f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]"
-            raise Fault(found + suggestion(raw, BAR_ENDS))
-        return BAR_ENDS[raw]
-    if isinstance(raw, bool) or not isinstance(raw, int | float | str) or len(str(raw)) > 200:
-        unit = "" if quantity.dimension == "number" else " with its unit in quotes"
-        raise Fault(f"found {shown(raw)}, where a number{unit} is required")
+        if raw not in END_COEFFICIENTS:
+            found = f"found {shown(raw)}, allowed: {one_of(END_COEFFICIENTS)}, or a number in [-1, 1]"
+            raise Fault(found + suggestion(raw, END_COEFFICIENTS))
+        return END_COEFFICIENTS[raw]
     try:
         value = parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
     except UnitError as error:
@@ -79,11 +78,11 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     return value
 
 
-def _likely_unit(raw: float | str, quantity: Quantity) -> str:
+def _likely_unit(raw: Any, quantity: Quantity) -> str:
     """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
     try:
         bare = float(raw)
-    except (ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError):
         return quantity.display
     (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
     usual = (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high)
@@ -140,39 +139,28 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> tuple[Law, dict[str, 
     try:
         return make_law(family.name, given, *bounds), given
     except LawError as error:
-        spoken = (error.key == "" or error.key in DIMENSIONAL) and any(map(str.isdigit, error.message))
-        said = f" (numbers in {quantity.unit})" if spoken and quantity.unit else ""
-        raise Fault(f"{error.message}{said}", error.key if error.key in raw else "") from None
+        unit = f" (numbers in {quantity.unit})" * (error.key in ("", *DIMENSIONAL) and quantity.unit != "")
+        raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
 
 
 def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, draft: Draft, place: Place) -> None:
-    """Refuse a law outside what has a meaning, or too wide to compute with; warn of tails, wide and cut-off laws."""
-    name, centre, middle, scatter = quantity.name, law.nominal_mean(), law.mean(), law.sd()
+    """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
+    name, centre, middle = quantity.name, law.nominal_mean(), law.mean()
     if not quantity.allows(centre):
         raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
     ends = {"lower": law.lower, "upper": law.upper}
     for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
-    cov = max(scatter / abs(middle) if middle and scatter is not None else 0.0, given.get("cov", 0.0))
-    wide = f"the standard deviation is {cov:.3g} times the mean"
-    if cov > _TOO_WIDE and not any(map(math.isfinite, ends.values())):
-        at = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in given), "")
-        raise Fault(f'{wide}, at most {_TOO_WIDE:g} can be computed with; write a share, such as "12 %"', at)
-    if cov > _WIDE:
-        share = f'; 15 % is written 0.15 or "15 %", so {bare_number(cov)} % is {cov / 100:g}' * ("cov" in given)
-        draft.warn(place, f"{wide}: is that meant?{share}")
+    cov = max(law.sd() / abs(middle) if middle else 0.0, given.get("cov", 0.0))
+    if cov > 1.0:
+        share = f'; {bare_number(cov)} % is written "{bare_number(cov)} %" or {cov / 100:g}' * ("cov" in given)
+        draft.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
     if (mean := given.get("mean")) is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
         draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
-    if law.family.bounded or not law.mass:
-        return
-    outside = 0.0
-    if law.lower < quantity.lower:
-        outside += float(law.cdf(np.array([quantity.lower]))[0])
-    if law.upper > quantity.upper:
-        outside += float(law.sf(np.array([quantity.upper]))[0])
+    outside = float(law.cdf(np.array([quantity.lower]))[0] + law.sf(np.array([quantity.upper]))[0])
     if outside > NOTABLE:
         effect = "these samples count as failed evaluations; " if name in INPUTS else ""
         draft.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
