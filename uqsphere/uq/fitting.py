@@ -22,15 +22,13 @@ from uqsphere.uq.families import DRAWN, FAMILIES, Family
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.law import Law, bounds_of, checked
 from uqsphere.uq.location_scale import MANY, LocationScale
-from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, WIDTH, bandwidth
+from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {"lognormal": location_scale.LOGNORMAL, "weibull": location_scale.WEIBULL}
-#: fewer failures than this say nothing of scatter
-LEAST_FAILURES: Final = 2
 #: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
 #: to the other half
 SAME: Final = 1.5e-8
@@ -88,7 +86,7 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     if broke.size == 0:
         raise ValueError(f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength")
     if broke[-1] - broke[0] <= SAME * broke[-1]:
-        what = "only one failure" if total < LEAST_FAILURES else f"all {total:.0f} failures are equal"
+        what = "only one failure" if total == 1.0 else f"all {total:.0f} failures are equal"
         raise ValueError(f"{what}: the scatter is not known, at least two different failures are needed")
     return tests
 
@@ -178,13 +176,6 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
         log_likelihood=float((terms - tests.failures * (y + math.log(spread))).sum()),
         p_value=probability_of(tests, law),
     )  # fmt: skip
-
-
-def fitted_parameters(tests: StrengthTests, law: LocationScale, *, unbiased: bool = False) -> dict[str, float]:
-    """Parameters alone, without the price of the intervals."""
-    location, spread = _best(tests, law)
-    shape = law.shape(spread) * (unbiasing(law, tests.leaving) if unbiased else 1.0)
-    return law.parameters(location, law.shape(shape))
 
 
 def _distance(below: Array, leaving: Array) -> Array:
@@ -281,21 +272,22 @@ def _member(
     family: Family, values: Array, a: float, b: float, censored: Sequence[float] = (), *, unbiased: bool = False
 ) -> Law:
     """The member of a family that the observations (n,), in rising order, have the largest likelihood by."""
-    name, known = family.name, family.bounded and bool(family.parameters_of)
-    if family.bounded and not known:
-        a, b = (float(end if math.isinf(given) else given) for end, given in ((values[0], a), (values[-1], b)))
-    if known and not (math.isfinite(a) and math.isfinite(b)):
+    name, least, largest = family.name, float(values[0]), float(values[-1])
+    if family.bounded and not family.parameters_of:
+        a, b = bounds_of(least if math.isinf(a) else a, largest if math.isinf(b) else b)
+    elif family.bounded and not math.isfinite(b - a):
         raise LawError(f"{name} needs lower and upper", "lower" if math.isinf(a) else "upper")
-    a, b = bounds_of(a, b)
+    elif family.bounded and not a < least <= largest < b:
+        raise LawError(f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit")
+    if family.positive and least <= 0.0:
+        raise LawError(f"{name} needs positive observations, the smallest is {least:g}", "fit")
     law = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
     try:
-        if known and not (a < values[0] and values[-1] < b):
-            found, allowed = f"{values[0]:g} to {values[-1]:g}", f"{a:g} to {b:g}"
-            raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
-        if family.positive and values[0] <= 0.0:
-            raise ValueError(f"{name} needs positive observations, the smallest is {values[0]:g}")
         if family.location_scale is not None:
-            fitted = fitted_parameters(series_behind(law), family.location_scale, unbiased=unbiased)
+            tests, kind = series_behind(law), family.location_scale
+            location, spread = _best(tests, kind)
+            shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
+            fitted = kind.parameters(location, kind.shape(shape))
         else:
             assert family.fit is not None
             fitted = family.fit(values, a, b)
@@ -341,10 +333,8 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     if n < LEAST_TESTS:
         raise LawError(f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
                        "file")  # fmt: skip
-    if family.observed is not None:
-        return [_redrawn(law, generator) for _ in range(count)]
     if family.location_scale is None:
-        return _refitted(law, count, generator)
+        return [_made_again(law, generator) for _ in range(count)]
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests, kind = series_behind(law), family.location_scale
     location, scale = _best(tests, kind)
@@ -354,27 +344,28 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
     return [replace(law, parameters=dict(zip(columns, row, strict=True))) for row in values]
 
 
-def _refitted(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
-    """Laws fitted to samples of the law, of as many observations: the parametric bootstrap.
+def _made_again(law: Law, generator: np.random.Generator) -> Law:
+    """A law fitted to a sample of as many observations: of the law itself (the parametric bootstrap), or of those of a
+    kernel density or a step function, drawn with repetition.
 
     The estimate of a scale, or of a rate, is in a fixed ratio to the truth: that ratio turned round is exact.
     """
-    name, found = law.family.name, list[Law]()
-    if not law.family.keys:
-        raise LawError(f"a {name} law takes its bounds as known: there is nothing to be unsure of", "fit")
-    if name == "student_t":
-        raise LawError("what tests leave open of a student_t law is not known: fit a normal or lognormal law", "fit")
-    for _ in range(4 * count):
-        with contextlib.suppress(LawError):
-            again = _member(
-                law.family, np.sort(law.ppf(generator.random(len(law.data)))), law.lower, law.upper
-            ).parameters
-            if len(again) == 1 and not law.family.bounded:
-                again = {key: law.parameters[key] ** 2 / value for key, value in again.items()}
-            found.append(replace(law, parameters=again))
-        if len(found) == count:
-            return found
-    raise LawError(f"samples of this {name} law cannot be fitted again", "fit")
+    family, n = law.family, len(law.data)
+    if family.name == "student_t" or not (family.keys or family.observed):
+        what = "takes its bounds as known" if family.bounded else "has tails that few tests say nothing of"
+        raise LawError(f"a {family.name} law {what}: fit a normal or lognormal law", "fit")
+    for _ in range(20):
+        sample = np.sort(generator.choice(law.data, n) if family.observed else law.ppf(generator.random(n)))
+        if family.observed is None:
+            with contextlib.suppress(LawError):
+                again = _member(family, sample, law.lower, law.upper).parameters
+                if len(again) == 1 and not family.bounded:
+                    again = {key: law.parameters[key] ** 2 / value for key, value in again.items()}
+                return replace(law, parameters=again)
+        elif sample[0] < sample[-1]:
+            width = 0.0 if law.is_steps else bandwidth(sample)
+            return replace(law, parameters={"bandwidth": width}, data=tuple(sample.tolist()))
+    raise LawError(f"samples of this {family.name} law cannot be fitted again", "fit")
 
 
 def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
@@ -388,21 +379,4 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     >>> law.ppf(np.array([0.5])).round(6).tolist(), count_tests(law)
     ([2.0], 12)
     """
-    table = np.asarray(draws, dtype=float)
-    if table.ndim != 2 or table.shape[1] != WIDTH or not len(table) or not np.isfinite(table).all():
-        said = f"draws must be finite and (n, 5): kind, least, scale, shape, bound; found {table.shape}"
-        raise LawError(said, "draws")
-    if not (np.isin(table[:, 0], (0.0, 1.0)).all() and (table[:, 2:4] > 0.0).all() and (table[:, [1, 4]] >= 0.0).all()):
-        raise LawError("draws need kind 0 or 1, scale and shape above zero, least and bound not negative", "draws")
-    return Law(family=DRAWN, parameters={"tests": float(tests)}, draws=tuple(map(tuple, table.tolist())))
-
-
-def _redrawn(law: Law, generator: np.random.Generator) -> Law:
-    """A kernel density or step function of the observations drawn with repetition."""
-    observations = np.asarray(law.data)
-    for _ in range(20):
-        drawn = np.sort(generator.choice(observations, observations.size))
-        if drawn[0] < drawn[-1]:
-            width = 0.0 if law.is_steps else bandwidth(drawn)
-            return replace(law, parameters={"bandwidth": width}, data=tuple(drawn.tolist()))
-    raise LawError("the observations hardly differ: they cannot be drawn again", "column")
+    return Law(family=DRAWN, parameters={"tests": float(tests)}, draws=tuple(map(tuple, draws)))

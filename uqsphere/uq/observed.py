@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 MOST_KERNELS: Final = 5000
 #: normal scores beyond this are below the smallest floating-point probability
 FURTHEST: Final = 37.5
-#: numbers of a draw, and the kinds
-WIDTH: Final = 5
+#: the kinds of a draw
 LOGNORMAL, WEIBULL = 0.0, 1.0
 #: values times laws up to which a mean is taken of the laws themselves, at once: 8 MB for each array on the way
 _FEW: Final = 1_000_000
