@@ -86,20 +86,6 @@ class Family:
         if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
             missing = "lower" if math.isinf(lower) else "upper"
             raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
-        own = {**self._whole_alternative(given), **{key: given.get(key, one) for key, one in self.optional.items()}}
-        try:
-            if self.from_moments is not None and not set(self.parameters_of) <= set(own):
-                own |= self.from_moments(own, lower, upper)
-            found = {key: float(own[key]) for key in self.parameters_of}
-            beyond = not all(map(math.isfinite, found.values()))
-        except (OverflowError, ZeroDivisionError):
-            beyond = True
-        if beyond:
-            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
-        return found
-
-    def _whole_alternative(self, given: Mapping[str, float]) -> Keys:
-        """One alternative of what was given, sd in place of cov."""
         for key, value in given.items():
             if key not in self.keys:
                 raise LawError(f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key)
@@ -119,7 +105,16 @@ class Family:
             raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
         if "cov" in own:
             own["sd"] = own.pop("cov") * abs(own["mean"])
-        return own
+        own = {**self.optional, **given, **own}
+        try:
+            if self.from_moments is not None and not set(self.parameters_of) <= set(own):
+                own |= self.from_moments(own, lower, upper)
+            found = {key: float(own[key]) for key in self.parameters_of}
+        except (OverflowError, ZeroDivisionError):
+            found = {"": math.inf}
+        if not all(map(math.isfinite, found.values())):
+            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
+        return found
 
 
 # --- how keys become parameters, and observations a fit ----------------------------------------------------------

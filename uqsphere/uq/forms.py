@@ -226,25 +226,21 @@ def form_of(
     Raises LawError, for a key, where quantiles and probabilities of a tail do not belong to each other.
     """
 
-    def plain(function: Callable[..., Any]) -> Function:
-        return lambda values: np.asarray(function(values), dtype=float)
-
-    cdf, sf, ppf, isf, pdf = map(plain, functions)
+    cdf, sf, ppf, isf, pdf = (lambda values, f=f: np.asarray(f(values), dtype=float) for f in functions)
     mean, variance = map(float, moments or (0.0, 0.0))
+    missing = 1.0 if not math.isfinite(mean) else 2.0 if not math.isfinite(variance) else math.inf
     orders = []
     for quantile, share, called in ((ppf, cdf, "lower"), (isf, sf, "upper")):
         with np.errstate(all="ignore"):
             places = quantile(_TAILS)
-            found = share(places) / _TAILS
+            # what both may differ by, as a share: a tenth of the smallest error that a run can ask of a probability
+            wrong = ~(np.abs(share(places) / _TAILS - 1.0) < 1e-4)
         if np.isnan(places).all():
             raise LawError(f"{name} has no law with these shapes", key)
-        # what both may differ by, as a share: a tenth of the smallest error that a run can ask of a probability
-        wrong = ~(np.abs(found - 1.0) < 1e-4)
         if wrong.any():
             raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
                            "its quantile there has another probability")  # fmt: skip
         far = np.abs(quantile(np.array([1e-6, 1e-12])))
-        missing = [order for order, moment in ((1.0, mean), (2.0, variance)) if not math.isfinite(moment)]
-        orders.append(missing[0] if missing and far[1] > _HEAVY * far[0] else math.inf)
+        orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
     return Form(tails=lambda y: (cdf(y), sf(y)), quantile=either(ppf, isf), pdf=pdf, orders=(orders[0], orders[1]),
                 moments=(mean, math.sqrt(variance)) if moments else None)  # fmt: skip

@@ -65,11 +65,15 @@ class Law:
         assert self.family.form is not None
         return self.family.form(self.parameters, self.lower, self.upper)
 
+    @property
+    def _untruncated(self) -> bool:
+        return self.family.bounded or (math.isinf(self.lower) and math.isinf(self.upper))
+
     @cached_property
     def _form(self) -> Form:
         """The standard form in force: the bounds of a bounded family are its own, and steps are left out."""
         form = self._whole[2]
-        if self.family.bounded or form.pdf is no_density or (math.isinf(self.lower) and math.isinf(self.upper)):
+        if self._untruncated or form.pdf is no_density:
             return form
         with np.errstate(divide="ignore"):
             a, b = self._standard(np.array([self.lower, self.upper])).tolist()
@@ -144,14 +148,8 @@ class Law:
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        cut = self._form is not self._whole[2] or self._form.mass < 1.0
-        whole = replace(self, lower=-math.inf, upper=math.inf) if cut else self
-        mean = whole.mean()
-        return (
-            mean
-            if math.isfinite(mean) or all(map(math.isinf, whole.tail_orders()))
-            else float(whole.ppf(np.array([0.5]))[0])
-        )
+        whole = self if self._untruncated else replace(self, lower=-math.inf, upper=math.inf)
+        return whole.mean() if min(whole.tail_orders()) > 1.0 else float(whole.ppf(np.array([0.5]))[0])
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf if it has all."""
@@ -234,9 +232,6 @@ def make_law(name: str, given: Mapping[str, float], lower: float | None = None, 
 
 def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
     """Bounds of a law, infinite where there are none; raises LawError."""
-    for key, bound in (("lower", lower), ("upper", upper)):
-        if bound is not None and math.isnan(bound):
-            raise LawError(f"{key} is not a number", key)
     a = -math.inf if lower is None else float(lower)
     b = math.inf if upper is None else float(upper)
     if not a < b:
@@ -267,10 +262,7 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
 def checked(law: Law) -> Law:
     """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold."""
     name = law.family.name
-    try:
-        centre = law.nominal_mean()
-    except OverflowError:
-        centre = math.inf
+    centre = law.nominal_mean()
     # a truncation that leaves less cannot be told from nothing in floating point
     if math.isfinite(centre) and not law.mass > 1e-290:
         bounds = f"[{law.lower:g}, {law.upper:g}]"
