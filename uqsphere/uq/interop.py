@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -43,15 +43,8 @@ def load_chaospy() -> Any:
     return chaospy
 
 
-#: laws that chaospy has exactly, for its own three-term recurrences
-CHAOSPY: Final[Mapping[str, Callable[[ModuleType, Law], Distribution]]] = {
-    "normal": lambda chaospy, law: chaospy.Normal(law.parameters["mean"], law.parameters["sd"]),
-    "uniform": lambda chaospy, law: chaospy.Uniform(law.lower, law.upper),
-    "lognormal": lambda chaospy, law: chaospy.LogNormal(law.parameters["log_mean"], law.parameters["log_sd"]),
-    "beta": lambda chaospy, law: chaospy.Beta(
-        law.parameters["alpha"], law.parameters["beta"], law.lower, law.upper
-    ),
-}  # fmt: skip
+#: laws that chaospy has exactly, for its own three-term recurrences: they take the parameters, then bounds of their own
+CHAOSPY: Final = {"normal": "Normal", "uniform": "Uniform", "lognormal": "LogNormal", "beta": "Beta"}
 
 
 def joint_to_chaospy(inputs: Joint) -> Distribution:
@@ -75,9 +68,9 @@ def _ends(law: Law) -> list[float]:
 
 
 def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
-    made = CHAOSPY.get(law.family.name)
-    if made is not None and (law.family.bounded or (np.isinf(law.lower) and np.isinf(law.upper))):
-        return made(chaospy, law)
+    own = [end for end in (law.lower, law.upper) if np.isfinite(end)]
+    if (law.family.bounded or not own) and law.family.name in CHAOSPY:
+        return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *own)
     low, high = _ends(law)
     return chaospy.UserDistribution(
         cdf=law.cdf, pdf=None if law.is_steps else law.pdf, lower=lambda: low, upper=lambda: high,
@@ -152,27 +145,23 @@ def salib_measures(
     if not np.isfinite(outputs).all():
         # SALib answers zeros, without a word, where one output is not finite
         return [absent("outputs that are not finite: SALib would answer zeros", shown, outputs.size)] * len(names)
-    d, problem, scale = len(names), _unit_problem(names), float(outputs.std()) or 1.0
-    y = (outputs - outputs.mean()) / scale
+    d = len(names)
     if method == "morris":
-        u, values = uniforms.reshape(-1, d + 1, d), y.reshape(-1, d + 1)
-        step, rise = np.diff(u, axis=1), np.diff(values, axis=1)
-        moved = np.abs(step).argmax(axis=2)
-        effects = np.zeros((len(u), d))
-        np.put_along_axis(effects, moved, np.abs(rise / np.abs(step).max(axis=2)) * scale, axis=1)
-        return [from_replicates(effects[:, j], f"{shown}, mu*", outputs.size) for j in range(d)]
+        # in each step of a trajectory (d + 1, d) one input moves
+        steps, rises = np.diff(uniforms.reshape(-1, d + 1, d), axis=1), np.diff(outputs.reshape(-1, d + 1), axis=1)
+        effects = np.abs((rises[:, :, None] / np.where(steps == 0.0, np.inf, steps)).sum(axis=1))
+        return [from_replicates(column, f"{shown}, mu*", outputs.size) for column in effects.T]
     from SALib.analyze import delta, enhanced_hdmr, pawn
 
+    problem, y = _unit_problem(names), (outputs - outputs.mean()) / (float(outputs.std()) or 1.0)
     if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
         found = answers["delta"] if "delta" in answers else answers["delta_balanced"]
     elif method == "pawn":
         found = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
-    elif method == "hdmr":
+    else:
         # one bootstrap of all rows is the sample itself
         found = enhanced_hdmr.analyze(problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y),
                                       seed=seed)["ST"][:d]  # fmt: skip
-    else:
-        raise UsageError(f"unknown method {method!r}; known: {', '.join(SALIB_METHODS)}")
     return [Estimate(value=float(value), low=None, high=None, std_error=None, method=shown, evaluations=outputs.size)
             for value in np.asarray(found, dtype=float)]  # fmt: skip
