@@ -3,8 +3,8 @@
     python -m tests.campaigns.mutants [ROOM...] [--number 12] [--seed 1]
 
 A comparison is turned or its boundary moved, a sign, an operator or a number changed, a condition negated, in a copy of
-the tree; the room's tests run until the first that fails.  One that hangs is caught.  Survivors are printed with their
-places.  Modules with compiled kernels are left out.
+the tree; the tests of the room that name the module (all, if none does) run until the first that fails.  One that hangs
+is caught.  Survivors are printed with their places.  Modules with compiled kernels are left out.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import ast
 import contextlib
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -25,15 +26,12 @@ from typing import Any
 from tests.campaigns import options, table, tell
 
 ROOT = Path(__file__).parents[2]
-#: modules of a room (patterns in `uqsphere/`), and its tests
+#: modules of a room (patterns in `uqsphere/`), and its tests (patterns in `tests/`)
 ROOMS = {
-    "mechanics": ("mechanics/[bcfpvy]*.py", "tests/mechanics uqsphere/mechanics"),
-    "uq": ("uq/**/*.py", "tests/uq uqsphere/uq"),
-    "study": ("study/*.py", "tests/study uqsphere/study"),
-    "models": ("models/*.py", "tests/models"),
-    "run": ("run/*.py", "tests/run tests/test_public_cases.py"),
-    "labs": ("labs/**/*.py", "tests/labs uqsphere/labs"),
-}
+    "mechanics": ("mechanics/[bcfpvy]*.py", "mechanics/test_*.py"), "uq": ("uq/**/*.py", "uq/test_*.py"),
+    "study": ("study/*.py", "study/test_*.py"), "models": ("models/*.py", "models/test_*.py"),
+    "run": ("run/*.py", "run/test_*.py"), "labs": ("labs/**/*.py", "labs/test_*.py"),
+}  # fmt: skip
 TURNED: dict[type[ast.AST], tuple[type[Any], ...]] = {
     ast.Lt: (ast.GtE, ast.LtE), ast.LtE: (ast.Gt, ast.Lt), ast.Gt: (ast.LtE, ast.GtE), ast.GtE: (ast.Lt, ast.Gt),
     ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,), ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,), ast.In: (ast.NotIn,),
@@ -55,9 +53,16 @@ def mutations(tree: ast.AST) -> Iterator[tuple[ast.AST, str, Any]]:
             yield node, "test", ast.UnaryOp(ast.Not(), node.test)
 
 
-def caught(tree: Path, tests: str, most: float) -> bool:
+def related(tree: Path, module: Path, pattern: str) -> tuple[str, ...]:
+    """Test files that name a module, its own first, and the module's examples."""
+    stem, files = module.stem, sorted((tree / "tests").glob(pattern))
+    named = [file for file in files if re.search(rf"\b{stem}\b", file.read_text("utf-8"))] or files
+    return (str(module), *map(str, sorted(named, key=lambda file: (stem not in file.stem, file.stat().st_size))))
+
+
+def caught(tree: Path, tests: tuple[str, ...], most: float) -> bool:
     """Whether the tests fail, or take more seconds than `most`."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", *tests.split()]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", *tests]
     with contextlib.suppress(subprocess.TimeoutExpired):
         here = {**os.environ, "PYTHONPATH": str(tree)}
         return subprocess.run(command, cwd=tree, env=here, capture_output=True, timeout=most).returncode != 0
@@ -69,20 +74,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         tree = shutil.copytree(ROOT, Path(folder) / "tree", ignore=shutil.ignore_patterns(".git", ".venv"))
         for room in given.words or ROOMS:
-            modules, tests = ROOMS[room]
-            begun = time.perf_counter()
-            if caught(tree, tests, 3600.0):
-                raise SystemExit(f"the tests of {room} fail without a mutant")
-            most, found = 60.0 + 3.0 * (time.perf_counter() - begun), []
+            modules, pattern = ROOMS[room]
+            seconds, found = dict[tuple[str, ...], float](), list[bool]()
             places = [(path, k) for path in sorted((tree / "uqsphere").glob(modules))
                       for k, _ in enumerate(mutations(ast.parse(path.read_text())))]  # fmt: skip
             for path, k in random.Random(f"{given.seed} {room}").sample(places, given.number):
-                text = path.read_text()
+                tests, text = related(tree, path, pattern), path.read_text()
+                if tests not in seconds:
+                    begun = time.perf_counter()
+                    if caught(tree, tests, 3600.0):
+                        raise SystemExit(f"the tests of {path.name} fail without a mutant")
+                    seconds[tests] = time.perf_counter() - begun
                 node, name, value = list(mutations(changed := ast.parse(text)))[k]
                 before = ast.unparse(node)
                 setattr(node, name, value)
                 path.write_text(ast.unparse(ast.fix_missing_locations(changed)))
-                found.append(caught(tree, tests, most))
+                found.append(caught(tree, tests, 60.0 + 5.0 * seconds[tests]))
                 path.write_text(text)
                 if not found[-1]:
                     tell(f"{path.relative_to(tree)}:{getattr(node, 'lineno', 0)}: {before} -> {ast.unparse(node)}")
