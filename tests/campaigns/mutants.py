@@ -54,10 +54,10 @@ def mutations(tree: ast.AST) -> Iterator[tuple[ast.AST, str, Any]]:
 
 
 def related(tree: Path, module: Path, pattern: str) -> tuple[str, ...]:
-    """Test files that name a module, its own first, and the module's examples."""
+    """Test files that name a module, its own first, and the examples of its folder."""
     stem, files = module.stem, sorted((tree / "tests").glob(pattern))
     named = [file for file in files if re.search(rf"\b{stem}\b", file.read_text("utf-8"))] or files
-    return (str(module), *map(str, sorted(named, key=lambda file: (stem not in file.stem, file.stat().st_size))))
+    return (*map(str, sorted(named, key=lambda file: (stem not in file.stem, file.stat().st_size))), str(module.parent))
 
 
 def caught(tree: Path, tests: tuple[str, ...], most: float) -> bool:

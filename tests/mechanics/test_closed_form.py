@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -112,14 +110,6 @@ def test_closed_form_against_the_integrator(settings):
         np.testing.assert_array_equal(closed.censored[name], flags, err_msg=name)
     np.testing.assert_allclose(closed.record, integrated.record, rtol=5 * tolerance)
     assert closed.censored["time_to_first_loss"].all()
-
-
-def test_endless_step_builds_up_the_known_pressure():
-    """p_max = (3 Z v0 E*²/(pi³ r²))^(1/3), theory (13)."""
-    scene = scaled_scene(1e-3, 1.0, shape="step", horizon_in_t_c=40.0)
-    scales = scene.scales
-    limit = np.cbrt(3.0 * scales.impedance * scales.modulus**2 / (math.pi**3 * scales.effective_radius**2))
-    np.testing.assert_allclose(solve_closed(scene).values["p_max"], limit, rtol=1e-14)
 
 
 def test_rows_outside_the_domain_have_no_answer():

@@ -20,7 +20,7 @@ from tests.campaigns.stress_tables import (
     volume_integrals,
 )
 from tests.independent import elements
-from tests.independent.elements import compare, make_mesh, solve_elements
+from tests.independent.elements import compare
 from uqsphere.mechanics import stress
 from uqsphere.mechanics.contact import centre_tension
 from uqsphere.mechanics.stress import Load, load_coefficients, pressure_on_surface, series_stress, surface_stress
@@ -341,18 +341,3 @@ def test_series_and_elements_meet_as_the_mesh_is_refined(fine: elements.Comparis
 def test_the_largest_tension_inside_is_that_of_the_table(fine: elements.Comparison) -> None:
     inside = np.hypot(*fine.place.T) < 0.9
     assert fine.elements[inside].max() == pytest.approx(fine.core, rel=2e-3)
-
-
-def test_the_load_adds_up_to_the_force() -> None:
-    """Along the axis, per radian: ∫ sqrt(1 - (sin t/a)²) cos t sin t dt = a²/3."""
-    mesh = make_mesh(0.2, 16, 0.02)
-    force = elements._load(mesh, 0.2).reshape(-1, 2).sum(axis=0)
-    assert -force[1] == pytest.approx(0.2**2 / 3.0, rel=1e-5)
-
-
-def test_uniform_pressure_is_exact() -> None:
-    """Without the contact's grading there is a solution to compare with: under pressure all round, -1 everywhere."""
-    mesh = make_mesh(0.5, 8, 0.1)
-    found = solve_elements(0.5, 0.3, mesh, pressure=lambda sine: np.ones_like(sine))
-    assert found.stress[:, :3] == pytest.approx(-1.0, abs=1e-4)
-    assert np.abs(found.stress[:, 3]).max() < 1e-4

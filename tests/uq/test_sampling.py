@@ -18,12 +18,6 @@ def draw(count: int, start: int = 0, dimension: int = 3, seed: int = 7, task: st
     return sobol_points(dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate)
 
 
-@pytest.mark.parametrize(("start", "count"), [(0, 1), (1, 5), (3, 61), (64, 64), (100, 28)])
-def test_start_continues_the_same_sequence(start: int, count: int) -> None:
-    whole = draw(128)
-    assert np.array_equal(draw(count, start), whole[start : start + count])
-
-
 def test_same_key_same_points_other_key_other_points() -> None:
     assert np.array_equal(draw(64), draw(64))
     for other in (draw(64, seed=8), draw(64, task="u"), draw(64, replicate=1)):
