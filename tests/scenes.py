@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -27,3 +28,27 @@ def example(
     given = {**numbers, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
     columns = {name: np.array(np.broadcast_to(np.asarray(value, float), rows)) for name, value in given.items()}
     return Scene(columns=columns, shape=shape, **settings)
+
+
+def scaled_scene(
+    mu: Any, theta: Any, trips: Any = None, ends: Any = None, *, horizon_in_t_c: float | None = None, **structure: Any
+) -> Scene:
+    """Scenes of mass numbers mu and pulse numbers theta; infinite bars without round trips (n, 2) over t_c.
+
+    `ends` are the coefficients (n, 2) of the far ends; `horizon_in_t_c` is the end of the record over t_c.
+    """
+    mu, theta = np.broadcast_arrays(np.atleast_1d(np.asarray(mu, float)), np.asarray(theta, float))
+    columns = {name: np.full(len(mu), EXAMPLE[name]) for name in EXAMPLE if not name.startswith("striker.length")}
+    columns["sphere.density"][:] = 1.0
+    scales = Scene(columns={**columns, "pulse.duration": np.ones(len(mu))}, infinite=True).scales
+    columns["sphere.density"] = mu / scales.mass_number
+    if structure.get("shape") != "step":
+        columns["pulse.duration"] = theta * scales.time
+    if trips is not None:
+        speed = np.sqrt(EXAMPLE["bars.E"] / EXAMPLE["bars.density"])
+        for i, bar in enumerate(("incident", "receiving")):
+            columns[f"bars.{bar}_length"] = 0.5 * speed * np.asarray(trips, dtype=float)[:, i] * scales.time
+            columns[f"bars.{bar}_end"] = np.asarray(ends, dtype=float)[:, i] * np.ones(len(mu))
+    if horizon_in_t_c is not None:
+        structure["horizon"] = horizon_in_t_c * float(scales.time[0])
+    return Scene(columns=columns, infinite=trips is None, **structure)

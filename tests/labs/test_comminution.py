@@ -304,11 +304,12 @@ def test_a_lognormal_feed_of_a_power_law_in_closed_form(blows: int, key: str, tm
     assert float(broken @ fine.mass) == pytest.approx(case[key], abs=2e-4)
 
 
+SIZES = {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm"}
+
+
 def feed_document(**feed: Any) -> ComminutionDocument:
-    sizes = {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm"}
-    return document(
-        feed={"sizes": sizes, "specific_energy": "100 J/kg", **feed}, product={"A": "55 %", "b": "0.8 t/kWh"}
-    )
+    feed = {"sizes": SIZES, "specific_energy": "100 J/kg", **feed}
+    return document(feed=feed, product={"A": "55 %", "b": "0.8 t/kWh"})
 
 
 def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp_path: Path) -> None:
@@ -318,10 +319,7 @@ def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp
     assert one.passing[:, -1] == pytest.approx(1.0, abs=1e-9)
     assert (five.total > one.total).all()
     assert five.content["numbers"]["P80 [m]"]["value"] < one.content["numbers"]["P80 [m]"]["value"]
-    finer = answer_feed(fitted.posterior, document(
-        feed={"sizes": {"law": "rosin_rammler", "d63": "15 mm", "n": 1.2, "top": "40 mm", "ratio": 2**0.25,
-                        "classes": 28},
-              "specific_energy": "100 J/kg"}, product={"A": "55 %", "b": "0.8 t/kWh"}), tmp_path)  # fmt: skip
+    finer = answer_feed(fitted.posterior, feed_document(sizes=SIZES | {"ratio": 2**0.25, "classes": 28}), tmp_path)
     assert finer.content["numbers"]["P80 [m]"]["value"] == pytest.approx(
         one.content["numbers"]["P80 [m]"]["value"], rel=0.01
     )

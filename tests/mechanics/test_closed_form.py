@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import ENDLESS
+from scenes import scaled_scene
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -22,22 +22,6 @@ from uqsphere.mechanics.closed_form import (
 )
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
-
-BASE = {name: value for name, value in ENDLESS.items() if name != "striker.length"}
-
-
-def scaled_scene(mu, theta, **settings) -> Scene:
-    """Scenes in infinite bars with the mass numbers mu and pulse numbers theta."""
-    mu, theta = np.broadcast_arrays(np.atleast_1d(np.asarray(mu, float)), np.asarray(theta, float))
-    columns = {name: np.full(mu.shape, value) for name, value in BASE.items()}
-    first = Scene(columns={**columns, "pulse.duration": np.ones(mu.shape)}, infinite=True)
-    columns["sphere.density"] = columns["sphere.density"] * mu / first.scales.mass_number
-    if settings.get("shape") != "step":
-        columns["pulse.duration"] = theta * first.scales.time
-    if "horizon_in_t_c" in settings:
-        settings["horizon"] = settings.pop("horizon_in_t_c") * float(first.scales.time[0])
-    return Scene(columns=columns, infinite=True, **settings)
-
 
 # ---- massless loading and relaxation
 

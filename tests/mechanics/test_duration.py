@@ -8,19 +8,11 @@ import numpy as np
 import pytest
 
 from tests.campaigns.durations import compare, quadrature, rig_scenes, scenes
-from tests.scenes import ENDLESS, EXAMPLE, example
+from tests.scenes import ENDLESS, EXAMPLE, example, scaled_scene
 from uqsphere.mechanics.as_printed import compare as beside_the_paper
 from uqsphere.mechanics.closed_form import loading_approach, solve_blow, solve_closed
 from uqsphere.mechanics.integrator.solve import later_loading, motion, motions, solve
 from uqsphere.mechanics.scene import Scene
-
-
-def scaled(scene: Scene, mu: float, theta: float) -> Scene:
-    """A scene with mass number mu and pulse number theta: by the sphere's density and the pulse's duration."""
-    columns = dict(scene.columns)
-    columns["sphere.density"] = columns["sphere.density"] * mu / scene.scales.mass_number
-    columns["pulse.duration"] = theta * scene.scales.time
-    return Scene(columns=columns, shape=scene.shape, infinite=True)
 
 
 @pytest.mark.parametrize("law", ["hertz", "plastic"])
@@ -57,7 +49,7 @@ def test_a_massless_sphere_keeps_the_impulse_of_the_pulse() -> None:
 @pytest.mark.parametrize(("theta", "expected", "rel"), [(1e-3, 1e-3**-0.5, 1e-3), (3.0, 3.071, 2e-4), (1e3, 1e3, 0.05)])
 def test_a_light_sphere_is_lost_late_and_its_duration_is_finite(theta: float, expected: float, rel: float) -> None:
     """Over t_c: theta^(-1/2) of a pulse that gives the approach alpha_c theta at once; a long pulse's own duration."""
-    scene = scaled(example(numbers=ENDLESS, infinite=True), mu=1e-3, theta=theta)
+    scene = scaled_scene(1e-3, theta)
     found = (solve if theta > 1.0 else solve_closed)(scene, quantities=("contact_duration",)).values["contact_duration"]
     assert found / scene.scales.time == pytest.approx(expected, rel=rel)
 
@@ -66,10 +58,7 @@ def test_a_light_sphere_is_lost_late_and_its_duration_is_finite(theta: float, ex
 @pytest.mark.parametrize("share", [1e-5, 1e-3, 0.099, 0.101])
 def test_a_record_that_is_cut_at_once_keeps_its_digits(fidelity: str, share: float) -> None:
     """Two fifths of it, and little more; the impulse is a 10^-7 of the approaches then."""
-    plain = scaled(example(numbers=ENDLESS, infinite=True), mu=1.0, theta=1.0)
-    columns = {name: column for name, column in plain.columns.items() if name != "pulse.duration"}
-    end = share * float(plain.scales.time[0])
-    scene = Scene(columns=columns, shape="step", infinite=True, horizon=end)
+    scene = scaled_scene(1.0, 1.0, shape="step", horizon_in_t_c=share)
     rough, fine = (
         solve(scene, fidelity=fidelity, tolerance=tolerance, quantities=("contact_duration",)).values[
             "contact_duration"
@@ -77,7 +66,7 @@ def test_a_record_that_is_cut_at_once_keeps_its_digits(fidelity: str, share: flo
         for tolerance in (1e-6, 1e-10)
     )
     assert rough == pytest.approx(fine, rel=5e-6)
-    assert fine / end == pytest.approx(0.4, abs=0.05 * share)
+    assert fine / scene.horizon == pytest.approx(0.4, abs=0.05 * share)
 
 
 def test_a_free_blow_has_half_of_its_contact() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scenes import example as scene_with
-from test_kernel import scaled_scene
+from scenes import scaled_scene
 
 from uqsphere.bench import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
@@ -59,9 +59,7 @@ def test_the_largest_pressure_alone_needs_no_tail() -> None:
 def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> None:
     steps = []
     for horizon in (20.0, 40.0, 80.0):
-        base = scaled_scene([1e-4], [3.0])
-        columns = {name: column for name, column in base.columns.items() if not name.startswith("striker.length")}
-        scene = Scene(columns=columns, shape="step", infinite=True, horizon=float(horizon * base.scales.time[0]))
+        scene = scaled_scene(1e-4, 3.0, shape="step", horizon_in_t_c=horizon)
         found = solve(scene, tolerance=1e-6)
         assert found.status[0] == 0
         assert found.values["P_max"][0] / scene.scales.force[0] == pytest.approx(1.0, abs=2e-3)

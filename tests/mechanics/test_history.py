@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scenes import example as granite
-from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import massless_approach
@@ -78,34 +77,6 @@ def test_a_lost_face_is_met_again_and_pressed_harder():
     largest = max(history.pressure_a[after].max(), history.pressure_b[after].max())
     assert history.later_peak.pressure == pytest.approx(largest, rel=1e-12)
     assert history.later_peak.time > history.record_end
-
-
-def test_recontact_against_an_independent_integration():
-    """Theory (3) as it stands, in SI, by another integrator; before any wave is back."""
-    scene = granite(striker_length=0.02, infinite=True, horizon=5e-4)
-    history = trace(scene, tolerance=1e-10)
-    scales, end = scene.scales, float(scene.pulse.end[0])
-    Z, M = float(scales.impedance[0]), float(scales.mass[0])
-    beta, unit = float(scales.hertz_constant[0]), float(scales.approach[0])
-
-    def rates(f):
-        def motion(_, y):
-            P_A, P_B = beta * max(y[0], 0.0) ** 1.5 * unit**1.5, beta * max(y[1], 0.0) ** 1.5 * unit**1.5
-            return [(2.0 * f - P_A / Z - y[2]) / unit, (y[2] - P_B / Z) / unit, (P_A - P_B) / M]
-
-        return motion
-
-    options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13, "dense_output": True}
-    loading = solve_ivp(rates(0.5), (0.0, end), [0.0, 0.0, 0.0], **options)
-    rest = solve_ivp(rates(0.0), (end, 5e-4), loading.y[:, -1], **options)
-    after = history.time > end
-    expected = rest.sol(history.time[after])
-    np.testing.assert_allclose(history.approach_a[after] / unit, expected[0], atol=1e-7)
-    np.testing.assert_allclose(history.approach_b[after] / unit, expected[1], atol=1e-7)
-    np.testing.assert_allclose(history.velocity[after], expected[2], atol=1e-7)
-    assert len(history.changes) >= 4
-    for change in history.changes:
-        assert abs(rest.sol(change.time)["AB".index(change.face)]) < 1e-7
 
 
 def test_jumps_stand_twice_with_both_values(example):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import EXAMPLE
+from scenes import EXAMPLE, scaled_scene
 
 from uqsphere.mechanics.integrator import compiled as compiled_module
 from uqsphere.mechanics.integrator import events, faces, kernel, searches, step
@@ -25,23 +25,6 @@ SOLVER = 5.0
 EXACT = 1e-12
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())
-
-
-def scaled_scene(mu: Any, theta: Any, trips: Any = None, ends: Any = None, **structure: Any) -> Scene:
-    """Scene of given mu and theta, and of given round trips (n, 2) over t_c and end coefficients (n, 2)."""
-    mu, theta = np.atleast_1d(np.asarray(mu, dtype=float)), np.atleast_1d(np.asarray(theta, dtype=float))
-    columns = {name: np.full(len(mu), EXAMPLE[name]) for name in EXAMPLE if not name.startswith("striker.length")}
-    columns["sphere.density"][:] = 1.0
-    scales = Scene(columns={**columns, "pulse.duration": np.ones(len(mu))}, infinite=True).scales
-    columns["sphere.density"] = mu / scales.mass_number
-    if structure.get("shape") != "step":
-        columns["pulse.duration"] = theta * scales.time
-    if trips is not None:
-        speed = np.sqrt(EXAMPLE["bars.E"] / EXAMPLE["bars.density"])
-        for i, bar in enumerate(("incident", "receiving")):
-            columns[f"bars.{bar}_length"] = 0.5 * speed * np.asarray(trips, dtype=float)[:, i] * scales.time
-            columns[f"bars.{bar}_end"] = np.asarray(ends, dtype=float)[:, i] * np.ones(len(mu))
-    return Scene(columns=columns, infinite=trips is None, **structure)
 
 
 def random_scene(count: int, seed: int, **structure: Any) -> Scene:
@@ -92,9 +75,8 @@ def test_reference_peaks_on_infinite_bars() -> None:
 
 
 def test_first_separation_on_infinite_bars() -> None:
-    scene = scaled_scene([1.0, 0.03], [3.0, 3.0], horizon=None)
-    long = Scene(columns=scene.columns, infinite=True, horizon=float(40.0 * scene.scales.time[0]))
-    found = solve(long, tolerance=1e-9)
+    scene = scaled_scene([1.0, 0.03], 3.0, horizon_in_t_c=40.0)
+    found = solve(scene, tolerance=1e-9)
     assert not found.censored["time_to_first_loss"].any()
     assert relative(over(found, scene, "time_to_first_loss"), [3.828559013, 28.040523689]).max() < 2e-9
     assert relative(over(found, scene, "alpha_max"), [1.1250021777, 1.0058905197]).max() < 2e-10
@@ -103,8 +85,7 @@ def test_first_separation_on_infinite_bars() -> None:
 def test_step_pulse_on_infinite_bars() -> None:
     for mu, peak, imbalance in ((10.0, 1.7535, None), (1.0, 1.1932, None), (0.1, 1.03297, 0.43488),
                                 (0.01, 1.00436, 0.16420), (0.001, None, 0.05880)):  # fmt: skip
-        plain = scaled_scene([mu], [1.0])
-        scene = scaled_scene([mu], [1.0], shape="step", horizon=float(40.0 * plain.scales.time[0]))
+        scene = scaled_scene(mu, 1.0, shape="step", horizon_in_t_c=40.0)
         found = solve(scene, tolerance=1e-8)
         if peak is not None:  # the oracle is that of face A alone
             path = motion(scene, 0, tolerance=1e-8)
@@ -177,23 +158,6 @@ def test_what_is_asked_for_is_what_is_answered() -> None:
             assert np.quantile(relative(found.values[name], every.values[name]), 0.9) < SOLVER * 1e-7
     with pytest.raises(ValueError, match="unknown quantities p_maximum"):
         solve(scene, quantities=("p_maximum",))
-
-
-@pytest.mark.parametrize("shape", ["trapezoid", "half_sine", "two_peak"])
-def test_other_pulses_keep_the_tolerance(shape: str) -> None:
-    plain = random_scene(80, 13)
-    columns = dict(plain.columns)
-    base = columns["pulse.duration"].copy()
-    if shape == "trapezoid":  # the sudden rise is a jump, the fall a kink
-        columns |= {"pulse.duration": 0.7 * base, "pulse.rise": 0.0 * base, "pulse.fall": 0.2 * base}
-    if shape == "two_peak":
-        columns |= {"pulse.t1": 0.2 * base, "pulse.level1": 1.0 + 0.0 * base, "pulse.t2": 0.7 * base,
-                    "pulse.level2": 0.8 + 0.0 * base}  # fmt: skip
-    scene = Scene(columns=columns, shape=shape)
-    exact, found = solve(scene, tolerance=1e-10), solve(scene, tolerance=1e-6)
-    assert (found.status == 0).all()
-    for name in ("p_max", "force_imbalance", "energy"):
-        assert relative(found.values[name], exact.values[name]).max() < SOLVER * 1e-6
 
 
 def test_steps_of_a_motion_join() -> None:

@@ -47,9 +47,3 @@ def test_strengths_that_may_be_assumed_have_a_range() -> None:
         for key in assumed if material.rock else ():
             low, high = found[key].range or (0.0, 0.0)
             assert 0.2 * found[key].value < low < found[key].value < high < 4.0 * found[key].value, (material.name, key)
-
-
-def test_values_are_si() -> None:
-    rock = library()["sphere"]["granite"].properties
-    assert rock["E"].value == 52e9
-    assert rock["fracture_toughness"].value > 1e5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from tests.campaigns.rare import PROBLEMS, integrate_plane, problem
+from tests.campaigns.rare import PROBLEMS, problem
 from uqsphere.uq.rare import REACH, Evaluator, FailedEvaluation, failure_probability, find_design_points
 
 
@@ -26,10 +26,6 @@ def test_public_problems_within_four_percent_and_their_interval(name: str) -> No
     assert found.estimate.value == pytest.approx(entry.reference, rel=0.04)
     assert found.estimate.value == pytest.approx(entry.reference, rel=max(0.02, 4.0 * found.estimate.std_error /
                                                                           found.estimate.value))  # fmt: skip
-
-
-def test_the_reference_by_quadrature() -> None:
-    assert integrate_plane(lambda u: 2.0 - u[:, 0], panels=90, grid=401) == pytest.approx(float(ndtr(-2.0)), rel=1e-6)
 
 
 def test_an_integrated_strength_is_smooth_in_the_inputs() -> None:
