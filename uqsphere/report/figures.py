@@ -183,8 +183,9 @@ def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> N
         v = np.array([row["value"] if row and row["value"] is not None else np.nan for row in each], dtype=float)
         ends = np.array([[v[k] - row["low"], row["high"] - v[k]] if row and row["low"] is not None else [0.0, 0.0]
                          for k, row in enumerate(each)]).T  # fmt: skip
-        axes.barh(np.arange(len(names)) + shift, v, 0.36, xerr=np.maximum(np.nan_to_num(ends), 0.0), color=colour,
-                  error_kw={"lw": 0.9, "capsize": 2}, label="first-order" if order == "first" else "total")  # fmt: skip
+        axes.barh(np.arange(len(names)) + shift, v, 0.36, color=colour, error_kw={"lw": 0.9, "capsize": 2},
+                  xerr=np.maximum(np.nan_to_num(ends), 0.0).tolist(),  # an array of one column warns
+                  label="first-order" if order == "first" else "total")  # fmt: skip
     axes.set_yticks(range(len(names)), [meaning(str(name), results["inputs"]) for name in names])
     axes.set(xlim=(0.0, 1.05))
     axes.set_title(fill(short(results["study"]["quantities"][quantity]["meaning"]), 40), fontsize=9, loc="right")

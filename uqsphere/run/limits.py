@@ -16,6 +16,7 @@ from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, failure_of_aim
 from uqsphere.uq.limit_state import reliability_index, safety_factor
+from uqsphere.uq.rare.mixture import worth_of
 
 
 def limits(design: Design, tables: Tables) -> Answers:
@@ -58,7 +59,7 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
         rows, left = (failure_given_inputs(state_of(design, limit, _doubled(part)), limit.aim)[:1]
                       for part in (tables.slow.rows, tables.slow.left_out))  # fmt: skip
         return surrogate.failure(tables.slow, found, rows, left)
-    if found.value is not None and 0.0 < found.value < 1e-3 and _carrying(state, limit.aim) < 20.0:
+    if found.value is not None and 0.0 < found.value < 1e-3 and worth_of(failure_given_inputs(state, limit.aim)) < 20.0:
         bound = max(found.high or 0.0, 3.0 / tables.sample.size)
         none = absent("too few points carry it", found.method, found.evaluations)
         return replace(none, low=0.0, high=min(bound, 1.0))
@@ -70,13 +71,6 @@ def _doubled(sample: Sample) -> Sample:
     parts = ("scores", "inputs", "answers", "censored", "status", "failed")
     doubled: dict[str, Any] = {name: np.repeat(getattr(sample, name), 2, axis=0) for name in parts}
     return replace(sample, **doubled)
-
-
-def _carrying(state: LimitState, aim: str) -> float:
-    """How many points carry a failure probability, by Kish's count."""
-    weights = failure_given_inputs(state, aim)
-    squares = float((weights**2).sum())
-    return float(weights.sum()) ** 2 / squares if squares > 0.0 else 0.0
 
 
 def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:

@@ -225,8 +225,11 @@ class Pool:
 
 
 def worth_of(weights: Array) -> float:
-    """Number of equal weights that these are worth."""
-    return float(weights.sum()) ** 2 / float((weights**2).sum()) if weights.size and weights.any() else 0.0
+    """How many equal weights these are worth, by Kish's count."""
+    if not weights.any():
+        return 0.0
+    shares = weights / weights.max()  # squares of the smallest weights are no numbers
+    return float(shares.sum() ** 2 / (shares**2).sum())
 
 
 def adapt(evaluator: Evaluator, pool: Pool, mixture: Mixture, *, seed: int, per_stage: int) -> Mixture:
