@@ -59,7 +59,6 @@ CASES = [
     file("bytes that are not text", b'title = "\xff\xfe"\n', "0xff is not UTF-8"),
     file("UTF-16", 'title = "x"'.encode("utf-16"), "0xff is not UTF-8", "save the file as UTF-8"),
     file("a NUL", 'title = "x"\nseed = \0 1\n', "NUL byte", at="seed"),
-    file("ten megabytes", b"# x\n" * 2_600_000, "larger than 1 MiB"),
     file("brackets without end", f"seed = 1\nx = {DEEP}\n", 'unknown key "x"', at="x ="),
     file("tables without end", "x = " + "{a=" * 3000 + "1" + "}" * 3000, "nested"),
     file("dots without end", ".".join("a" * 5000) + " = 1\n", "dotted key", "12"),
@@ -78,8 +77,6 @@ CASES = [
     one("a length in SI without its unit", '"40 mm"', "0.04", 'such as "0.04 m" (units: m'),
     one("a scatter without its unit", '"0.15 mm"', "0.15", "sphere.radius.sd", 'such as "0.15 mm" (units: m',
         at='radius = {'),
-    one("a scatter beside another unit", '"10 mm", sd = "0.15 mm"', '"1 cm", sd = 0.015', "sphere.radius.sd",
-        'such as "0.015 cm" (units: m', at='radius = {'),
     one("a density in grams without its unit", "nu = 0.25", "nu = 0.25\ndensity = 2.65",
         'such as "2.65 g/cm3" (units: kg/m3', at="density = 2.65"),
     one("a strength in SI without its unit", '"4 GPa"', "4000000000.0", "strength.mean: 4e9 has no unit",
@@ -116,7 +113,7 @@ CASES = [
         "it must be 'full', 'massless' or 'linear'"),
     # distributions
     one("a table without dist", '{ dist = "lognormal", mean', "{ mean", "a distribution is required", at="E = {"),
-    one("an unknown distribution", '"lognormal"', '"log-normal"', "known distributions", "'lognormal'?"),
+    one("an unknown distribution", '"lognormal"', '"log-normal"', "a distribution is required", "'lognormal'?"),
     one("a key of another distribution", "cov = 0.12", "cov = 0.12, modulus = 3", "does not belong", "sd",
         at="E = {"),
     one("sd and cov", "cov = 0.12", 'cov = 0.12, sd = "1 GPa"', "sphere.E", at="E = {"),
@@ -135,7 +132,7 @@ CASES = [
     one("no stiffness", 'material = "maraging_steel"', "", "E is missing", at="[bars]", count=3),
     one("no length", 'receiving_length = "1.5 m"', "", "infinite = true", at="[bars]"),
     # numbers that do not go together
-    one("a sphere larger than its bar", '"40 mm"', '"19 mm"', "larger than its bars", at=RADIUS),
+    one("a sphere larger than its bar", '"40 mm"', '"19 mm"', "larger than its bars", "20 mm or more", at=RADIUS),
     one("a pulse longer than the round trip", '"0.8 m"', '"1.6 m"', "round trip", "absorbing"),
     one("a trapezoid without width", 'rise = "25 us"', 'rise = "900 us"', "exceeds the width"),
     one("two peaks out of order", SHAPE,
@@ -269,10 +266,3 @@ def test_the_base_is_in_order(tmp_path: Path) -> None:
     for text in (BASE, BLACK_BOX):
         path.write_text(text)
         assert load_study(path).warnings == ()
-
-
-def test_many_faults_are_counted_not_listed(tmp_path: Path) -> None:
-    keys = "\n".join(f"key{number} = 1" for number in range(500))
-    with pytest.raises(StudyError, match="400 more faults") as caught:
-        load_study(tmp_path / "study.toml", text=f"{keys}\n{BASE}")
-    assert len(caught.value.problems) == 101

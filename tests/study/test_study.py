@@ -144,7 +144,7 @@ def test_quantities_of_limits_are_not_asked_for(load: Load) -> None:
 def test_pulses_and_inserts(load: Load) -> None:
     peaks = 'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = "175 us"'
     study = load(BASE, (TRAPEZOID, peaks), ('length = "0.8 m"', ""))
-    assert study.fixed["pulse.valley"] == pytest.approx(0.6, rel=1e-12)
+    assert study.fixed["pulse.level1"] == 1.2
     assert "striker.length" not in study.fixed
     step = load(BASE, ('incident_end = "free"', "infinite = true"), (TRAPEZOID, 'shape = "step"'),
                 ("tolerance = 1e-6", 'horizon = "3 ms"'), ('length = "0.8 m"', ""))  # fmt: skip
@@ -289,6 +289,9 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     assert load_study(tmp_path / "mark.toml").title == "granite"
     with pytest.raises(UsageError, match="this is a folder"):
         load_study(tmp_path)
+    (tmp_path / "large.toml").write_bytes(b"# x\n" * 2_600_000)
+    with pytest.raises(UsageError, match="1 MiB are read at most"):
+        load_study(tmp_path / "large.toml")
     (tmp_path / "loop.toml").symlink_to(tmp_path / "loop.toml")
     for path in (tmp_path / "none.toml", tmp_path / "a\0b", tmp_path / "loop.toml"):
         with pytest.raises(AccessError):

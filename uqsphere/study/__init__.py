@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from uqsphere.study.failure_modes import FailureMode, breaks_by, failure_modes_of, means_fracture
 from uqsphere.study.load import load_study
+from uqsphere.study.schema import json_schema
 from uqsphere.study.study import Axis, Limit, Study, limit_of, strength_name, with_number
 
 __all__ = [
     "Axis", "FailureMode", "Limit", "Study", "breaks_by", "failure_modes_of", "json_schema", "limit_of", "load_study",
     "means_fracture", "shipped_studies", "strength_name", "with_number",
 ]  # fmt: skip
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and meanings."""
-    from uqsphere.study.reference import build_schema
-
-    return build_schema()
 
 
 def shipped_studies() -> dict[str, Path]:

@@ -18,9 +18,10 @@ from pydantic import ValidationError
 
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics.bars import END_COEFFICIENTS
-from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PRESETS, STRIKER_SHAPES, striker_steps
+from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, striker_steps
 from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
 from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import format_value, lookup
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Gauge, faults_of
 from uqsphere.study.draft import Draft
@@ -38,8 +39,6 @@ _NO_SPHERE: Final = (
     "A rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
     "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
 )
-#: softening b between Thornton's 0 and this has a singularity near onset; above the other the face is Hertz's
-_SOFTENING: Final = (0.2, 100.0)
 _TARGET: Final = {
     "thick": "E nu; density", "plate": "E nu density thickness; width", "bar": "E nu density diameter; length end",
     "mass": "E nu mass; density",
@@ -51,7 +50,7 @@ FORMS: Final[dict[str, dict[str, str]]] = {
     "bars": {"": "E nu density diameter incident_length receiving_length",
              "infinite": "E nu density diameter; incident_length receiving_length"},
     "striker": {"": "speed length; E density diameter", "pulse.duration": "speed; length E density diameter",
-                "measured": "; E density diameter"},
+                "measured": ""},
     "pulse": {"rectangular": "; duration", "half_sine": "; duration", "step": "", "trapezoid": "rise fall; duration",
               "ramp": "rise; duration", "two_peak": "t1 level1 t2 level2; duration valley",
               "measured": "file; columns units factor gain"},
@@ -61,6 +60,7 @@ FORMS: Final[dict[str, dict[str, str]]] = {
                "ball": "E nu density diameter speed|drop_height"},
     "other": {"": "E nu density radius"}, "rod": {"": "E nu density diameter length"},
     "platens": {"": "E nu force|displacement"},
+    "contact": {"hertz": "", "plastic": "; onset_pressure hardness pile_up"},
 }  # fmt: skip
 
 
@@ -201,10 +201,6 @@ def _options(draft: Draft) -> Faults:
         usual |= {"bars.incident_end": END_COEFFICIENTS["free"], "bars.receiving_end": END_COEFFICIENTS["absorbing"]}
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
-    levels = [numbers[path].value for path in ("pulse.level1", "pulse.level2") if path in numbers]
-    fixed = [level for level in levels if not isinstance(level, Law)]
-    if options.get("pulse.shape") == "two_peak" and len(fixed) == 2:
-        numbers.setdefault("pulse.valley", Number(value=DEFAULT_VALLEY * min(fixed)))
 
 
 def _forms(draft: Draft) -> Faults:
@@ -215,9 +211,10 @@ def _forms(draft: Draft) -> Faults:
     kinds = {
         "target": document.target.kind, "anvil": document.anvil.kind, "hammer": document.hammer.shape or "",
         "bars": "infinite" if document.bars.infinite else "", "pulse": shape, "rig": draft.rig,
+        "contact": document.contact.law,
         "striker": "measured" if shape == "measured" else "pulse.duration" if timed else "",
     }  # fmt: skip
-    for table in [name for name in ("sphere", *RIG_TABLES[draft.rig], "rig") if name in draft.data]:
+    for table in [name for name in ("sphere", *RIG_TABLES[draft.rig], "rig", "contact") if name in draft.data]:
         kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
         needs, _, others = FORMS[table].get(kind, "").partition(";")
         takes, anywhere = (re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values())))
@@ -269,40 +266,29 @@ def _model(draft: Draft) -> Faults:
 
 def _contact(draft: Draft) -> Faults:
     """The law of the contacts, and whether the numbers make one."""
+    if not draft.plastic:
+        return
     numbers, rig, rigid = draft.numbers, RIGS[draft.rig], draft.document.bars.rigid_contact
     own = [key for key in LAW if f"contact.{key}" in numbers]
-    if not draft.plastic:
-        for key in own:
-            del numbers[f"contact.{key}"]
-            draft.warn(("contact", key), 'not used: it belongs to law = "plastic"')
-        return
     draft.options["contact.law"] = "plastic"
     at_onset = draft.mean("contact.pile_up") == 1.0 and "hardness" not in own
     if at_onset:
         draft.options["contact.hardness"] = "onset"
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
-    sphere = sphere_body(columns)
-    for table in rig.tables:
-        onset, hardness, pile_up = (float(x[0]) for x in law_of(columns, table, rigid=rigid, at_onset=at_onset))
-        softer = "sphere" if sphere.onset[0] < body_of(columns, table, rigid).onset[0] else table
-        place = "contact" if own else softer
-        if math.isinf(onset):
-            names = one_of([f"{table}.yield_strength", "sphere.onset_pressure"])
-            said = f"nothing says what yields at [{table}]: give {names} or contact.onset_pressure"
-            yield Fault(said, "contact", "law")
-            continue
-        for key, value, example in (("hardness", hardness, '"2 GPa"'), ("pile_up", pile_up, "2")):
-            if not math.isfinite(value):
-                raise Fault(f"{key} is missing, and an onset is given: add {key} = {example} to [{place}]", place, key)
-        found, begin = (format_value(value, "contact.hardness") for value in (hardness, onset))
-        b, (least, most) = pile_up * hardness / onset - 1.0, _SOFTENING
-        if hardness < onset:
-            said = f"the hardness {found} is below the onset {begin}: give {begin} or more"
-            yield Fault(said, place, "hardness")
-        elif 1e-12 < b < least or b > most:
-            said = f"pile_up = {pile_up:.4g}, hardness {found} and onset {begin} make b = C H/p_y - 1 = {b:.2g}"
+    laws = {table: law_of(columns, table, rigid=rigid, at_onset=at_onset) for table in rig.tables}
+    if all(np.isinf(law.onset[0]) for law in laws.values()):
+        names = one_of([*(f"{table}.yield_strength" for table in laws), "sphere.onset_pressure"])
+        raise Fault(f"nothing says what yields: give {names} or contact.onset_pressure", "contact", "law")
+    for table, law in laws.items():
+        if not Face(**law._asdict(), modulus=np.ones(1), effective_radius=np.ones(1)).valid[0]:
+            crushes = sphere_body(columns).onset[0] < body_of(columns, table, rigid).onset[0]
+            given = {key: format_value(float(value[0]), f"contact.{key}") for key, value in zip(LAW, law, strict=True)}
+            values = ", ".join(f"{key} {'missing' if 'nan' in value else value}" for key, value in given.items())
+            said = (
+                f"found {values}: a hardness of the onset or more is required, with b = C H/p_y - 1 of 0 or 0.2 to 100"
+            )
             way = 'pile_up = 1 and no hardness make it 0, law = "hertz" has no bound'
-            yield Fault(f"{said}, which must be 0 or from {least:g} to {most:g}: {way}", place, "hardness")
+            yield Fault(f"{said}; {way}", "contact" if own else "sphere" if crushes else table, "hardness")
 
 
 def _pulse(draft: Draft) -> Faults:
@@ -312,8 +298,7 @@ def _pulse(draft: Draft) -> Faults:
     numbers, shape, infinite = draft.numbers, str(draft.options["pulse.shape"]), draft.document.bars.infinite
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
     if across > bars:
-        across_text, bars_text = format_value(across, "sphere.radius"), format_value(bars, "bars.diameter")
-        said = f"the sphere, {across_text} across, is larger than its bars of {bars_text}: take thicker bars"
+        said = f"the sphere is larger than its bars: take bars of {format_value(across, 'bars.diameter')} or more"
         yield Fault(said, "sphere", "radius")
     horizon = draft.document.model.horizon
     if shape == "step" and horizon is None:
@@ -425,13 +410,11 @@ def _margins(draft: Draft) -> Faults:
     if not ends[0] < ends[1]:
         first, second = map(shown, table.between)
         raise Fault(f"found {first} and {second}: the lower value must come first", "margins", "between")
-    for name, limit in draft.limits.items() if solve == "sphere.radius" else ():
-        try:
-            if limit.tested is not None:
+    for limit in draft.limits.values():
+        if solve == "sphere.radius" and limit.tested is not None:
+            with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
-                compare_sizes(limit.tested, radii, draft, ("margins",), limit.needs_modulus)
-        except Fault as error:
-            yield Fault(f"limits.{name}: {error}", "margins", "between")
+                compare_sizes(limit.tested, radii, draft, ("margins", "between"), limit.needs_modulus)
     draft.margins = Margins(axis=Axis(path=solve, low=ends[0], high=ends[1]),
                             for_probability=tuple(sorted(set(table.for_probability))))  # fmt: skip
     if not isinstance(number.value, Law) or solve in strengths:

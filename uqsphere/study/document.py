@@ -14,11 +14,12 @@ from typing import Annotated, Any, Final, Literal, TypeVar, get_args
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 from pydantic import model_validator as checked
 
-from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
+from uqsphere.mechanics.pulses import PRESETS, SHAPES
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion
 from uqsphere.study.number import numbers_of, plain_quantity, value_of
-from uqsphere.units import Quantity
+from uqsphere.units import UNITS, Quantity
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
@@ -31,24 +32,24 @@ SCENE: Final = ("sphere", "contact", "rig", *dict.fromkeys(t for tables in RIG_T
 # --- what a key can hold -------------------------------------------------------------------------------------------
 
 
-def _fixed(dimension: str, **more: Any) -> Any:
-    """The mark of a fixed number with its unit."""
-    quantity = Quantity(name=dimension, symbol="", dimension=dimension, **{"meaning": f"the {dimension}", **more})
-    return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema({"dimension": dimension})
+def fixed_schema(dimension: str) -> dict[str, Any]:
+    """JSON schema of a fixed number: a text with a unit, or a plain number where there is no unit."""
+    if dimension == "number":
+        return {"type": ["number", "string"]}
+    units = "|".join(map(re.escape, UNITS[dimension])) + "|rpm.+" * (dimension == "speed")
+    return {"type": "string", "pattern": rf"^\s*[+-]?[\d._]+([eE][+-]?\d+)?\s*({units})\s*$"}
 
 
-def _parameter(name: str) -> Any:
-    part = PARAMETERS[name]
-    return _fixed(part.dimension, meaning=f"the {part.meaning}", lower=part.lower, upper=part.upper)
+def _fixed(name: str) -> Any:
+    """The mark of a fixed number with its unit: a parameter of a criterion, or any number of a dimension."""
+    part = PARAMETERS.get(name) or Parameter(name=name, dimension=name, meaning=name)
+    quantity = Quantity(name=name, symbol="", dimension=part.dimension, meaning=f"the {part.meaning}", lower=part.lower,
+                        upper=part.upper)  # fmt: skip
+    return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(fixed_schema(part.dimension))
 
 
 def _percent(raw: Any) -> Any:
     return value_of(raw, plain_quantity("share")) if isinstance(raw, str) and raw.rstrip().endswith("%") else raw
-
-
-def _real(**bounds: Any) -> Any:
-    """The mark of a plain number within bounds, which may be a percentage."""
-    return Field(**bounds), BeforeValidator(_percent)
 
 
 def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -68,12 +69,12 @@ def key(meaning: str, default: Any = None) -> Any:
 
 
 #: a value, with its unit where it has one, or a distribution
-Num = Annotated[Any, WithJsonSchema({"dimension": "value"})]
+Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
-Share = Annotated[float, *_real(gt=0.0, lt=1.0)]
+Share = Annotated[float, Field(gt=0.0, lt=1.0), BeforeValidator(_percent)]
 Shares = Annotated[tuple[Share, ...], *_several()]
-Positive = Annotated[float, *_real(gt=0.0)]
-Correlation = Annotated[float, *_real(gt=-1.0, lt=1.0)]
+Positive = Annotated[float, Field(gt=0.0), BeforeValidator(_percent)]
+Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
@@ -106,9 +107,8 @@ class Bars(Body):
 class Pulse(Table):
     """The incident pulse; each shape has keys of its own."""
 
-    preset: Literal["very_short", "short", "long"] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")
-    shape: Literal["rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured"] = key(
-        "shape of the pulse", "rectangular")  # fmt: skip
+    preset: Literal[*PRESETS] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
+    shape: Literal[*SHAPES, "measured"] = key("shape of the pulse", "rectangular")  # type: ignore[valid-type]
     file: str | None = key("`measured`: table of time and strain (compression positive), a file beside the study")
     columns: Pair | None = key("`measured`: names of both columns; without it the first two")
     units: Pair | None = key("`measured`: units of time, and of strain or volts; without it those of the headings")
@@ -157,7 +157,7 @@ class ModelChoice(Table):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
     fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
-    tolerance: Annotated[float, *_real(ge=1e-12, le=1e-2)] = key("relative error of the integration", 1e-6)
+    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = key("relative error of the integration", 1e-6)
     first_loading_only: bool = key("end the record when the first reflected wave is back", False)
     whole_record: bool = key("go on after the first loss of contact, to the horizon (bars)", False)
     horizon: Seconds | None = key("latest end of the record; without it eight round trips of the longer bar")
@@ -181,18 +181,16 @@ class LimitTable(Table):
     fracture: bool | None = key("whether exceeding it breaks the sphere; without it the quantity decides")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
         "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered")  # fmt: skip
-    modulus: Annotated[float, *_parameter("modulus")] | None = key("of a weakest link, unless the strength has it")
-    reference_volume: Annotated[float, *_parameter("reference_volume")] | None = key("volume of a volume strength")
-    reference_area: Annotated[float, *_parameter("reference_area")] | None = key("area of a surface strength")
-    largest_energy: Annotated[float, *_parameter("largest_energy")] | None = key("upper bound of a fracture energy")
-    rate_0: Annotated[float, *_parameter("rate_0")] | None = key("strain rate at which a slow strength is doubled")
+    modulus: Annotated[float, *_fixed("modulus")] | None = key("of a weakest link, unless the strength has it")
+    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = key("volume of a volume strength")
+    reference_area: Annotated[float, *_fixed("reference_area")] | None = key("area of a surface strength")
+    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = key("upper bound of a fracture energy")
+    rate_0: Annotated[float, *_fixed("rate_0")] | None = key("strain rate at which a slow strength is doubled")
 
     @checked(mode="after")
     def _one_demand(self) -> LimitTable:
-        if self.quantity is None and self.criterion is None:
-            raise Fault('quantity is missing: add quantity = "p_max", say, or a criterion', "quantity")
-        if self.quantity is not None and self.criterion is not None:
-            raise Fault("quantity and criterion both say what is compared: leave one of them out", "quantity")
+        if (self.quantity is None) == (self.criterion is None):
+            raise Fault('one of both is required, quantity = "p_max", say, or a criterion', "quantity")
         if self.energy_is is not None and self.criterion != "specific_energy":
             raise Fault("energy_is belongs to the criterion specific_energy: leave it out", "energy_is")
         return self
@@ -240,7 +238,7 @@ class Dependence(Table):
     spearman: Correlation | None = key("Spearman's rank correlation; required, or `kendall`")
     kendall: Correlation | None = key("Kendall's rank correlation, in its place")
     copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
-    dof: Annotated[float, *_real(ge=1.0, le=1000.0)] | None = key("degrees of freedom of a `student_t`")
+    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = key("degrees of freedom of a `student_t`")
 
     @checked(mode="after")
     def _one_strength(self) -> Dependence:

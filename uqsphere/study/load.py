@@ -7,13 +7,14 @@ import dataclasses
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.errors import Problem, StudyError, UsageError
-from uqsphere.files import TooLarge, read_given
+from uqsphere.files import read_given
 from uqsphere.study.check import BOX_STAGES, STAGES, Faults, resolve
 from uqsphere.study.draft import Draft
 from uqsphere.study.fault import Fault, Place, path_of, shown, suggestion
@@ -62,25 +63,27 @@ def _caught(faults: Faults) -> Faults:
 # --- keys of earlier studies ---------------------------------------------------------------------------------------
 
 
-def _removed(data: Mapping[str, Any]) -> Faults:
+def _removed(node: Any, above: Place = ()) -> Faults:
     """Every key and value of an earlier study that is renamed or dropped, with the way out; a table by its keys."""
+    for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
+        place: Place = (*above, key)
+        path, held = ".".join(map(str, place)), "+".join(value) if isinstance(value, dict) else value
+        for pattern, way in _ways_out().items():
+            if fnmatchcase(path, pattern) or fnmatchcase(f"{path}={held}", pattern):
+                found = f"{shown(value)} is no longer allowed" if "=" in pattern else f"{key} is no longer a key"
+                yield Fault(f"{found}: {way}", *place)
+                break
+        else:
+            if isinstance(value, dict | list) and len(place) < 6:
+                yield from _removed(value, place)
+
+
+@cache
+def _ways_out() -> dict[str, str]:
     import tomllib
 
     ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
-    for place, value in _walk(data):
-        path, held = ".".join(map(str, place)), "+".join(value) if isinstance(value, dict) else value
-        for way, pattern in ((way, pattern) for way, patterns in ways.items() for pattern in patterns):
-            if fnmatchcase(path, pattern) or fnmatchcase(f"{path}={held}", pattern):
-                found = f"{shown(value)} is no longer allowed" if "=" in pattern else f"{place[-1]} is no longer a key"
-                yield Fault(f"{found}: {way}", *place)
-                break
-
-
-def _walk(node: Any, place: Place = ()) -> Iterator[tuple[Place, Any]]:
-    for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
-        yield (*place, key), value
-        if isinstance(value, dict | list) and len(place) < 6:
-            yield from _walk(value, (*place, key))
+    return {pattern: way for way, patterns in ways.items() for pattern in patterns}
 
 
 # --- text, lines, syntax -------------------------------------------------------------------------------------------
@@ -109,11 +112,7 @@ def _fault(path: Path, message: str, line: int = 1) -> StudyError:
 def read_text(path: Path) -> str:
     """The text of a study file: at most 1 MiB of UTF-8; a byte order mark is dropped."""
     try:
-        data = read_given(path, LARGEST).removeprefix(codecs.BOM_UTF8)
-        return data.decode("utf-8")
-    except TooLarge:
-        said = "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV"
-        raise _fault(path, said) from None
+        return read_given(path, LARGEST).removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         said = f"byte 0x{error.object[error.start]:02x} is not UTF-8 text: save the file as UTF-8"
@@ -172,14 +171,13 @@ def _parts(text: str) -> tuple[str, ...]:
 
 
 def _problems(faults: Iterable[Fault], text: str, overridden: Sequence[Place]) -> list[Problem]:
-    """Every fault with the line of its place, or of the nearest table above it; too many are counted, not listed."""
+    """Every fault with the line of its place, or of the nearest table above it."""
     lines, made = lines_of(text), set()
     for fault in faults:
         line = next((lines[fault.at[:n]] for n in range(len(fault.at), 0, -1) if fault.at[:n] in lines), 1)
         note = " (set by --set)" if any(fault.at[: len(one)] == one for one in overridden) else ""
         made.add(Problem(line=line, path=path_of(fault.at), message=f"{fault}{note}"))
-    first, rest = sorted(made)[:100], len(made) - 100
-    return [*first, *([Problem(line=first[-1].line, path="", message=f"{rest} more faults")] if rest > 0 else [])]
+    return sorted(made)
 
 
 # --- values set from outside the file: --set striker.speed.mean="0.6 m/s", --set margins=null ----------------------
@@ -225,38 +223,33 @@ def toml_text(tables: Mapping[str, object]) -> str:
     >>> print(toml_text({"seed": 1, "inputs": {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}}), end="")
     seed = 1
     [inputs]
-    x = { dist = "normal", mean = 0.0, sd = 1.0 }
+    x = {dist = "normal", mean = 0.0, sd = 1.0}
     """
-    lines = [f"{_key(k)} = {_value(v, k)}" for k, v in tables.items() if not isinstance(v, Mapping)]
-    for key, table in tables.items():
+    lines = []
+    for key, table in sorted(tables.items(), key=lambda item: isinstance(item[1], Mapping)):
         if isinstance(table, Mapping):
-            lines.append(f"[{_key(key)}]")
-            lines += [f"{_key(k)} = {_value(value, f'{key}.{k}')}" for k, value in table.items()]
+            lines += [f"[{_key(key)}]", *(f"{_key(k)} = {_value(value, f'{key}.{k}')}" for k, value in table.items())]
+        else:
+            lines.append(f"{_key(key)} = {_value(table, key)}")
     return "".join(f"{line}\n" for line in lines)
 
 
 def _key(key: object) -> str:
-    return str(key) if re.fullmatch(r"[A-Za-z0-9_-]+", str(key)) else _value(str(key), str(key))
+    return re.sub(r'^"([A-Za-z0-9_-]+)"$', r"\1", json.dumps(str(key), ensure_ascii=False))
 
 
-def _value(value: Any, place: str) -> str:
-    if hasattr(value, "tolist"):
-        value = value.tolist()  # numbers of numpy
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return str(value)
-    if isinstance(value, str | Path):
-        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, Mapping):
-        inside = ", ".join(f"{_key(k)} = {_value(v, f'{place}.{k}')}" for k, v in value.items())
-        return f"{{ {inside} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_value(v, place) for v in value)}]"
+def _value(value: object, place: str) -> str:
+    """A value as TOML has it, which is JSON but for keys and the sign behind them."""
     from uqsphere.uq import LawError
     from uqsphere.uq.foreign import law_table
 
+    def plain(value: Any) -> object:
+        if isinstance(value, Path | Mapping):
+            return str(value) if isinstance(value, Path) else dict(value)
+        return value.tolist() if hasattr(value, "tolist") else law_table(value)
+
     try:
-        return _value(law_table(value), place)
-    except LawError as error:
+        text = json.dumps(value, default=plain, separators=(", ", " = "), ensure_ascii=False, allow_nan=False)
+    except (LawError, TypeError, ValueError) as error:
         raise UsageError(f"{place} ({type(value).__name__}): {error}") from None
+    return re.sub(r'"([A-Za-z0-9_-]+)" = ', r"\1 = ", text).replace("\x7f", "\\u007f")

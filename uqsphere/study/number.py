@@ -116,23 +116,19 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> tuple[Law, dict[str, float]]:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
     kind, ends = raw.get("dist"), ("mean", "mode", "lower", "upper")
-    if kind is None:
-        near = suggestion(next(iter(raw), ""), ["dist"])
-        raise Fault(f'a distribution is required, such as {{ dist = "normal", … }}: the table has no dist{near}')
     if (family := family_named(kind) if isinstance(kind, str) else None) is None:
-        raise Fault(f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{suggestion(kind, FAMILIES)}", "dist")
+        near = suggestion(kind, FAMILIES) or suggestion(next(iter(raw), ""), ["dist"])
+        said = f'a distribution is required, such as {{ dist = "normal", … }}, known: {one_of(FAMILIES)}{near}'
+        raise Fault(said, *["dist"] * ("dist" in raw))
     keys = (*family.keys, "lower", "upper")
     if (strange := next((key for key in raw if key not in ("dist", *keys)), None)) is not None:
         said = f"{shown(strange)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
         raise Fault(said + suggestion(strange, keys), strange)
-    # a scatter is suggested in the unit that stands beside it
-    words = [word for key in ends for word in str(raw.get(key)).split()[-1:]]
-    beside = next((word for word in words if word in UNITS[quantity.dimension]), quantity.display)
     given: dict[str, float] = {}
     for key in (key for key in keys if key in raw):
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
         if key not in ends and entry.dimension != "number":
-            entry = replace(entry, plausible=(0.0, math.inf), display=beside)
+            entry = replace(entry, plausible=(0.0, math.inf))
         with within(key):
             given[key] = value_of(raw[key], entry, bounded=False)
     bounds = given.pop("lower", None), given.pop("upper", None)
