@@ -226,7 +226,10 @@ def form_of(
     Raises LawError, for a key, where quantiles and probabilities of a tail do not belong to each other.
     """
 
-    cdf, sf, ppf, isf, pdf = (lambda values, f=f: np.asarray(f(values), dtype=float) for f in functions)
+    def floats(function: Callable[..., Any]) -> Function:
+        return lambda values: np.asarray(function(values), dtype=float)
+
+    cdf, sf, ppf, isf, pdf = map(floats, functions)
     mean, variance = map(float, moments or (0.0, 0.0))
     missing = 1.0 if not math.isfinite(mean) else 2.0 if not math.isfinite(variance) else math.inf
     orders = []

@@ -27,7 +27,7 @@ from uqsphere.uq.law import Law
 COPULAS: Final = ("gaussian", "student_t")
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN: Final = 37.0
-#: least eigenvalue of a correlation matrix that is taken for positive definite
+#: least eigenvalue of a correlation matrix that is taken for positive definite: the inverse then keeps six digits
 _SMALLEST: Final = 1e-10
 
 

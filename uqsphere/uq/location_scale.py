@@ -52,33 +52,24 @@ class LocationScale:
         centre = (u @ failures / count)[:, None]
         spread = np.sqrt(np.square(u - centre) @ failures / count)[:, None]
         y = (u - centre) / spread
-
-        def likelihood(h: Array, g: Array) -> Array:
-            value = self.terms(h[:, None] * y - g[:, None], failures, stopped)[0].sum(axis=1)
-            return np.asarray(value + count * np.log(h))
-
-        h, g = np.ones(len(y)), np.zeros(len(y))
-        best = likelihood(h, g)
-        for _ in range(100):
-            _, first, second = self.terms(h[:, None] * y - g[:, None], failures, stopped)
+        at, step = np.array([np.ones(len(y)), np.zeros(len(y))]), np.zeros((2, len(y)))
+        best = np.full(len(y), -math.inf)
+        for _ in range(200):
+            h, g = at + step
+            value, first, second = self.terms(h[:, None] * y - g[:, None], failures, stopped)
+            level = value.sum(axis=1) + count * np.log(h)
+            climbs = level >= best - 1e-12 * np.abs(best)
+            at, best = np.where(climbs, at + step, at), np.where(climbs, level, best)
             slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
             hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
             gg = second.sum(axis=1)
-            determinant = hh * gg - hg * hg
-            step_h = -(gg * slope_h - hg * slope_g) / determinant
-            step_g = -(hh * slope_g - hg * slope_h) / determinant
-            # a step that leaves h > 0, or does not climb, is halved
-            size = np.where(step_h < -0.9 * h, -0.9 * h / np.where(step_h < 0.0, step_h, -1.0), 1.0)
-            for _ in range(40):
-                following = likelihood(h + size * step_h, g + size * step_g)
-                worse = ~(following >= best - 1e-12 * np.abs(best))
-                if not worse.any():
-                    break
-                size = np.where(worse, 0.5 * size, size)
-            h, g, best = h + size * step_h, g + size * step_g, following
-            if np.max(np.abs(step_h) / h + np.abs(step_g)) < 1e-12:
+            newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g]) / (hh * gg - hg * hg)
+            # a step that leaves h > 0 ends before it does, one that does not climb is halved
+            newton *= np.minimum(1.0, 0.9 * h / np.maximum(-newton[0], 1e-300))
+            step = np.where(climbs, newton, 0.5 * step)
+            if np.max(np.abs(step[0]) / at[0] + np.abs(step[1])) < 1e-12:
                 break
-        return g / h * spread[:, 0] + centre[:, 0], spread[:, 0] / h
+        return at[1] / at[0] * spread[:, 0] + centre[:, 0], spread[:, 0] / at[0]
 
     def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
         """Failures (count, r) of simulated series of the standard law, in rising order.
