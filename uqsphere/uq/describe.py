@@ -29,9 +29,9 @@ from uqsphere.uq.estimate import (
 
 #: samples that must lie beyond a quantile for it to be estimated at all: their count is known to half of itself
 LEAST_BEYOND: Final = 5
-#: share of the variance that one of so many samples may make: the mean of the sum over the largest of values with a tail
-#: of order a < 1 is 1/(1 - a) (D. A. Darling, Trans. Amer. Math. Soc. 73, 1952, 95), so that squares with this share show
-#: an order of 1.2; the largest of a thousand squares of a normal variable makes a hundredth
+#: share of the variance that one of so many samples may make: where it is s the squares have a tail of order 1 - s, the
+#: mean of their sum over the largest being 1/s (D. A. Darling, Trans. Amer. Math. Soc. 73, 1952, 95), the samples 1.2;
+#: of a thousand normal variables the largest makes a hundredth
 DOMINANT, CONVERGES = 0.4, 1000
 
 
@@ -80,25 +80,23 @@ def describe(
     samples = np.asarray(samples, dtype=float)
     broken = ~np.isfinite(samples) if failed is None else failed | ~np.isfinite(samples)
     late = np.zeros_like(broken) if censored is None else censored & ~broken
-    kept = ~broken
-    counts, total = kept.sum(axis=1), samples.size
-    if samples.shape[0] < 2 or counts.min(initial=total) < 2:
+    kept, total = ~broken, samples.size
+    counts = kept.sum(axis=1)
+    if len(samples) < 2 or counts.min() < 2:
         nothing = absent("too few successful samples in a replicate", method, total)
         none = dict.fromkeys(quantiles, nothing)
         return Description(mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan)
-    shown = method + (", restricted to the record" if late.any() else "")
-    shown += ", without failed rows" if broken.any() else ""
+    shown = method + ", restricted to the record" * bool(late.any()) + ", without failed rows" * bool(broken.any())
     mean, sd, scale = _moments(samples, kept, shown)
     if (late | broken).all():
         mean = sd = absent("every sample outlasts the record", method, total)
     estimates, exempt = quantile_estimates(
         samples, censored=late, failed=broken, on_failure=on_failure, quantiles=quantiles, method=method
     )
+    beyond = share(late, "share of the samples")
     if late.any() and broken.any():
-        censored_share = from_replicates((late & kept).sum(axis=1) / counts, "share of the samples", total)
-    else:
-        censored_share = share(late, "share of the samples")
-    return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=censored_share, scale=scale, exempt=exempt)
+        beyond = from_replicates(late.sum(axis=1) / counts, "share of the samples", total)
+    return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=beyond, scale=scale, exempt=exempt)
 
 
 def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estimate, float]:
@@ -141,15 +139,12 @@ def quantile_estimates(
 
     The replicates' distribution functions at the pooled quantile give the standard error of its probability.
     """
-    replicates, n = samples.shape
-    total = samples.size
-    bound = on_failure == "bound" and bool(failed.any())
+    total, bound = samples.size, on_failure == "bound" and bool(failed.any())
     kept = np.ones_like(failed) if bound else ~failed
     # doubtful samples at the least and at the largest value they may have had
-    least = np.where(failed, -math.inf, samples) if bound else samples
-    read = upper = sample_reader(np.sort(least[kept]))
-    if censored.any() or bound:
-        upper = sample_reader(np.sort(np.where(failed | censored, math.inf, samples)[kept]))
+    least = np.where(failed, -math.inf, samples)
+    read = sample_reader(np.sort(least[kept]))
+    upper = sample_reader(np.sort(np.where(failed | censored, math.inf, samples)[kept]))
     counts = kept.sum(axis=1)
     answers: dict[float, Estimate] = {}
     exempt: list[float] = []
@@ -158,8 +153,8 @@ def quantile_estimates(
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
         at = read(p) if math.isfinite(read(p)) else upper(p)
-        error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / n)
-        answers[p] = quantile(read, p, error, replicates, method, total, upper=upper)
+        error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / samples.shape[1])
+        answers[p] = quantile(read, p, error, len(samples), method, total, upper=upper)
         if answers[p].value is None:
             shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
             parts = [f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares.items() if part]
