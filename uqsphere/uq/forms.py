@@ -106,19 +106,22 @@ def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.i
     return Form(tails=lambda y: (cdf(y), cdf(-y)), quantile=quantile, pdf=pdf, orders=(order, order))
 
 
-def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
-    """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
-
-    def tails(y: Array) -> tuple[Array, Array]:
-        h = hazard(y)
-        return -np.expm1(-h), np.exp(-h)
+def density(logarithm: Function) -> Function:
+    """A density from its logarithm, which is nan off the law."""
 
     @np.errstate(invalid="ignore")
     def pdf(y: Array) -> Array:
-        density = np.exp(log_rate(y) - hazard(y))
-        return np.where(density > 0.0, density, 0.0)
+        return np.nan_to_num(np.exp(logarithm(y)), nan=0.0, posinf=math.inf)
 
-    return Form(tails=tails, quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))), pdf=pdf)
+    return pdf
+
+
+def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
+    """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
+
+    return Form(tails=lambda y: (-np.expm1(-hazard(y)), np.exp(-hazard(y))),
+                quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))),
+                pdf=density(lambda y: log_rate(y) - hazard(y)))  # fmt: skip
 
 
 def falling(form: Form, order: float = math.inf) -> Form:
@@ -155,22 +158,15 @@ def weibull(m: float | Array) -> Form:
 
 
 def frechet(a: float) -> Form:
-    form = by_hazard(lambda y: np.maximum(y, 0.0) ** -a, lambda h: h ** (-1.0 / a),
-                     lambda y: math.log(a) - (a + 1.0) * np.log(y))  # fmt: skip
-    return falling(form, order=a)
+    return falling(by_hazard(lambda y: np.maximum(y, 0.0) ** -a, lambda h: h ** (-1.0 / a),
+                             lambda y: math.log(a) - (a + 1.0) * np.log(y)), order=a)  # fmt: skip
 
 
 def gamma(k: float) -> Form:
-    def tails(y: Array) -> tuple[Array, Array]:
-        inside = np.maximum(y, 0.0)
-        return special.gammainc(k, inside), special.gammaincc(k, inside)
-
-    def pdf(y: Array) -> Array:
-        inside = np.maximum(y, 0.0)
-        return np.where(y >= 0.0, np.exp(special.xlogy(k - 1.0, inside) - inside - special.gammaln(k)), 0.0)
-
-    quantile = either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q))
-    return Form(tails=tails, quantile=quantile, pdf=pdf)
+    return Form(tails=lambda y: (special.gammainc(k, np.maximum(y, 0.0)), special.gammaincc(k, np.maximum(y, 0.0))),
+                quantile=either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q)),
+                pdf=density(lambda y: special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)),
+    )  # fmt: skip
 
 
 def student_t(dof: float) -> Form:
@@ -189,17 +185,14 @@ def student_t(dof: float) -> Form:
 def triangular(mode: float) -> Form:
     def cdf(y: Array, a: float, b: float) -> Array:
         inside = np.clip(y, 0.0, 1.0)
-        rising = inside * inside / a if a > 0.0 else 0.0 * inside
-        falling = 1.0 - (1.0 - inside) ** 2 / b if b > 0.0 else 1.0 + 0.0 * inside
-        return np.where(inside < a, rising, falling)
+        return np.where(inside < a, inside * inside / (a or 1.0), 1.0 - (1.0 - inside) ** 2 / (b or 1.0))
 
     def ppf(p: Array, a: float, b: float) -> Array:
         return np.where(p <= a, np.sqrt(p * a), 1.0 - np.sqrt((1.0 - p) * b))
 
     def pdf(y: Array) -> Array:
-        rising = y / mode if mode > 0.0 else 0.0 * y
-        falling = (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0 * (y == 1.0)
-        return 2.0 * np.clip(np.where(y < mode, rising, falling), 0.0, 1.0)
+        sides = np.where(y < mode, y / (mode or 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0)
+        return np.where((y >= 0.0) & (y <= 1.0), 2.0 * sides, 0.0)
 
     # its quantiles have a kink, and quadrature fewer digits
     moments = (1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)
@@ -207,15 +200,12 @@ def triangular(mode: float) -> Form:
 
 
 def beta(a: float, b: float) -> Form:
-    def cdf(y: Array, a: float, b: float) -> Array:
-        return special.betainc(a, b, np.clip(y, 0.0, 1.0))
+    def logarithm(y: Array) -> Array:
+        inside = np.where((y >= 0.0) & (y <= 1.0), y, math.nan)
+        return special.xlogy(a - 1.0, inside) + special.xlog1py(b - 1.0, -inside) - special.betaln(a, b)
 
-    def pdf(y: Array) -> Array:
-        inside = np.clip(y, 0.0, 1.0)
-        log_density = special.xlogy(a - 1.0, inside) + special.xlog1py(b - 1.0, -inside) - special.betaln(a, b)
-        return np.where(y == inside, np.exp(log_density), 0.0)
-
-    return between(cdf, lambda p, a, b: special.betaincinv(a, b, p), pdf, a, b)
+    return between(lambda y, a, b: special.betainc(a, b, np.clip(y, 0.0, 1.0)),
+                   lambda p, a, b: special.betaincinv(a, b, p), density(logarithm), a, b)  # fmt: skip
 
 
 def form_of(
