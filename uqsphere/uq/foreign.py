@@ -40,10 +40,8 @@ TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
     "expon": lambda loc, scale: None if loc else {"dist": "exponential", "rate": 1.0 / scale},
     "rayleigh": lambda loc, scale: None if loc else {"dist": "rayleigh", "scale": scale},
     "t": lambda df, loc, scale: {"dist": "student_t", "dof": df, "location": loc, "scale": scale},
-    "truncnorm": lambda a, b, loc, scale: {
-        "dist": "normal", "mean": loc, "sd": scale,
-        **{key: loc + scale * end for key, end in (("lower", a), ("upper", b)) if math.isfinite(end)},
-    },
+    "truncnorm": lambda a, b, loc, scale: {"dist": "normal", "mean": loc, "sd": scale, "lower": loc + scale * a,
+                                           "upper": loc + scale * b},
 }  # fmt: skip
 
 #: SciPy's names of chaospy's laws in standard form, which have the same shapes but for the last two
@@ -203,8 +201,7 @@ def _unrolled(given: Any) -> Law | None:
 def _by_name(name: str, *given: Any) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
     numbers = list(map(_number, given))
-    made = TABLES.get({"reciprocal": "loguniform"}.get(name, name))
-    if made is not None and (table := made(*numbers)) is not None:
+    if name in TABLES and (table := TABLES[name](*numbers)) is not None:
         return as_law(table)
     if (family := family_named(PREFIX + name)) is None:
         raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
@@ -257,10 +254,9 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
     if len(set(problem.get("groups") or names)) < count:
         raise LawError("groups of SALib have no place here: leave them out, and read the indices by input", "groups")
     for name, kind, numbers in zip(names, problem.get("dists") or ["unif"] * count, problem["bounds"], strict=True):
-        if kind not in SALIB:
-            raise LawError(f"distribution {kind!r} of SALib; known: {', '.join(SALIB)}", "dists")
         try:
             found[str(name)] = SALIB[kind](*map(float, numbers))
-        except TypeError as error:
-            raise LawError(f"{name}: {kind} of SALib takes other numbers than {list(numbers)}", "bounds") from error
+        except (KeyError, TypeError) as error:
+            said = f"{name}: {kind} {list(numbers)} is no distribution of SALib; known: {', '.join(SALIB)}"
+            raise LawError(f"{said}, each with its two to four numbers", "bounds") from error
     return found

@@ -111,7 +111,7 @@ def density(logarithm: Function) -> Function:
 
     @np.errstate(invalid="ignore")
     def pdf(y: Array) -> Array:
-        return np.nan_to_num(np.exp(logarithm(y)), nan=0.0, posinf=math.inf)
+        return np.asarray(np.nan_to_num(np.exp(logarithm(y)), nan=0.0, posinf=math.inf))
 
     return pdf
 
