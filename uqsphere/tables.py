@@ -14,12 +14,12 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -53,7 +53,8 @@ _FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False
                  "nein": False, "x": True}  # fmt: skip
 #: keys that a study gives the unit of a column by
 _UNIT_KEYS: Final = {"force": "force_unit", "diameter": "diameter_unit", "column": "unit", "draws": "unit"}
-_KNOWN_UNITS: Final = {unit for units in UNITS.values() for unit in units if unit and not unit.isdigit()}
+#: what a row of units below the headings may have
+_ALL_UNITS: Final = {"", "-", *_SPELLED} | {unit for units in UNITS.values() for unit in units if not unit.isdigit()}
 
 
 class TableError(UsageError):
@@ -111,28 +112,27 @@ class Table:
         return _decimal_mark(cell for row in self.rows for cell in row)
 
     @cached_property
-    def _no_data(self) -> dict[int, str]:
-        """Rows that are no data, and what they are."""
-        found = {k: "a summary row is no row of data: delete it" for k, row in enumerate(self.rows)
-                 if any(cell and not cell[0].isdigit() and _SUMMARY.fullmatch(cell) for cell in row)}  # fmt: skip
-        return found | {k: "the headings again: pasted twice?" for k, row in enumerate(self.rows)
-                        if row == self.headings}  # fmt: skip
+    def _no_data(self) -> dict[str, Flags]:
+        """Rows that are no data, by what they are."""
+        sums = _each(lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows)
+        again = _each(lambda row: row == self.headings, self.rows)
+        return {"a summary row is no row of data: delete it": sums, "the headings again: pasted twice?": again}
 
     def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
         """Where a column stands, by its heading with or without its unit, or its number from 1 on; TableError else."""
         column = str(column)
         bare = [next((name for d in (dimension, *UNITS) if (name := unit_in_heading(h, d)[0]) != h), h)
                 for h in self.headings]  # fmt: skip
-        at = [k for k, heading in enumerate(self.headings) if heading == column]
-        at = at or [k for k, heading in enumerate(bare) if heading == column]
-        if not at and column.isdigit() and 1 <= int(column) <= len(self.headings):
+        for names in (self.headings, bare):
+            if names.count(column) == 1:
+                return names.index(column)
+        if column not in bare and column.isdigit() and 1 <= int(column) <= len(self.headings):
             return int(column) - 1
-        if len(at) == 1:
-            return at[0]
+        twice = column in (*self.headings, *bare)
         near = get_close_matches(column, [*self.headings, *bare], n=1)
-        hint = f"; did you mean {near[0]!r}?" if near and not at else ""
+        hint = f"; did you mean {near[0]!r}?" if near and not twice else ""
         known = ", ".join(repr(h[:24]) for h in self.headings[:12])
-        raise TableError(f"the column {column!r} is {'twice or more' if at else 'not'} in {self.name!r}, which has "
+        raise TableError(f"the column {column!r} is {'twice or more' if twice else 'not'} in {self.name!r}, which has "
                          f"{known}{hint}", key)  # fmt: skip
 
     def unit_of(self, column: str | int, dimension: str) -> str | None:
@@ -152,11 +152,11 @@ class Table:
 
         unit : of the column; None: that of its heading.  TableError at `key` without any, or with a contradiction.
         """
-        texts = self.texts(column, key, dimension)
+        at = self.place(column, dimension, key)
         if dimension == "number":
-            return self._parsed(texts, column, key, blank)
-        heading, units = self.headings[self.place(column, dimension, key)], UNITS[dimension]
-        column = heading if str(column).isdigit() else column
+            return self._parsed(at, str(column), key, blank)
+        heading, units = self.headings[at], UNITS[dimension]
+        column = heading if str(column).isdigit() else str(column)
         own, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
         if unit is not None and unit not in units:
             raise TableError(f"found {unit!r}, allowed: {typed_units(dimension)}", unit_key)
@@ -167,78 +167,70 @@ class Table:
             more = f', or add {unit_key} = "{first}"' if key in _UNIT_KEYS else ""
             raise TableError(f"the unit of the column {column!r} is missing: write it in the heading, \"{column} "
                              f'[{first}]"{more} ({typed_units(dimension)})', key)  # fmt: skip
-        return units[unit or own or ""] * self._parsed(texts, column, key, blank)
+        return units[unit or own or ""] * self._parsed(at, column, key, blank)
 
-    def _parsed(self, texts: list[str], column: str | int, key: str, blank: bool) -> Array:
-        own = _decimal_mark(texts)
-        mark = self.decimal or own or self._mark
-        faults: dict[int, str] = {}
-        perhaps = [k for k, text in enumerate(texts) if _PERHAPS.fullmatch(text)]
-        whole = [text for text in texts if text.isdigit()]
-        if own == ".,":
+    def _parsed(self, at: int, column: str, key: str, blank: bool) -> Array:
+        """Numbers of a column without its unit: which mark is the decimal one, and what is no number."""
+        texts = [row[at] for row in self.rows]
+        bad, certain = np.logical_or.reduce([*self._no_data.values()]), _decimal_mark(texts)
+
+        def refuse(said: str, wrong: Flags) -> None:
+            nonlocal bad
+            self.refuse(key, f"{column}: {said}", wrong & ~bad)
+            bad = bad | wrong
+
+        mark = self.decimal or certain or self._mark
+        thousands = "a mark of thousands: write the number without it"
+        refuse(thousands, _each(_MARKED.fullmatch, texts))
+        perhaps = _each(_PERHAPS.fullmatch, texts)
+        if certain == ".,":
             mark = max(".,", key=lambda one: sum(one in text for text in texts))
-            faults |= {k: "decimal point and comma in one column: write all alike" for k, text in enumerate(texts)
-                       if ("," if mark == "." else ".") in text}  # fmt: skip
-        elif perhaps and not self.decimal:
-            text = texts[perhaps[0]]
-            beside = next((w for w in whole if len(w) > 3 or not own), None)
+            other = "," if mark == "." else "."
+            refuse("decimal point and comma in one column: write all alike", _each(lambda text: other in text, texts))
+        elif perhaps.any() and not self.decimal:
+            text = texts[int(np.argmax(perhaps))]
+            whole = next((w for w in texts if w.isdigit() and (len(w) > 3 or not certain)), "")
             if mark in (".", ",") and mark not in text:
-                faults |= dict.fromkeys(perhaps, "a mark of thousands: write the number without it")
-            elif beside:
-                faults |= dict.fromkeys(perhaps, f"{text!r} beside {beside!r}: a mark of thousands? write it without")
+                refuse(thousands, perhaps)
+            elif whole:
+                refuse(f"{text!r} beside {whole!r}: a mark of thousands? write it without", perhaps)
             elif not mark and "," in text:
-                faults |= dict.fromkeys(perhaps, f"{text!r} can be a decimal comma or a mark of thousands: "
-                                                 'add decimal = ","')  # fmt: skip
-        form = _NUMBER["," if mark == "," else "."]
-        found = np.full(len(texts), math.nan)
-        strange = None
-        for k, text in enumerate(texts):
-            if _MARKED.fullmatch(text):
-                faults[k] = "a mark of thousands: write the number without it"
-            elif k in faults or k in self._no_data:
-                continue
-            elif form.fullmatch(text):
-                found[k] = float(text.replace(",", "."))
-                if math.isinf(found[k]):
-                    faults[k] = "a number too large"
-            elif text and not (blank and text.lower() in _NOTHING):
-                strange = strange or f"found {as_text(text, 60)!r}, where a number is required"
-                faults[k] = strange
-            elif not blank:
-                faults[k] = "an empty cell"
-        for k, said in faults.items():
-            self._refuse(key, f"{column}: {said}", [k])
+                refuse(f'{text!r} can be a decimal comma or a mark of thousands: add decimal = ","', perhaps)
+        number = _each(_NUMBER["," if mark == "," else "."].fullmatch, texts)
+        empty = _each(lambda text: text.lower() in _NOTHING if blank else not text, texts)
+        if (strange := ~(number | empty | bad)).any():
+            refuse(f"found {as_text(texts[int(np.argmax(strange))], 60)!r}, where a number is required", strange)
+        if not blank:
+            refuse("an empty cell", empty)
+        pairs = zip(texts, number & ~bad, strict=True)
+        found = np.array([float(text.replace(",", ".")) if good else math.nan for text, good in pairs])
+        refuse("a number too large", np.isinf(found))
         return found
 
-    def _refuse(self, key: str, said: str, rows: Iterable[int]) -> None:
-        """Note a fault of some rows; each line is told of once for one fault."""
-        for k in rows:
-            noted = self.faults.setdefault((key, said), [])
-            if self.lines[k] not in noted[-1:]:
-                noted.append(self.lines[k])
-
     def refuse(self, key: str, said: str, wrong: Flags) -> None:
-        """Note that rows are wrong, (n,), which say what the others do not."""
-        self._refuse(key, said, np.flatnonzero(wrong).tolist())
+        """Note that rows are wrong, (n,), which say what the others do not; each line is told of once for one fault."""
+        if wrong.any():
+            lines = [*self.faults.get((key, said), []), *np.array(self.lines)[wrong].tolist()]
+            self.faults[key, said] = list(dict.fromkeys(lines))
 
     def flags(self, column: str, key: str = "", words: Mapping[str, bool] = _FLAGS, meant: str = "0 or 1") -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]
-        strange = [k for k, text in enumerate(texts) if text not in words and k not in self._no_data]
-        if strange:
-            self._refuse(key, f"{column}: found {as_text(texts[strange[0]], 60)!r}, where {meant} is required", strange)
-        return np.array([words.get(text, False) for text in texts], dtype=bool)
+        strange = _each(lambda text: text not in words, texts) & ~np.logical_or.reduce([*self._no_data.values()])
+        said = f"{column}: found {as_text(texts[int(np.argmax(strange))], 60)!r}, where {meant} is required"
+        self.refuse(key, said, strange)
+        return _each(lambda text: words.get(text, False), texts)
 
     def check(self) -> None:
         """Raise TableError with every fault noted so far."""
-        for k, said in self._no_data.items():
-            self._refuse("", said, [k])
+        for said, wrong in self._no_data.items():
+            self.refuse("", said, wrong)
         if self.faults:
-            messages = [f"{self.name}: {self._at(lines)}: {said}" for (_, said), lines in self.faults.items()]
+            messages = [f"{self.name}: {_lines(lines)}: {said}" for (_, said), lines in self.faults.items()]
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:
-        """Check, and look at the rows as such."""
+        """Check, and note rows that seem to be no further data: repeated ones, and sums of the others."""
         self.check()
         first: dict[tuple[str, ...], int] = {}
         back = [k - first.setdefault(tuple(row), k) for k, row in enumerate(self.rows)]
@@ -246,30 +238,31 @@ class Table:
         # a block that was pasted twice repeats rows in their order; tests stopped at one load are one row many times
         pasted = 2 * sum(back[k] == back[k - 1] for k in again) > len(again) > 1
         if pasted or (0 < len(again) <= _MOST_LINES and (len(again) > 1 or len(set(self.rows[again[0]])) > 2)):
-            self.notes.append(f"{self.name}: {self._at([self.lines[k] for k in again])} repeat"
+            self.notes.append(f"{self.name}: {_lines([self.lines[k] for k in again])} repeat"
                               f"{'s' * (len(again) == 1)} earlier rows: pasted twice?")  # fmt: skip
-        self._note_sums()
-
-    def _at(self, lines: list[int]) -> str:
-        more = f" and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
-        return f"line{'s' * (len(lines) > 1)} {', '.join(map(str, lines[:_MOST_LINES]))}{more}"
-
-    def _note_sums(self) -> None:
-        """Note a last row that is mean or standard deviation of those above, in two columns or more."""
         columns = [[text.replace(",", ".") for text in column] for column in zip(*self.rows, strict=True)]
         columns = [column for column in columns if len(set(column)) > 2 and all(map(_NUMBER["."].fullmatch, column))]
-        if len(self.rows) < 5 or len(columns) < 2:
+        if len(columns) < 2 or len(self.rows) < 5:
             return
         values = np.array(columns, dtype=float)
-        digits = np.array([[len(text.partition(".")[2]) for text in column[-8:]] for column in columns])
-        for back in range(min(8, len(self.rows) - 3), 0, -1):
-            data = values[:, :-back]
-            for what, sums in (("mean", data.mean(axis=1)), ("sd", data.std(axis=1, ddof=1))):
-                alike = (np.abs(values[:, -back] - sums) <= 0.51 * 10.0 ** -digits[:, -back]) & (sums != 0.0)
+        for k in range(max(3, len(self.rows) - 8), len(self.rows)):
+            above, step = values[:, :k], np.array([10.0 ** -len(column[k].partition(".")[2]) for column in columns])
+            for what, sums in (("mean", above.mean(axis=1)), ("sd", above.std(axis=1, ddof=1))):
+                alike = (np.abs(values[:, k] - sums) <= 0.51 * step) & (sums != 0.0)
                 if alike.sum() >= max(2, len(columns) - 1):
-                    self.notes.append(f"{self.name}: line {self.lines[-back]} is the {what} of the rows above: "
+                    self.notes.append(f"{self.name}: line {self.lines[k]} is the {what} of the rows above: "
                                       "if it is a summary row, delete it")  # fmt: skip
                     return
+
+
+def _lines(lines: list[int]) -> str:
+    more = f" and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
+    return f"line{'s' * (len(lines) > 1)} {', '.join(map(str, lines[:_MOST_LINES]))}{more}"
+
+
+def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
+    """Whether something holds for each cell or row."""
+    return np.array([bool(holds(cell)) for cell in cells], dtype=bool)
 
 
 def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST, recorded: bool = False) -> Table:
@@ -279,37 +272,47 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST, recorde
 
     Raises TableError for what is no table, AccessError as `uqsphere.files.read_given`.
     """
-    name, notes = path.name, list[str]()
+    name, notes, lines = path.name, list[str](), list[str]()
     try:
         data = read_given(path, largest)
     except TooLarge:
         raise TableError(f"{name!r} is larger than {largest >> 20} MiB") from None
-    sheet = _sheet(data, name, notes) if data.startswith(b"PK\x03\x04") else None
-    # only what ends a line everywhere: a text may have other marks of Unicode
-    lines = [] if sheet is not None else re.split("\r\n|\r|\n", _decoded(data, name, notes))
-    if (longest := max(map(len, lines), default=0)) > _LONGEST:
-        raise TableError(f"{name!r} has a line of {longest:,} characters; {_LONGEST:,} are read at most")
-    if recorded:
-        return _recorded(name, sheet or {}, lines, notes)
-    rows = sheet or _divided(lines, name)
-    if not rows:
+    live: dict[int, Any]
+    if data.startswith(b"PK\x03\x04"):
+        live = _sheet(data, name, notes)
+    else:
+        # only what ends a line everywhere: a text may have other marks of Unicode
+        lines = re.split("\r\n|\r|\n", _decoded(data, name, notes))
+        if re.fullmatch("sep=.", lines[0]):
+            lines[0] = ""
+        if (longest := max(map(len, lines))) > _LONGEST:
+            raise TableError(f"{name!r} has a line of {longest:,} characters; {_LONGEST:,} are read at most")
+        live = {k: line for k, line in enumerate(lines, 1)
+                if line.strip(" ;,\t") and not line.lstrip().startswith("#")}  # fmt: skip
+    if not live:
         raise TableError(f"{name!r} is empty")
+    if recorded:
+        rows, decimal = _recorded(name, live, lines, notes)
+    else:
+        first = live[min(live)]
+        rows = _cells(live, next((divider for divider in ";\t" if divider in first), ","), name)
     headings = rows.pop(min(rows))
     while headings and not headings[-1]:
         headings = headings[:-1]
-    wide = [line for line, row in rows.items() if any(row[len(headings) :])]
-    if wide:
+    width = len(headings)
+    if wide := [line for line, row in rows.items() if any(row[width:])]:
         raise TableError(f"{name}: line {wide[0]}: more cells than headings: a decimal comma between commas? "
                          "save it with semicolons")  # fmt: skip
-    if len(headings) > _MOST_COLUMNS:
-        raise TableError(f"{name!r} has {len(headings):,} columns; {_MOST_COLUMNS:,} are read at most")
-    if rows and _all_units(rows[min(rows)]):
-        headings = _with_units(headings, rows.pop(min(rows)))
+    if width > _MOST_COLUMNS:
+        raise TableError(f"{name!r} has {width:,} columns; {_MOST_COLUMNS:,} are read at most")
+    if rows and _are_units(rows[min(rows)]):
+        units = [cell.strip("[]()- ") for cell in rows.pop(min(rows))]
+        headings = [f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)]
     if not rows:
         raise TableError(f"{name!r} has no row below its headings")
-    width = len(headings)
     return Table(name=name, headings=headings, lines=list(rows), notes=notes, decimal=decimal,
-                 rows=[row[:width] + [""] * (width - len(row)) for row in rows.values()])  # fmt: skip
+                 rows=[row[:width] + [""] * (width - len(row)) for row in rows.values()],
+                 above="\n".join(lines[: max(min(rows), 40)]))  # fmt: skip
 
 
 def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, list[str]]:
@@ -345,31 +348,25 @@ def _cell_text(cell: object) -> str:
     return "" if cell is None else str(cell).strip()
 
 
-def _live(lines: list[str]) -> dict[int, str]:
-    """The lines that are neither empty nor a comment, by their numbers."""
-    return {k: line for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
+def _cells(live: dict[int, Any], divider: str, name: str, strict: bool = True) -> dict[int, list[str]]:
+    """Cells of lines, which those of a sheet are already, by the numbers of the lines; `strict`: quotes must close."""
+    if live and not isinstance(next(iter(live.values())), str):
+        return live
+    if divider == " ":
+        return {k: line.split() for k, line in live.items()}
 
+    def divided(line: str) -> list[str]:
+        return next(csv.reader([line], delimiter=divider, strict=strict)) if '"' in line else line.split(divider)
 
-def _divided(lines: list[str], name: str) -> dict[int, list[str]]:
-    """Cells of the lines that have any, by the numbers of the lines."""
-    live = {k: line for k, line in _live(lines).items()
-            if line.strip(" ;,\t") and not (k == 1 and re.fullmatch("sep=.", line))}  # fmt: skip
-    divider = next((d for d in ";\t" if d in next(iter(live.values()), "")), ",")
     try:
-        cells = [[cell.strip() for cell in row] for row in csv.reader(live.values(), delimiter=divider)]
-    except csv.Error as error:
-        raise TableError(f"{name!r} is no table: {error}") from None
-    if len(cells) != len(live):
-        raise TableError(f"{name!r}: a text in quotes goes over several lines: keep every row on its line")
-    return dict(zip(live, cells, strict=True))
+        return {k: [cell.strip() for cell in divided(line)] for k, line in live.items()}
+    except csv.Error:
+        raise TableError(f"{name!r}: a text in quotes goes over several lines: keep every row on its line") from None
 
 
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
-    for first, codec in ((0, "utf-16-le"), (1, "utf-16-be")):
-        if len(data) > 3 and not any(data[1 - first : 200 : 2]) and all(data[first:200:2]):
-            return data.decode(codec, "replace")
     if b"\0" in data[:4096]:
         raise TableError(f"{name!r} is no text: save it as CSV or .xlsx")
     try:
@@ -379,92 +376,62 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
         return data.decode("cp1252", "replace")
 
 
-# --- what a recorder writes ---------------------------------------------------------------------------------------
+def _recorded(name: str, live: dict[int, Any], lines: list[str], notes: list[str]) -> tuple[dict[int, list[str]], str]:
+    """Headings, units and numbers of a recorder's file by lines, and the decimal mark.
 
-
-def _all_units(row: Sequence[str]) -> bool:
-    return any(row) and {cell.strip("[]() ") for cell in row} <= _KNOWN_UNITS | {*_SPELLED, "", "-"}
-
-
-def _with_units(headings: Sequence[str], row: Sequence[str]) -> list[str]:
-    units = [cell.strip("[]()- ") for cell in row]
-    return [f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)]
-
-
-def _recorded(name: str, sheet: dict[int, list[str]], lines: list[str], notes: list[str]) -> Table:
-    """The table of numbers of a recorder's file, whose divider and decimal mark its second half shows."""
-    live = _live(lines)
-    wide = max(map(len, sheet.values()), default=0)
-    if wide > _MOST_COLUMNS:
-        raise TableError(f"{name!r} has {wide:,} columns; {_MOST_COLUMNS:,} are read at most")
-    # a row of a sheet ends with its last cell that is not empty
-    sheet = {k: row + [""] * (wide - len(row)) for k, row in sheet.items()}
-    keys, best = list(sheet or live), (0, 0)
-    # metadata stand above or beside the first half at the most
+    Its second half shows divider and mark: metadata stand above or beside the first half at the most.
+    """
+    if lines:
+        # quotes around a whole line
+        live = {k: line.strip('"') if re.fullmatch('"[^"]*"', line) else line for k, line in live.items()}
+    else:
+        if (wide := max(map(len, live.values()))) > _MOST_COLUMNS:
+            raise TableError(f"{name!r} has {wide:,} columns; {_MOST_COLUMNS:,} are read at most")
+        # a row of a sheet ends with its last cell that is not empty
+        live = {k: row + [""] * (wide - len(row)) for k, row in live.items()}
+    keys, best, divider, mark, width, places = list(live), (0, 0), "", "", 0, list[int]()
     some = keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys
-    divider, mark, width, places = " ", ".", 0, list[int]()
-    for one, decimal in ((" ", "."),) if sheet else _WRITTEN:
-        rows = [sheet[k] if sheet else _split(live[k], one) for k in some]
-        usual, numeric = _numeric_columns(rows, decimal)
-        whole = sum(len(row) == usual and all(_is_number(row[k], decimal) for k in numeric) for row in rows)
-        if numeric and (min(len(numeric), 2), whole) > best:
-            best, divider, mark, width, places = (min(len(numeric), 2), whole), one, decimal, usual, numeric
-    if best == (0, 0):
+    for one, decimal in _WRITTEN if lines else ((" ", "."),):
+        number, cells = _NUMBER[decimal].fullmatch, _cells({k: live[k] for k in some}, one, name, False)
+        rows = [row for row in cells.values() if any(map(number, row))]
+        usual = max(sorted(Counter(map(len, rows)).items()), key=lambda pair: pair[1], default=(0, 0))[0]
+        rows = [row for row in rows if len(row) == usual]
+        # columns that hold numbers, and words in few rows
+        numeric = [k for k in range(usual) if any(number(row[k]) for row in rows)
+                   and 2 * sum(not _is_number(row[k], decimal) for row in rows) < len(rows)]  # fmt: skip
+        whole = min(len(numeric), 2), sum(all(_is_number(row[k], decimal) for k in numeric) for row in rows)
+        if numeric and whole > best:
+            best, divider, mark, width, places = whole, one, decimal, usual, numeric
+    if not places:
         raise TableError(f"{name}: no table of numbers (columns divided by comma, semicolon, tab or blanks)")
-    cells = sheet or {k: _split(line, divider) for k, line in live.items()}
+    cells = _cells(live, divider, name, False)
     first = next(k for k in keys if len(cells[k]) > places[-1] and any(cells[k][p] for p in places)
                  and all(_is_number(cells[k][p], mark) for p in places))  # fmt: skip
-    body = {k: row for k, row in cells.items() if k >= first}
-    for row in body.values():
-        if len(row) == width + 1 and not row[-1]:
-            del row[-1]
-        if len(row) < width and divider == "\t":
-            row += [""] * (width - len(row))
-    ragged = [k for k, row in body.items() if len(row) != width]
-    if ragged:
+    body = {k: row + [""] * (width - len(row)) if divider == "\t" else row for k, row in cells.items() if k >= first}
+    if ragged := [k for k, row in body.items() if len(row) < width or any(row[width:]) or len(row) > width + 1]:
         hint = "; columns with a decimal comma are divided by semicolons or tabs" if divider == "," else ""
         raise TableError(f"{name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0]} with "
                          f"{len(body[ragged[0]])}{hint}")  # fmt: skip
-    said = [line.lstrip("# ") for line in lines[: first - 1] if line.lstrip().startswith("#")]
-    above = [cells[k] for k in keys if k < first] or [_split(line, divider) for line in said]
-    above = [row[:width] for row in above if len(row) in (width, width + 1) or (sheet and any(row))]
-    units = above.pop() if above and _all_units(above[-1]) else []
-    headings = list(above[-1]) if above else [""] * width
+    said = {k: line.lstrip("# ") for k, line in enumerate(lines[: first - 1]) if line.lstrip().startswith("#")}
+    above = [row for k, row in cells.items() if k < first] or [*_cells(said, divider, name, False).values()]
+    above = [row[:width] for row in above if len(row) in (width, width + 1)]
+    units = [above.pop()] if above and _are_units(above[-1]) else []
     if not above:
         notes.append(f"{name} names no columns")
-    used = [k for k in range(width) if k in places or headings[k]]
-    headings = [heading or f"column {k}" for k, heading in enumerate(headings, 1)]
-    headings = _with_units(headings, units) if units else headings
-    headings = [f"{k} {h}" if headings.count(h) > 1 else h for k, h in enumerate(headings, 1)]
     if mark == ",":
         notes.append(f"{name}: decimal comma")
-    return Table(name=name, headings=[headings[k] for k in used], notes=notes, decimal=mark, lines=list(body),
-                 rows=[[row[k] for k in used] for row in body.values()], above="\n".join(lines[: max(first, 40)]),
-                 )  # fmt: skip
+    headings = above[-1] if above else [""] * width
+    used = [k for k in range(width) if k in places or headings[k]]
+    headings = [heading or f"column {k}" for k, heading in enumerate(headings, 1)]
+    headings = [f"{k} {h}" if headings.count(h) > 1 else h for k, h in enumerate(headings, 1)]
+    rows = [headings, *units, *body.values()]
+    numbers = range(first - len(units) - 1, first)
+    return {k: [row[p] for p in used] for k, row in zip([*numbers, *body], rows, strict=True)}, mark
 
 
-def _split(line: str, divider: str) -> list[str]:
-    """The cells of a line; quotes go, also around a whole line."""
-    line = line[1:-1] if line.startswith('"') and line.endswith('"') and line.count('"') == 2 else line
-    if '"' in line and divider != " ":
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=divider))]
-    return line.split() if divider == " " else [cell.strip() for cell in line.split(divider)]
+def _are_units(row: list[str]) -> bool:
+    return any(row) and {cell.strip("[]() ") for cell in row} <= _ALL_UNITS
 
 
 def _is_number(cell: str, mark: str) -> bool:
     return bool(_NUMBER[mark].fullmatch(cell)) or cell.lower() in _NOTHING
-
-
-def _numeric_columns(rows: Sequence[Sequence[str]], mark: str) -> tuple[int, list[int]]:
-    """Usual number of cells, and the columns that hold numbers in most rows."""
-    kept = [row for row in rows if any(_NUMBER[mark].fullmatch(cell) for cell in row)]
-    if not kept:
-        return 0, []
-    width = max(sorted(Counter(map(len, kept)).items()), key=lambda one: one[1])[0]
-    found, full = [], [row for row in kept if len(row) == width]
-    for k in range(width):
-        numbers = sum(bool(_NUMBER[mark].fullmatch(row[k])) for row in full)
-        words = sum(not _is_number(row[k], mark) for row in full)
-        if 2 * numbers > len(full) or (numbers and 4 * words < len(full)):
-            found.append(k)
-    return width, found
