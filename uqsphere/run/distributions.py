@@ -15,7 +15,8 @@ from uqsphere.run.tables import Tables
 from uqsphere.uq import exact
 from uqsphere.uq.describe import Description, describe, describe_controlled
 
-#: points at which an expansion that serves as control is evaluated, for each point of the sample, and at most
+#: points at which an expansion that serves as control is evaluated, for each point of the sample, and at most: a sample
+#: of so many needs no control
 MANY, MOST_MANY = 16, 1 << 16
 SAMPLED = "sample"
 CONTROLLED = "sample, chaos as control variate"
@@ -55,7 +56,7 @@ def _described(design: Design, tables: Tables, name: str) -> Description:
     if tables.slow is not None:
         return surrogate.described(design, tables.slow, sample, name)
     expansion = tables.expansions.get(name)
-    if expansion is not None and expansion.left < chaos.CONTROL:
+    if expansion is not None and expansion.left < chaos.CONTROL and sample.count < MOST_MANY:
         many = many_values(design, expansion, sample.count)
         return describe_controlled(sample.answer(name)[1:], expansion.values, many[1:], quantiles=analysis.quantiles,
                                    method=CONTROLLED)  # fmt: skip
@@ -66,7 +67,7 @@ def _described(design: Design, tables: Tables, name: str) -> Description:
 
 def many_values(design: Design, expansion: chaos.Expansion, count: int) -> Array:
     """Values (R, m) of an expansion at the sample's points continued, `MANY` for each."""
-    return chaos.values_at(design, expansion)(_many_points(design, max(min(MANY * count, MOST_MANY), count)))
+    return chaos.values_at(design, expansion)(_many_points(design, min(MANY * count, MOST_MANY)))
 
 
 @lru_cache(maxsize=2)

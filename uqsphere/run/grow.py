@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -41,6 +40,8 @@ FIRST: Final = 256
 LINE_SHARE, PAIRS_SHARE = 16, 4
 #: points of a replicate at most
 MOST: Final = 1 << 17
+#: rows of one evaluation, about, once there are many: what is in work beside the tables themselves
+PART: Final = 1 << 18
 #: a probability below this is searched for by the methods for rare events where sampling does not reach it
 SMALL: Final = 0.01
 
@@ -114,10 +115,7 @@ def _rows(design: Design, tables: Tables, count: int) -> int:
 
 def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
     """Tables of `count` points that continue those before; a line that is accurate enough stays as it is."""
-    known = 0 if before is None else before.sample.count
-    more = evaluate(design, model, design.points(count - known, known)) if count > known else None
-    sample = more if before is None else before.sample if more is None else before.sample.join(more)
-    assert sample is not None
+    sample = _sampled(design, model, before, count)
     line = along(design, model, before)
     tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
     names = design.study.analysis.quantities if design.inputs else ()
@@ -126,6 +124,22 @@ def _grown(design: Design, model: Model, before: Tables | None, count: int) -> T
     open_ = [name for name in names if not by_chaos_accurate(design, tables, name)]
     tables.pairs = paired(design, model, max(count // PAIRS_SHARE, 2), open_, {} if before is None else before.pairs)
     return tables
+
+
+def _sampled(design: Design, model: Model, before: Tables | None, count: int) -> Sample:
+    """The sample of `count` points, grown in place and by parts; the tables before keep its head, and no copy of it."""
+    if before is None:
+        return evaluate(design, model, design.points(count))
+    known = before.sample.count
+    if count == known:
+        return before.sample
+    sample = before.sample.with_room(count)
+    before.sample = sample.head(known)
+    before.descriptions.clear()
+    step = PART // REPLICATES
+    for start in range(known, count, step):
+        sample.fill(start, evaluate(design, model, design.points(min(step, count - start), start)))
+    return sample
 
 
 def along(design: Design, model: Model, before: Tables | None) -> Mapping[float, Sample]:
@@ -156,7 +170,7 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
                       np.concatenate([p.inputs for p in parts], axis=1))  # fmt: skip
     answered = evaluate(design, model, whole, {axis.path: np.concatenate(moving, axis=1)})
     ends = np.cumsum([part.count for part in parts])
-    new = {value: _part(answered, int(end) - part.count, int(end))
+    new = {value: answered.rows(int(end) - part.count, int(end))
            for value, part, end in zip(counts, parts, ends, strict=True)}  # fmt: skip
     return {value: new[value] if value not in known else known[value].join(new[value]) if value in new else known[value]
             for value in sorted({*known, *new})}  # fmt: skip
@@ -179,29 +193,34 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
     return found
 
 
-def _part(sample: Sample, start: int, end: int) -> Sample:
-    """Points `start` to `end` of every replicate."""
-    cut = slice(start, end)
-    names = ("scores", "inputs", "answers", "censored", "status", "failed")
-    return replace(sample, **{name: getattr(sample, name)[:, cut] for name in names})
-
-
-def paired(design: Design, model: Model, count: int, names: list[str], before: Mapping[str, Array]) -> dict[str, Array]:
+def paired(design: Design, model: Model, count: int, names: list[str], before: dict[str, Array]) -> dict[str, Array]:
     """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need it."""
     if not names or design.joint.only(design.inputs).dependent:
         return {}
     known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
-    rows = pair_rows(design, count - known, known)
-    answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
-    check_failures(design, answers.status, answers.good, answers.note)
-    values = np.where(answers.good[:, None], answers.values, np.nan).reshape(*rows.shape[:3], len(names))
-    new = {name: values[..., k] for k, name in enumerate(names)}
-    return {name: np.concatenate([before[name][:, :known], own], axis=1) if known else own for name, own in new.items()}
+    size = _blocks(design).count
+    found = {name: np.empty((REPLICATES, count, size)) for name in names}
+    for name in names if known else ():
+        found[name][:, :known] = before[name][:, :known]
+        before[name] = found[name][:, :known]
+    step = max(PART // (REPLICATES * size), 1)
+    for start in range(known, count, step):
+        rows = pair_rows(design, min(step, count - start), start)
+        answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
+        check_failures(design, answers.status, answers.good, answers.note)
+        values = np.where(answers.good[:, None], answers.values, np.nan).reshape(*rows.shape[:3], len(names))
+        for k, name in enumerate(names):
+            found[name][:, start : start + step] = values[..., k]
+    return found
+
+
+def _blocks(design: Design) -> Blocks:
+    return Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
 
 
 def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     """Inputs (R, count, blocks, d) of the design of Sobol' indices; those of a replicate are in SALib's order."""
-    blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
+    blocks = _blocks(design)
     inputs, mixed = design.joint.only(design.inputs), []
     for replicate in range(REPLICATES):
         halves = base_points(blocks, count=count, seed=design.study.seed, task="pairs", replicate=replicate,

@@ -19,7 +19,7 @@ from uqsphere.results.answers import as_json, frame_of
 from uqsphere.results.folder import write_files
 from uqsphere.run.checks import Check
 from uqsphere.run.design import Design
-from uqsphere.run.distributions import density, many_values
+from uqsphere.run.distributions import MOST_MANY, density, many_values
 from uqsphere.run.fragility import planned_value
 from uqsphere.run.indices import method_of
 from uqsphere.run.limits import state_of
@@ -111,7 +111,7 @@ def _free(design: Design) -> dict[str, Any] | None:
 
 def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:
     expansion = tables.expansions.get(name)
-    if expansion is not None and expansion.left < 1e-3:
+    if expansion is not None and expansion.left < 1e-3 and tables.sample.count < MOST_MANY:
         values = many_values(design, expansion, tables.sample.count)
     else:
         values = tables.sample.answer(name)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Cells, Flags
+
+_ROWS: Final = ("scores", "inputs", "answers", "censored", "status", "failed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +105,26 @@ class Sample:
             failed=np.zeros(shape, dtype=bool) if failed is None else failed,
         )
 
+    def with_room(self, count: int) -> Sample:
+        """The same rows in arrays of `count` rows of each replicate; those behind have no content until `fill`."""
+
+        def longer(own: Cells) -> Cells:
+            room = np.empty((own.shape[0], count, *own.shape[2:]), own.dtype)
+            room[:, : self.count] = own
+            return room
+
+        return self._each(longer)
+
+    def fill(self, start: int, part: Sample) -> None:
+        """Put the rows of a part in the place of rows of every replicate, from the `start`-th on."""
+        for name in _ROWS:
+            getattr(self, name)[:, start : start + part.count] = getattr(part, name)
+
     def join(self, other: Sample) -> Sample:
         """This sample and the rows that continue every replicate."""
-        return self._each(lambda own, more: np.concatenate([own, more], axis=1), other)
+        joined = self.with_room(self.count + other.count)
+        joined.fill(self.count, other)
+        return joined
 
     def head(self, count: int) -> Sample:
         """The first rows of every replicate."""
@@ -113,13 +132,12 @@ class Sample:
 
     def rows(self, first: int, end: int) -> Sample:
         """Rows of every replicate from one place to another."""
-        return self._each(lambda own, _: own[:, first:end], self)
+        return self._each(lambda own: own[:, first:end])
 
     def where(self, which: Flags) -> Sample:
         """Some rows (n,) of every replicate."""
-        return self._each(lambda own, _: own[:, which], self)
+        return self._each(lambda own: own[:, which])
 
-    def _each(self, change: Callable[[Cells, Cells], Cells], other: Sample) -> Sample:
-        rows = ("scores", "inputs", "answers", "censored", "status", "failed")
-        changed: dict[str, Any] = {name: change(getattr(self, name), getattr(other, name)) for name in rows}
+    def _each(self, change: Callable[[Cells], Cells]) -> Sample:
+        changed: dict[str, Any] = {name: change(getattr(self, name)) for name in _ROWS}
         return replace(self, **changed)
