@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere import analysis
-    from uqsphere.models.evaluate import evaluate
+    from uqsphere.models.model import evaluate
     from uqsphere.report.history import history
     from uqsphere.results import Run, open_run
     from uqsphere.run import run
@@ -28,7 +28,7 @@ __version__ = "0.2.0"
 _HOMES = {
     "Run": "uqsphere.results",
     "Study": "uqsphere.study",
-    "evaluate": "uqsphere.models.evaluate",
+    "evaluate": "uqsphere.models.model",
     "history": "uqsphere.report.history",
     "load_study": "uqsphere.study",
     "open_run": "uqsphere.results",

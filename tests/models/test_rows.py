@@ -7,7 +7,7 @@ import math
 import sys
 import time
 import warnings
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,7 @@ from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.models.black_box import call_black_box, load_black_box, model_digest
-from uqsphere.models.evaluate import evaluate
-from uqsphere.models.model import Model
+from uqsphere.models.model import Model, evaluate
 from uqsphere.models.scene import absent_quantity, check_scene, evaluate_scene, scene_of
 from uqsphere.run.design import Design
 from uqsphere.study import Study, load_study, shipped_studies
@@ -145,20 +144,13 @@ def test_rows_that_have_a_closed_form_are_no_others(blow: Study) -> None:
     assert np.isfinite(alone).all()
 
 
-class Reversed(Executor):
-    def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-
 def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = table(700)
     names = tuple(rows.columns)
     found = []
-    for sizes, options in (((16_384, 2_048), {}), ((100, 50), {"threads": 2}), ((1, 33), {"executor": Reversed()})):
-        monkeypatch.setattr("uqsphere.models.model._SCENE_ROWS", sizes)
-        with Model(bars, **options) as model:
+    for most, threads in ((16_384, None), (100, 2), (33, 1)):
+        monkeypatch.setattr("uqsphere.models.model._MOST_ROWS", most)
+        with Model(bars, threads=threads) as model:
             answers = model.evaluate(names, rows.to_numpy(), ("p_max", "P_max"))
             assert (model.evaluations, model.reused) == (700, 0)
         found.append(answers.values.tobytes())

@@ -103,13 +103,11 @@ def _loaded(reference: str, digest: str) -> BlackBox:
 
 
 def answer_rows(
-    rows: Array, *, box: str | BlackBox, digest: str, names: Sequence[str], outputs: Sequence[str],
-    threads: int | None = None,
-) -> EvaluatedRows:  # fmt: skip
+    rows: Array, *, box: str | BlackBox, digest: str, names: Sequence[str], outputs: Sequence[str]
+) -> EvaluatedRows:
     """Answers of all outputs to rows (n, d); without rows the model is loaded.
 
     box : a function, or a reference with the digest of its file.
-    threads : one, whatever is asked for.
 
     Raises as `call_black_box`. A number that is not finite is no failure yet, for it may not be needed.
     """

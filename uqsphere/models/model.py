@@ -1,18 +1,21 @@
-"""The model of a study: cut rows into blocks, have them evaluated, store what was slow, say what failed."""
+"""The model of a study, rows in and columns out: in blocks, what was slow is stored, what failed is said."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import sys
+import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from functools import lru_cache, partial
 from itertools import pairwise
+from numbers import Real
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
@@ -22,14 +25,16 @@ from uqsphere.models.black_box import BlackBox, answer_rows, model_digest
 from uqsphere.models.cache import Cache
 from uqsphere.models.rows import TEXTS, Code, EvaluatedRows, Interrupted, where_of
 from uqsphere.models.scene import evaluate_scene
-from uqsphere.models.workers import Died, Given, Here, Processes, Task, Timed, Workers
+from uqsphere.models.workers import Died, Given, Here, Processes, Task, Timed, Workers, result
+from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.study import Study
 
-#: rows of one block of the impact model in this process, and for an executor; no answer depends on it
-_SCENE_ROWS: Final = (16_384, 2_048)
-#: blocks that the rows of one call are cut into for a black box, and the most rows of one
-_BLOCKS: Final = 64
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: most rows of one block, and blocks that the rows of a black box are cut into
 _MOST_ROWS: Final = 16_384
+_BLOCKS: Final = 64
 #: seconds of work that are worth starting processes for
 _WORTH: Final = 2.0
 #: seconds per row below which to evaluate again costs less than to store
@@ -42,16 +47,57 @@ _CALL: Final = 0.01
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
 #: seconds between two looks at `stop` while answers are waited for
 _LOOK: Final = 0.1
+#: how far outside its usual range a single number is worth a warning
+_FAR: Final = 10.0
 
 
-@lru_cache(maxsize=1)
-def announce_compilation() -> None:
-    """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once in a process."""
-    from uqsphere.mechanics.integrator.compiled import cache_folder
+def evaluate(
+    study: Study,
+    frame: Any,
+    quantities: str | Sequence[str] | None = None,
+    tolerance: float | None = None,
+    threads: int | None = 1,
+    model: str | BlackBox | None = None,
+) -> pd.DataFrame:
+    """Quantities of n scenes, or outputs of a model of one's own at n rows.
 
-    kept = cache_folder()
-    if kept is None or not any(kept.rglob("*.nbc")):
-        print("compiling the integrator, once: about half a minute", file=sys.stderr, flush=True)
+    frame : a DataFrame, or a mapping of names to arrays (n,), Series or numbers: numbers of the scene by their dotted
+        paths, or inputs of the black box, in SI, in any order. A DataFrame has every random input of the study; what a
+        mapping leaves out stands at the study's mean. Several Series are matched by their index. A Series by itself is
+        one row, its index the names.
+    quantities : names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or outputs of the black
+        box; those of the study if None.
+    tolerance : relative error of every quantity, 1e-12 to 1e-2; the study's if None.
+    threads : all processors if None. No answer depends on it.
+    model : "FILE.py:FUNCTION" or function, the black box of a black-box study.
+
+    Returns a DataFrame with the index of `frame`: a column for each quantity (SI, NaN where a row has no answer) and
+    `censored`, whether any of them is a lower bound, since the record ended first.
+
+    Raises UsageError for an unknown, missing or repeated name, a column that has no numbers, an unknown quantity, a
+    wrong tolerance; ModelError when the model raises or returns something of the wrong form. Warns of a number far
+    outside its usual range (is the unit right?), and of rows without an answer.
+    """
+    import pandas as pd
+
+    if not isinstance(study, Study):
+        raise UsageError(f"evaluate takes a study of uqsphere.load_study, found {type(study).__name__}")
+    names = list((quantities,) if isinstance(quantities, str) else quantities or study.analysis.quantities)
+    outputs = study.outputs if study.black_box else (*OUTPUTS, *study.demands)
+    _check_names("output" if study.black_box else "quantity", names, outputs)
+    if tolerance is not None and not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
+        raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
+    table = _table(study, frame)
+    if not study.black_box:
+        _warn_of_unusual(table)
+    with Model(study, model, threads=threads, tolerance=tolerance) as opened:
+        answers = opened.evaluate(list(table.columns), table.to_numpy(float), names)
+    if not answers.good.all():
+        count = int((~answers.good).sum())
+        warnings.warn(f"{count} of {len(table)} rows have no answer; the first: {answers.note}", stacklevel=2)
+    found = pd.DataFrame(answers.values, columns=names, index=table.index)
+    found["censored"] = np.asarray(answers.censored.any(axis=1))
+    return found
 
 
 @dataclass(eq=False)
@@ -60,7 +106,7 @@ class Model:
 
     model : "FILE.py:FUNCTION" or function, the black box of a black-box study. A reference is called in a process of
         its own, which may hang or die; a function in this process, or by value in others where it is slow.
-    executor : anything with submit(), such as a pool of `concurrent.futures` or a `distributed.Client`.
+    executor : anything with submit(), such as a pool of `concurrent.futures` or a `distributed.Client` (black boxes).
     threads : threads of the impact model, processes of a slow black box; all processors if None.
     cache_file : where answers of a slow black box are kept.
     stop : checked between two calls of the model; once it is true, `Interrupted` is raised.
@@ -101,7 +147,7 @@ class Model:
         if self.threads is not None and (type(self.threads) is not int or self.threads < 1):
             raise UsageError(f"threads must be a whole number from 1 on, not {self.threads!r}")
         self._processes = self.threads or thread_count()
-        self._workers: Workers | None = None if self.executor is None else Given(self.executor)
+        self._workers: Workers | None = None if self.executor is None or box is None else Given(self.executor)
         #: seconds and rows of the first call, and of all others
         self._times: list[tuple[float, int]] = []
         self._compared, self._hung = False, 0
@@ -125,7 +171,7 @@ class Model:
         """End processes that were started here, and close the cache."""
         if self.cache is not None:
             self.cache.close()
-        if self._workers is not None:
+        if isinstance(self._workers, Processes):
             self._workers.close()
         self._workers = None
 
@@ -155,9 +201,8 @@ class Model:
             raise UsageError(f"rows must have shape (n, {len(names)}), a column for each name, not {rows.shape}")
         if not self.study.black_box:
             return self._evaluate(names, rows, columns, None)
-        for kind, given, allowed in (("input", names, self._numbers), ("output", columns, self.study.outputs)):
-            if unknown := [name for name in given if name not in allowed]:
-                raise UsageError(f"unknown {kind} {as_text(unknown[0], 60)!r} (allowed: {', '.join(allowed)})")
+        _check_names("input", names, self._numbers)
+        _check_names("output", columns, self.study.outputs)
         answers = self._evaluate(names, rows, columns, self.cache)
         if not self._compared and answers.good.any():
             self._compared, k = True, int(np.argmax(answers.good))
@@ -182,9 +227,8 @@ class Model:
         is_box, total = self.study.black_box, len(rows)
         inputs, outputs = ([*self._numbers], self.study.outputs) if is_box else (names, columns)
         taken, given = [outputs.index(name) for name in columns], [inputs.index(name) for name in names]
-        task: Task = partial(evaluate_scene, self.study, names, columns=columns, tolerance=self.tolerance)
-        if is_box:
-            task = self._box
+        task: Task = self._box if is_box else lambda block: evaluate_scene(
+            self.study, names, block, columns, tolerance=self.tolerance, threads=self.threads)  # fmt: skip
 
         def whole(places: Places) -> Array:
             """Rows of all inputs."""
@@ -192,15 +236,13 @@ class Model:
             block[:, given] = rows[places]
             return block
 
-        size = _SCENE_ROWS[isinstance(self._workers, Given)]
-        if is_box:
-            worth = int(_CALL / self.seconds_per_row) if self.seconds_per_row else 1
-            size = max(1, min(_MOST_ROWS, max(total // _BLOCKS, worth)))
+        worth = int(_CALL / self.seconds_per_row) if self.seconds_per_row else 1
+        size = max(1, min(_MOST_ROWS, max(total // _BLOCKS, worth))) if is_box else _MOST_ROWS
         # where time is limited, one row tells first what a row takes
         starts = [0, *range(1 if self.study.analysis.time_limit else size, total, size), total]
         if not is_box and not self._times and total:
             announce_compilation()
-            task(rows[:1], threads=1)  # the kernel is compiled, or loaded, before anything is timed
+            task(rows[:1])  # the kernel is compiled, or loaded, before anything is timed
         found = EvaluatedRows.plain(np.full((total, len(columns)), np.nan))
         done, first_failed = 0, (total, "")
 
@@ -273,7 +315,7 @@ class Model:
                 for future in sorted(ended, key=lambda f: f.cancelled() or f.exception() is not None):
                     places = running.pop(future)
                     try:
-                        answers, seconds = workers.result(future)
+                        answers, seconds = result(future, self.study.analysis.time_limit is not None)
                         known = self._times.pop() if len(self._times) > 1 else (0.0, 0)
                         self._times.append((known[0] + seconds, known[1] + len(places)))
                         self._hung = 0
@@ -297,20 +339,21 @@ class Model:
     def _staffed(self, task: Task, rows: int) -> Workers:
         """Where calls are made: a scene and a function begin in this process, a file in one of its own, and rows that
         have proved worth it get more processes. Nothing may be running."""
-        workers, limited = self._workers, self.study.analysis.time_limit is not None
-        if workers is None:
+        if self._workers is None:
+            limited = self.study.analysis.time_limit is not None
             here = self.model is None or (callable(self.model) and not limited)
-            workers = Here(self.threads) if here else Processes(self._processes if limited else 1, task)
+            self._workers = Here() if here else Processes(self._processes if limited else 1, task)
+        workers = self._workers
         slow = self.model is not None and (self.seconds_per_row or 0.0) * rows >= _WORTH
-        if slow and workers.count not in (0, self._processes):
+        if slow and not isinstance(workers, Given) and workers.count != self._processes:
             try:
-                more = Processes(self._processes, task)
-                workers.close()
-                workers = more
+                self._workers = Processes(self._processes, task)
             except (UsageError, ModelError):  # it cannot be had elsewhere, and goes on where it is
                 self._processes = workers.count
-        self._workers = workers
-        return workers
+            else:
+                if isinstance(workers, Processes):
+                    workers.close()
+        return self._workers
 
     def _limit(self, rows: int) -> float | None:
         """Seconds that a call may take: the study's limit, or ten times what is usual of many rows if that is more."""
@@ -330,3 +373,69 @@ class Model:
             text = f"{text} {where_of([*self._numbers], row)}"
             raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text}") from error
         return EvaluatedRows.plain(np.full((1, len(self.study.outputs)), np.nan), code, text)
+
+
+@lru_cache(maxsize=1)
+def announce_compilation() -> None:
+    """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once in a process."""
+    from uqsphere.mechanics.integrator.compiled import cache_folder
+
+    kept = cache_folder()
+    if kept is None or not any(kept.rglob("*.nbc")):
+        print("compiling the integrator, once: about half a minute", file=sys.stderr, flush=True)
+
+
+def _check_names(kind: str, names: Sequence[str], allowed: Iterable[str]) -> None:
+    """Refuse names that are unknown or repeated."""
+    for name in names:
+        if name not in allowed:
+            raise UsageError(f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
+        if names.count(name) > 1:
+            raise UsageError(f"the {kind} {name!r} is there {names.count(name)} times")
+
+
+def _table(study: Study, frame: Any) -> pd.DataFrame:
+    """The rows that a caller gave, as numbers by the names of inputs."""
+    import pandas as pd
+
+    if isinstance(frame, pd.Series):
+        frame = frame.to_frame().T
+    if not isinstance(frame, (pd.DataFrame, Mapping)):
+        raise UsageError(f"rows are a DataFrame or a dict of arrays by name, not {type(frame).__name__}")
+    names, means = list(frame), list(study.at_means())
+    tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
+    _check_names("input", names, means if study.black_box else [n for n in INPUTS if n.partition(".")[0] in tables])
+    if isinstance(frame, pd.DataFrame):
+        if missing := [name for name in study.random if name not in names]:
+            raise UsageError(
+                f"the column {missing[0]!r} is missing: a table has every random input of the study "
+                f"({', '.join(study.random)}); a dict leaves the others at the study's means"
+            )
+        table = frame
+    else:
+        labels = [value.index for value in frame.values() if isinstance(value, pd.Series)]
+        one = pd.RangeIndex(1) if not any(map(np.ndim, frame.values())) else None
+        try:
+            table = pd.DataFrame(dict(frame), index=labels[0] if labels else one)
+        except ValueError as error:
+            raise UsageError(f"all columns must have the same shape (n,): {as_text(error, 120)}") from error
+        if any(len(own.symmetric_difference(table.index)) for own in labels):
+            raise UsageError("the Series have different indices: give them by to_numpy() where the order is right")
+    for name, column in table.items():
+        for cell in () if column.dtype.kind in "fiub" else column:
+            if not isinstance(cell, Real | Decimal | None):
+                raise UsageError(f"{name}: numbers in SI are needed, not {type(cell).__name__}")
+    return table.astype(float)
+
+
+def _warn_of_unusual(table: pd.DataFrame) -> None:
+    """Warn where the median of a column lies outside the usual range, or any number by more than a factor of ten."""
+    for name, column in table.items():
+        low, high = INPUTS[str(name)].plausible
+        known = column[np.isfinite(column)]
+        far, median = known[(known < low / _FAR) | (known > high * _FAR)], known.median()
+        if len(far) or median < low or median > high:
+            value = f"{far.iloc[0] if len(far) else median:g} {INPUTS[str(name)].unit}".rstrip()
+            usual = f"{format_value(low, str(name))} to {format_value(high, str(name))}"
+            warnings.warn(f"{name} = {value} is unusual (usual: {usual}); numbers are in SI: is the unit right?",
+                          stacklevel=3)  # fmt: skip

@@ -132,8 +132,6 @@ def evaluate_scene(
     """
     from uqsphere.mechanics.scene import STATUS, answered
 
-    if len(rows) == 0:
-        return EvaluatedRows.plain(np.zeros((0, len(columns))))
     try:
         with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
             answers = solve_scene(scene_at(study, names, rows), study.model.fidelity,

@@ -1,8 +1,7 @@
 """Where rows are evaluated: in this process, in processes that can be ended, or by an executor that the user gave.
 
-Each has `submit(task, rows, limit)`, which returns a future of `concurrent.futures`, and `result(future)`: the answers
-and the seconds that they took. `result` raises TimeoutError where a call was ended by its limit, Died where its process
-ended, AccessError where no answer will come any more. Where rows are evaluated changes no answer.
+Each has `submit(task, rows, limit)`, which returns a future of `concurrent.futures`, a `count` of processes, and a
+`window` of calls that it takes at once. Where rows are evaluated changes no answer.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
@@ -31,9 +30,11 @@ from uqsphere.models.rows import EvaluatedRows
 
 #: seconds in which a model's file must have been loaded
 LOADING: Final = 60.0
+#: exit code in place of 0: pebble would wait for the answer of a process that has ended so
+_ENDED: Final = 256
 
-#: answers `rows` (n, d) with `threads`, and loads what it needs when n is 0
-Task: TypeAlias = Callable[..., EvaluatedRows]
+#: answers rows (n, d), and loads what it needs when n is 0
+Task: TypeAlias = Callable[[Array], EvaluatedRows]
 #: answers, and the seconds that they took
 Timed: TypeAlias = tuple[EvaluatedRows, float]
 
@@ -42,9 +43,32 @@ class Died(Exception):
     """The process that evaluated a block ended."""
 
 
-def _timed(task: Task, rows: Array, threads: int | None) -> Timed:
+def result(future: Future[Timed], limited: bool) -> Timed:
+    """The answers of a call that has ended, and the seconds that they took.
+
+    Raises TimeoutError where it was ended by its limit of time, Died where its process ended, AccessError where no
+    answer will come any more, and what the model raised.
+    """
+    try:
+        answers, seconds = future.result()
+    except BaseException as error:  # CancelledError is no Exception in Dask
+        if isinstance(error, (UqsphereError, KeyboardInterrupt)) or (limited and isinstance(error, TimeoutError)):
+            raise
+        if isinstance(error, (ProcessExpired, BrokenProcessPool)) or type(error).__name__ == "KilledWorker":
+            code = getattr(error, "exitcode", "unknown")
+            raise Died(f"exit code {0 if code == _ENDED else code}") from error
+        raise _lost(error) from error
+    return answers, seconds
+
+
+def _lost(error: BaseException) -> AccessError:
+    text = f"the executor was lost ({type(error).__name__}: {as_text(error)}); the cache has what was evaluated"
+    return AccessError(f"{text}, and the same run goes on there")
+
+
+def _timed(task: Task, rows: Array) -> Timed:
     began = time.perf_counter()
-    return task(rows, threads=threads), time.perf_counter() - began
+    return task(rows), time.perf_counter() - began
 
 
 @lru_cache(maxsize=2)
@@ -65,12 +89,12 @@ def _unpacked(packed: bytes) -> tuple[Task, float]:
     version, task = pickle.loads(packed)
     if version != __version__:
         raise AccessError(f"a worker has uqsphere {__version__}, not {version}: answers could differ")
-    return task, _timed(task, np.zeros((0, 0)), 1)[1]
+    return task, _timed(task, np.zeros((0, 0)))[1]
 
 
 def evaluate_remote(packed: bytes, rows: Array) -> Timed:
-    """Answers of rows in a worker, with one thread."""
-    return _timed(_unpacked(packed)[0], rows, 1)
+    """Answers of rows in a worker."""
+    return _timed(_unpacked(packed)[0], rows)
 
 
 def load_remote(packed: bytes) -> float:
@@ -83,19 +107,10 @@ class Here:
 
     count = window = 1
 
-    def __init__(self, threads: int | None) -> None:
-        self.threads = threads
-
     def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
         future: Future[Timed] = Future()
-        future.set_result(_timed(task, rows, self.threads))
+        future.set_result(_timed(task, rows))
         return future
-
-    def result(self, future: Future[Timed]) -> Timed:
-        return future.result()
-
-    def close(self) -> None:
-        """Nothing was started."""
 
 
 def _prepare(parent: int) -> None:
@@ -122,8 +137,7 @@ class _Process(LokyProcess):  # type: ignore[misc]
 
     @property
     def exitcode(self) -> int | None:
-        """256 in place of 0: pebble would wait for the answer of a process that has ended so."""
-        return super().exitcode or (None if self.is_alive() else 256)
+        return super().exitcode or (None if self.is_alive() else _ENDED)
 
 
 class _Context(LokyContext):  # type: ignore[misc]
@@ -163,14 +177,6 @@ class Processes:
         timeout = None if limit is None else limit + self._start
         return self._pool.schedule(evaluate_remote, (_packed(task), rows), timeout=timeout)
 
-    def result(self, future: Future[Timed]) -> Timed:
-        try:
-            return future.result()
-        except ProcessExpired as error:
-            raise Died(f"exit code {0 if error.exitcode == 256 else error.exitcode}") from error
-        except BrokenProcessPool as error:
-            raise Died("exit code unknown") from error
-
     def close(self) -> None:
         self._pool.stop()  # type: ignore[no-untyped-call]
         self._pool.join()
@@ -189,34 +195,13 @@ class Given:
 
     def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
         packed = _packed(task)
-        with self._kept():
+        try:
             future = self._executor.submit(evaluate_remote, packed, rows)
+        except Exception as error:
+            raise _lost(error) from error
         if not isinstance(future, Future):
             raise UsageError(f"submit() of an executor returns a Future of concurrent.futures, not {type(future)}")
         return future
-
-    def result(self, future: Future[Timed]) -> Timed:
-        with self._kept():
-            answers, seconds = future.result()
-            return answers, seconds
-
-    @contextlib.contextmanager
-    def _kept(self) -> Iterator[None]:
-        """Raise AccessError where the executor is lost."""
-        try:
-            yield
-        except (UqsphereError, KeyboardInterrupt):
-            raise
-        except BaseException as error:  # CancelledError is no Exception in Dask
-            if type(error).__name__ == "KilledWorker":
-                raise Died("exit code unknown") from error
-            raise AccessError(
-                f"the executor {type(self._executor).__name__} was lost ({type(error).__name__}: {as_text(error)}); "
-                "the cache has what was evaluated, and the same run goes on there"
-            ) from error
-
-    def close(self) -> None:
-        """Nothing: it is the user's."""
 
 
 Workers: TypeAlias = Here | Processes | Given
