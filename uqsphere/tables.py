@@ -288,7 +288,7 @@ def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST, recorde
         if (longest := max(map(len, lines))) > _LONGEST:
             raise TableError(f"{name!r} has a line of {longest:,} characters; {_LONGEST:,} are read at most")
         live = {k: line for k, line in enumerate(lines, 1)
-                if line.strip(" ;,\t") and not line.lstrip().startswith("#")}  # fmt: skip
+                if line.strip(" ;,\t").strip() and not line.lstrip().startswith("#")}  # fmt: skip
     if not live:
         raise TableError(f"{name!r} is empty")
     if recorded:

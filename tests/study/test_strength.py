@@ -350,7 +350,7 @@ def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) 
             'fit = "lognormal"',
             "12 mm",
             '["8 mm", "16 mm"]',
-            "margins.between: limits.a: the tests have a mean diameter",
+            "margins.between: the tests of a have a mean diameter",
         ),
         ('fit = "lognormal"', '{ dist = "normal", mean = "12 mm", cov = 0.2 }', "", "the sphere of 35"),
         ('fit = "weibull"', "12 mm", '["8 mm", "26 mm"]', ""),

@@ -414,7 +414,7 @@ def _margins(draft: Draft) -> Faults:
         if solve == "sphere.radius" and limit.tested is not None:
             with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
-                compare_sizes(limit.tested, radii, draft, ("margins", "between"), limit.needs_modulus)
+                compare_sizes(limit, radii, draft, ("margins", "between"))
     draft.margins = Margins(axis=Axis(path=solve, low=ends[0], high=ends[1]),
                             for_probability=tuple(sorted(set(table.for_probability))))  # fmt: skip
     if not isinstance(number.value, Law) or solve in strengths:

@@ -126,8 +126,7 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
         warn_unusual(found.mean, entry, draft, place)
         return found
     found = number_of(table.strength, entry, draft, place)
-    if found.tested is not None:
-        compare_sizes(found.tested, _radii(draft), draft, (*place, "draws"))
+    compare_sizes(replace(limit, tested=found.tested), _radii(draft), draft, (*place, "draws"))
     return found
 
 
@@ -156,7 +155,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     law, exponent = _agreeing(by_size, power)
     tested = Tested(diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()), platens=platens,
                     sphere=sphere, law=law, exponent=exponent)  # fmt: skip
-    compare_sizes(tested, radii, draft, (*place, "diameter"), limit.needs_modulus)
+    compare_sizes(replace(limit, tested=tested), radii, draft, (*place, "diameter"))
     if draft.rig != "platens" and "rate_0" not in limit.parameters:
         draft.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
                    "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
@@ -190,27 +189,31 @@ def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tu
         raise Fault("no modulus agrees with itself: give it by the key modulus") from None
 
 
-def compare_sizes(tested: Tested, radii: tuple[float, ...], draft: Draft, place: Place, knows: bool = False) -> None:
+def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: Place) -> None:
     """Warn of tests of another diameter than the sphere's, of its first radius [m].
 
-    Raises Fault where no size law carries them to one of the radii; `knows`: the criterion itself has such a law.
+    Raises Fault where no size law, of the tests or of the criterion itself, carries them to one of the radii.
     """
+    tested = limit.tested
+    if tested is None:
+        return
 
     def ratio(radius: float) -> float:
         return max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter)
 
     def sizes(radius: float) -> str:
-        tests = f"the tests have a mean diameter of {1e3 * tested.diameter:.4g} mm"
+        tests = f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm"
         return f"{tests}, the sphere of {2e3 * radius:.4g} mm"
 
     far, linked = max(radii, key=ratio), modulus_of(tested.law) is not None and tested.exponent != 0.0
-    if ratio(far) > _SIZES_REFUSED and not (knows or linked):
+    if ratio(far) > _SIZES_REFUSED and not (limit.needs_modulus or linked):
         way = 'or take fit = "weibull"' if tested.law is not None else "or fit anew with this size as strength_at"
         said = f"{sizes(far)}, and no size law over more than 50 %: test spheres of this size, {way}"
         raise Fault(said, str(place[-1]))
     if ratio(radii[0]) > _SIZES_TOLD:
         by = "its size_exponent" if tested.law is None and tested.exponent else "nothing"
-        draft.warn(place, f"{sizes(radii[0])}: {'the weakest link' if knows or linked else by} carries the strength")
+        by = "the weakest link" if limit.needs_modulus or linked else by
+        draft.warn(place, f"{sizes(radii[0])}: {by} carries the strength")
 
 
 # --- the sphere in the tests ---------------------------------------------------------------------------------------
