@@ -179,6 +179,8 @@ def describe_controlled(
 ) -> Description:
     """Mean, standard deviation and quantiles of the expensive model, controlled by the cheap one.
 
+    The intervals of the quantiles are Woodruff's (1952), off the corrected distribution function.
+
     Parameters
     ----------
     expensive, cheap : (R, n) both models at the same points, finite and not censored, R >= 4
@@ -194,10 +196,18 @@ def describe_controlled(
     scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
     # the standard deviation moves by half of what the variance does, over itself
     sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
-    read = _corrected_reader(expensive, cheap, cheap_many)
+    read, found = _corrected_reader(expensive, cheap, cheap_many), {}
+    for p in quantiles:
+        if min(p, 1.0 - p) * total < LEAST_BEYOND:
+            found[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
+            continue
+        own, other, more = ((rows <= read(p)).mean(axis=1) for rows in (expensive, cheap, cheap_many))
+        # a cell of the many, and one row in which the models may disagree
+        cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
+        error = math.hypot(spread(own - other + more), cell, CELL / total)
+        found[p] = quantile(read, p, error, len(expensive), method, total)
     return Description(
-        mean=mean, sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
-        quantiles={p: _controlled_quantile(p, (expensive, cheap, cheap_many), read, method) for p in quantiles},
+        mean=mean, sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)), quantiles=found,
         censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"), scale=scale,
     )  # fmt: skip
 
@@ -215,17 +225,3 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
     below = 0.5 * (np.maximum.accumulate(below) + np.minimum.accumulate(below[::-1])[::-1])
     ordered = places[order]
     return lambda p: float(ordered[min(int(np.searchsorted(below, p)), len(ordered) - 1)])
-
-
-def _controlled_quantile(
-    p: float, rows: tuple[Array, Array, Array], read: Callable[[float], float], method: str
-) -> Estimate:
-    """A quantile off the corrected distribution function, its interval after Woodruff (1952)."""
-    expensive, cheap, more = rows
-    if min(p, 1.0 - p) * expensive.size < LEAST_BEYOND:
-        return absent(f"too few samples beyond the {p:g} quantile", method, expensive.size)
-    at = read(p)
-    below = (expensive <= at).mean(axis=1) - (cheap <= at).mean(axis=1) + (more <= at).mean(axis=1)
-    # a cell of the many, and one row in which the models may disagree
-    error = math.hypot(spread(below), CELL / more.shape[1] / math.sqrt(len(expensive)), CELL / expensive.size)
-    return quantile(read, p, error, len(expensive), method, expensive.size)

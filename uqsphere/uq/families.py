@@ -270,13 +270,11 @@ def _of_scipy(name: str) -> Family | None:
     law: Any = found
     shapes = tuple((law.shapes or "").replace(",", " ").split())
 
-    @lru_cache(maxsize=64)
-    def standard(*numbers: float) -> Form:
-        functions = tuple(lambda values, f=f: f(values, *numbers) for f in (law.cdf, law.sf, law.ppf, law.isf, law.pdf))
-        return forms.form_of(name, functions, law.stats(*numbers, moments="mv"), (*shapes, "")[0])
-
     def form(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
-        return own["loc"], own["scale"], standard(*(own[key] for key in shapes))
+        numbers = [own[key] for key in shapes]
+        functions = tuple(lambda values, f=f: f(values, *numbers) for f in (law.cdf, law.sf, law.ppf, law.isf, law.pdf))
+        made = forms.form_of(name, functions, law.stats(*numbers, moments="mv"), (*shapes, "")[0])
+        return own["loc"], own["scale"], made
 
     return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form,
                   parameters_of=(*shapes, "loc", "scale"))  # fmt: skip
