@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from uqsphere.study.document import json_schema
 from uqsphere.study.failure_modes import FailureMode, breaks_by, failure_modes_of, means_fracture
 from uqsphere.study.load import load_study
-from uqsphere.study.schema import json_schema
 from uqsphere.study.study import Axis, Limit, Study, limit_of, strength_name, with_number
 
 __all__ = [

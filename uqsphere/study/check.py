@@ -18,13 +18,11 @@ from pydantic import ValidationError
 
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics.bars import END_COEFFICIENTS
-from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, striker_steps
-from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
+from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
+from uqsphere.mechanics.rigs import LAW
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import format_value, lookup
-from uqsphere.study.document import RIG_TABLES, SCENE, Document, Gauge, faults_of
-from uqsphere.study.draft import Draft
+from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge, faults_of
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
@@ -39,10 +37,6 @@ _NO_SPHERE: Final = (
     "A rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
     "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
 )
-_TARGET: Final = {
-    "thick": "E nu; density", "plate": "E nu density thickness; width", "bar": "E nu density diameter; length end",
-    "mass": "E nu mass; density",
-}  # fmt: skip
 #: by table and kind: keys that it needs (one of both, where a bar stands between); and others that it takes, and not
 #: every other kind of its table
 FORMS: Final[dict[str, dict[str, str]]] = {
@@ -55,7 +49,9 @@ FORMS: Final[dict[str, dict[str, str]]] = {
               "ramp": "rise; duration", "two_peak": "t1 level1 t2 level2; duration valley",
               "measured": "file; columns units factor gain"},
     "rig": dict.fromkeys(("impact", "sphere_on_sphere"), "speed|drop_height; angle"),
-    "target": _TARGET, "anvil": _TARGET,
+    "target": (_TARGET := {"thick": "E nu; density", "plate": "E nu density thickness; width",
+                           "bar": "E nu density diameter; length end", "mass": "E nu mass; density"}),
+    "anvil": _TARGET,
     "hammer": {"": "E nu mass speed|drop_height; density face_radius",
                "ball": "E nu density diameter speed|drop_height"},
     "other": {"": "E nu density radius"}, "rod": {"": "E nu density diameter length"},
@@ -66,7 +62,7 @@ FORMS: Final[dict[str, dict[str, str]]] = {
 
 def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
-    document, random, rod = draft.document, draft.random, draft.document.rod
+    document, rod = draft.document, draft.document.rod
     usual = draft.known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
     analysis = document.analysis
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
@@ -75,8 +71,8 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         title=document.title or path.stem, seed=document.seed, path=path, text=text, black_box=draft.box,
         fixed={name: value for name, value in own.items() if not isinstance(value, Law)},
         random={name: value for name, value in own.items() if isinstance(value, Law)},
-        given={name: number.given for name, number in random.items()},
-        made_up=tuple(name for name, number in random.items() if number.synthetic),
+        given={name: number.given for name, number in draft.numbers.items() if isinstance(number.value, Law)},
+        made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
         options=draft.options, materials=draft.materials, sources=draft.sources, model=document.model,
         limits=tuple(draft.limits.values()), dependence=document.dependence, margins=draft.margins, record=draft.record,
         analysis=analysis.model_copy(update={"quantities": analysis.quantities or tuple(usual)}),
@@ -151,8 +147,8 @@ def _library(draft: Draft) -> Faults:
         kinds = _KINDS.get(table, MATERIAL_KINDS)
         known = {one: material for kind in kinds for one, material in library()[kind].items()}
         if name not in known:
-            home = next((kind for kind in MATERIAL_KINDS if name in library()[kind]), None)
-            near = f" ({shown(name)} is for {home})" if home else suggestion(name, known)
+            homes = [f" ({shown(name)} is for {kind})" for kind in MATERIAL_KINDS if name in library()[kind]]
+            near = homes[0] if homes else suggestion(name, known)
             said = f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(known)}{near}"
             yield Fault(said, table, "material")
             continue
@@ -165,9 +161,6 @@ def _library(draft: Draft) -> Faults:
                 continue
             draft.numbers[path] = Number(value=entry.value)
             draft.sources[path] = Source(text=entry.source, seen=entry.seen)
-            if key in ("onset_pressure", "hardness") and not entry.seen:
-                said = "from the library, source not checked (see its note): measure it"
-                draft.warn((table, key), f"{format_value(entry.value, path)} {said}")
         if (E := known[name].properties.get("E")) is not None and E.value < 1e8:
             draft.warn((table, "material"), f"{name} is no elastic solid: {E.note}")
 
@@ -175,21 +168,20 @@ def _library(draft: Draft) -> Faults:
 # --- 3: what each table needs by its kind --------------------------------------------------------------------------
 
 
-def _options(draft: Draft) -> Faults:
-    """Words of the tables that choose an equation, and numbers that follow from words; defaults."""
+def _forms(draft: Draft) -> Faults:
+    """Words that choose an equation, defaults, what each table needs by its kind, and what belongs to another kind."""
     document, numbers, options = draft.document, draft.numbers, draft.options
-    usual: dict[str, float] = {}
     for table in ("target", "anvil"):
         if table in draft.data:
             options[f"{table}.kind"] = getattr(document, table).kind
     if document.hammer.shape is not None:
         options["hammer.shape"] = "ball"
-    usual |= {f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers}
+    usual = {f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers}
+    pulse, shape = document.pulse, str(document.pulse.shape)
     if draft.rig != "bars":
         options["rig.kind"] = draft.rig
         usual |= {"rig.angle": 0.5 * math.pi} if draft.rig in ("impact", "sphere_on_sphere") else {}
     else:
-        pulse, shape = document.pulse, str(document.pulse.shape)
         if pulse.preset is not None:
             shape, values = PRESETS[pulse.preset]
             usual |= {f"pulse.{key}": value for key, value in values.items()}
@@ -201,18 +193,11 @@ def _options(draft: Draft) -> Faults:
         usual |= {"bars.incident_end": END_COEFFICIENTS["free"], "bars.receiving_end": END_COEFFICIENTS["absorbing"]}
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
-
-
-def _forms(draft: Draft) -> Faults:
-    """What each table needs by its kind, and what belongs to another kind."""
-    document, numbers, options = draft.document, draft.numbers, draft.options
-    shape = str(options.get("pulse.shape", ""))
-    timed = shape == "step" or "pulse.duration" in numbers
+    timed = "pulse.duration" * (shape == "step" or "pulse.duration" in numbers)
     kinds = {
         "target": document.target.kind, "anvil": document.anvil.kind, "hammer": document.hammer.shape or "",
         "bars": "infinite" if document.bars.infinite else "", "pulse": shape, "rig": draft.rig,
-        "contact": document.contact.law,
-        "striker": "measured" if shape == "measured" else "pulse.duration" if timed else "",
+        "striker": "measured" if shape == "measured" else timed, "contact": document.contact.law,
     }  # fmt: skip
     for table in [name for name in ("sphere", *RIG_TABLES[draft.rig], "rig", "contact") if name in draft.data]:
         kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
@@ -241,10 +226,10 @@ def _model(draft: Draft) -> Faults:
     """Which models go with a rig."""
     rig, model, anvil, bars = draft.rig, draft.document.model, draft.document.anvil, draft.rig == "bars"
     light = rig == "drop_weight" and anvil.kind != "bar" and not draft.plastic and model.fidelity == "massless"
-    if bars and draft.plastic and (model.fidelity == "linear" or model.compare_with_paper):
-        key = "fidelity" if model.fidelity == "linear" else "compare_with_paper"
-        said = 'the linear model and the paper know Hertz only, contact.law is "plastic": leave one out'
-        yield Fault(said, "model", key)
+    for key, word in (("fidelity", "linear"), ("compare_with_paper", True)) if bars and draft.plastic else ():
+        if getattr(model, key) == word:
+            said = 'the linear model and the paper know Hertz only, contact.law is "plastic": leave one out'
+            yield Fault(said, "model", key)
     if model.whole_record and model.first_loading_only:
         said = "the whole record goes on after the first loading: leave first_loading_only out"
         yield Fault(said, "model", "whole_record")
@@ -258,68 +243,61 @@ def _model(draft: Draft) -> Faults:
     if draft.mean("platens.displacement") >= (radius := draft.mean("sphere.radius")):
         said = f'more than the radius of the sphere, {1e3 * radius:.4g} mm: write "0.1 mm", say'
         yield Fault(said, "platens", "displacement")
-    if "insert" in draft.data:
-        if draft.document.bars.rigid_contact:
-            yield Fault("rigid_contact = true leaves inserts out as well: leave one of them out", "insert", "E")
-        draft.warn(("insert",), "inserts enter the contact only: the impedance stays that of the bars")
+    if "insert" in draft.data and draft.document.bars.rigid_contact:
+        yield Fault("rigid_contact = true leaves inserts out as well: leave one of them out", "insert", "E")
 
 
-def _contact(draft: Draft) -> Faults:
-    """The law of the contacts, and whether the numbers make one."""
-    if not draft.plastic:
-        return
-    numbers, rig, rigid = draft.numbers, RIGS[draft.rig], draft.document.bars.rigid_contact
+def _scene(draft: Draft) -> Faults:
+    """Whether the numbers make faces that yield, and a pulse that is over before it comes back."""
+    document, numbers, options = draft.document, draft.numbers, draft.options
+    shape, horizon = str(options.get("pulse.shape", "rectangular")), document.model.horizon
     own = [key for key in LAW if f"contact.{key}" in numbers]
-    draft.options["contact.law"] = "plastic"
-    at_onset = draft.mean("contact.pile_up") == 1.0 and "hardness" not in own
-    if at_onset:
-        draft.options["contact.hardness"] = "onset"
+    at_onset = draft.mean("contact.pile_up") == 1.0 and "contact.hardness" not in numbers
+    options |= {"contact.law": "plastic"} if draft.plastic else {}
+    options |= {"contact.hardness": "onset"} if at_onset else {}
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
-    laws = {table: law_of(columns, table, rigid=rigid, at_onset=at_onset) for table in rig.tables}
-    if all(np.isinf(law.onset[0]) for law in laws.values()):
-        names = one_of([*(f"{table}.yield_strength" for table in laws), "sphere.onset_pressure"])
-        raise Fault(f"nothing says what yields: give {names} or contact.onset_pressure", "contact", "law")
-    for table, law in laws.items():
-        if not Face(**law._asdict(), modulus=np.ones(1), effective_radius=np.ones(1)).valid[0]:
-            crushes = sphere_body(columns).onset[0] < body_of(columns, table, rigid).onset[0]
-            given = {key: format_value(float(value[0]), f"contact.{key}") for key, value in zip(LAW, law, strict=True)}
+    if shape == "measured":
+        with within("pulse"):
+            draft.record = measured_pulse(document.pulse, draft)
+        columns["striker.speed"] = np.ones(1)
+    try:
+        scene = Scene(
+            columns=columns, rig=draft.rig, options={name: str(word) for name, word in options.items()}, shape=shape,
+            infinite=document.bars.infinite, rigid_contact=document.bars.rigid_contact, horizon=horizon or 1.0,
+            contact_law=document.contact.law, hardness_at_onset=at_onset, record=draft.record,
+        )  # fmt: skip
+    except ValueError as error:
+        raise Fault(f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker") from None
+    faces = {partner.table: (partner.face, partner.takes[0]) for partner in scene.there if partner.face is not None}
+    if draft.plastic and not faces:
+        names = one_of([*(f"{partner.table}.yield_strength" for partner in scene.there), "sphere.onset_pressure"])
+        yield Fault(f"nothing says what yields: give {names} or contact.onset_pressure", "contact", "law")
+    for table, (face, crushes) in faces.items():
+        if not face.valid[0]:
+            given = {key: format_value(float(value[0]), f"contact.{key}")
+                     for key, value in zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)}  # fmt: skip
             values = ", ".join(f"{key} {'missing' if 'nan' in value else value}" for key, value in given.items())
             said = (
-                f"found {values}: a hardness of the onset or more is required, with b = C H/p_y - 1 of 0 or 0.2 to 100"
+                f"found {values}: a hardness of the onset or more is required, with b = C H/p_y - 1 = 0 or 0.2 to 100"
             )
             way = 'pile_up = 1 and no hardness make it 0, law = "hertz" has no bound'
             yield Fault(f"{said}; {way}", "contact" if own else "sphere" if crushes else table, "hardness")
-
-
-def _pulse(draft: Draft) -> Faults:
-    """Contradictions between the numbers of bars, striker and pulse."""
     if draft.rig != "bars":
         return
-    numbers, shape, infinite = draft.numbers, str(draft.options["pulse.shape"]), draft.document.bars.infinite
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
     if across > bars:
         said = f"the sphere is larger than its bars: take bars of {format_value(across, 'bars.diameter')} or more"
         yield Fault(said, "sphere", "radius")
-    horizon = draft.document.model.horizon
     if shape == "step" and horizon is None:
         yield Fault('a step pulse never ends: add an end, horizon = "3 ms", to [model]', "model", "horizon")
-    if shape == "measured":
-        with within("pulse"):
-            draft.record = measured_pulse(draft.document.pulse, draft)
-        numbers = {"striker.speed": Number(value=1.0), **numbers}
-    columns = {name: np.array([number.mean]) for name, number in numbers.items()}
-    try:
-        scene = Scene(columns=columns, shape=shape, infinite=infinite, record=draft.record, horizon=horizon or 1.0)
-    except ValueError as error:
-        raise Fault(f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker") from None
-    if (ratio := scene.striker_ratio) is not None and not striker_steps(ratio)[1].all():
-        said = f"its impedance is {ratio[0]:.3g} times that of the bars, at most 9 is allowed: take a thinner one"
-        raise Fault(said, "striker")
     if not scene.pulse.valid[0]:
-        why, key = "shorten rise and fall, half of both exceeds the width of the pulse", "rise"
+        place, why = ("pulse", "rise"), "shorten rise and fall, half of both exceeds the width of the pulse"
         if shape == "two_peak":
-            why, key = "the first peak must come before the second, and that before the end of the pulse", "t2"
-        raise Fault(f"{why}, {format_value(scene.scales.duration[0], 'pulse.duration')}", "pulse", key)
+            place, why = ("pulse", "t2"), "the first peak must come before the second, and that before the pulse ends"
+        elif scene.striker_ratio is not None:
+            place = ("striker", "")
+            why = f"{why}; or the striker's impedance, {scene.striker_ratio[0]:.3g} times that of the bars, exceeds 9"
+        raise Fault(f"{why}, {format_value(scene.scales.duration[0], 'pulse.duration')}", *place)
     lasts, trip = scene.pulse.end[0], scene.round_trips[0, 0]
     if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
         timed = ("pulse", "duration") if "pulse.duration" in numbers else ("striker", "length")
@@ -370,15 +348,16 @@ def _analysis(draft: Draft) -> Faults:
 
 def _dependence(draft: Draft) -> Faults:
     """The names of each dependence, then all together."""
-    ties, random = draft.document.dependence, draft.random
-    strange = [(k, at, name) for k, tie in enumerate(ties) for at, name in enumerate(tie.of) if name not in random]
-    for index, at, name in strange:
-        said = unknown("random input", name, random)
-        if name in draft.numbers:
-            said = f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
-        yield Fault(said, "dependence", index, "of", at)
-    if strange:
-        return
+    ties = draft.document.dependence
+    random = [name for name, number in draft.numbers.items() if isinstance(number.value, Law)]
+    for index, tie in enumerate(ties):
+        for at, name in enumerate(tie.of):
+            if name not in random:
+                said = unknown("random input", name, random)
+                if name in draft.numbers:
+                    said = f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
+                yield Fault(said, "dependence", index, "of", at)
+                return
     tied = [name for name in random if any(name in tie.of for tie in ties)]
     unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
     for index, tie in enumerate(ties):
@@ -419,20 +398,18 @@ def _margins(draft: Draft) -> Faults:
                             for_probability=tuple(sorted(set(table.for_probability))))  # fmt: skip
     if not isinstance(number.value, Law) or solve in strengths:
         return
-    if "mean" not in number.given:
-        said = f"{shown(solve)} scatters by a law that is not given by its mean, so there is no mean to move"
-        raise Fault(f"{said}: give it by mean and sd or cov, or as a fixed number", "margins", "solve")
     for index, value in enumerate(ends):
         try:
             number.value.with_mean(value, number.given)
         except LawError as error:
+            place = ("between", index) if "mean" in number.given else ("solve",)
             said = f"with this mean {solve} has no law: {error.message} (SI)"
-            yield Fault(said, "margins", "between", index)
+            yield Fault(f"{said}; give it by mean and sd or cov, or as a fixed number", "margins", *place)
 
 
 #: what is looked at together, of a scene and of a black box
 STAGES: Final = (
-    (tables,), (_rig, _library), (_options, _forms), (_model, _contact, _pulse, _gauges), (_limits, _analysis),
+    (tables,), (_rig, _library), (_forms,), (_model, _scene, _gauges), (_limits, _analysis),
     (_dependence, _margins),
 )  # fmt: skip
 BOX_STAGES: Final = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))

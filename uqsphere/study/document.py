@@ -6,20 +6,29 @@ say of each other is checked in `uqsphere.study.check`.  The JSON schema and doc
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any, Final, Literal, TypeVar, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 from pydantic import model_validator as checked
 
+from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
-from uqsphere.mechanics.pulses import PRESETS, SHAPES
+from uqsphere.mechanics.outputs import OUTPUTS
+from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion
-from uqsphere.study.number import numbers_of, plain_quantity, value_of
+from uqsphere.study.fault import Fault, Place, one_of, path_of, shown, suggestion
+from uqsphere.study.number import Number, numbers_of, plain_quantity, value_of
 from uqsphere.units import UNITS, Quantity
+from uqsphere.uq.families import FAMILIES
+
+if TYPE_CHECKING:
+    from uqsphere.study.study import Limit, Margins, Source
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
@@ -32,7 +41,7 @@ SCENE: Final = ("sphere", "contact", "rig", *dict.fromkeys(t for tables in RIG_T
 # --- what a key can hold -------------------------------------------------------------------------------------------
 
 
-def fixed_schema(dimension: str) -> dict[str, Any]:
+def _fixed_schema(dimension: str) -> dict[str, Any]:
     """JSON schema of a fixed number: a text with a unit, or a plain number where there is no unit."""
     if dimension == "number":
         return {"type": ["number", "string"]}
@@ -45,7 +54,7 @@ def _fixed(name: str) -> Any:
     part = PARAMETERS.get(name) or Parameter(name=name, dimension=name, meaning=name)
     quantity = Quantity(name=name, symbol="", dimension=part.dimension, meaning=f"the {part.meaning}", lower=part.lower,
                         upper=part.upper)  # fmt: skip
-    return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(fixed_schema(part.dimension))
+    return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(_fixed_schema(part.dimension))
 
 
 def _percent(raw: Any) -> Any:
@@ -79,6 +88,7 @@ Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
 _Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
+Methods = Annotated[tuple[_Method, ...], *_several(), BeforeValidator(lambda raw: [raw] if raw == "auto" else raw)]
 
 
 class Table(BaseModel):
@@ -131,7 +141,8 @@ class Struck(Body):
     """A target or an anvil."""
 
     kind: Literal["thick", "plate", "bar", "mass"] = key(
-        'target, anvil: `"thick"`, a `"plate"` that bends, end of a `"bar"`, `"mass"`', "thick")  # fmt: skip
+        "of target or anvil; a plate bends, a bar is hit at its end", "thick"
+    )
 
 
 class Hammer(Body):
@@ -271,20 +282,18 @@ class Analysis(Table):
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
     quantities: Annotated[tuple[str, ...], *_several()] = key(
-        "what is answered to this accuracy (quantities of limits are described beside); without it `p_max` and "
-        "`contact_duration`, or all outputs of a black box", ())  # fmt: skip
+        "answered to this accuracy; without it `p_max` and `contact_duration`, or all outputs of a black box", ()
+    )
     accuracy: Accuracy = key(
-        "half-widths of 95 % intervals: mean and quantile over the standard deviation, sobol absolute, probability "
-        "relative; `{ mean = 0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`",
-        Accuracy.model_construct())  # fmt: skip
+        "half-widths of 95 % intervals, mean and quantile over the standard deviation, probability relative; `{ mean = "
+        "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`", Accuracy.model_construct())  # fmt: skip
     budget: Budget = key('at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct())
     quantiles: Shares = key("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Annotated[
-        tuple[_Method, ...], *_several(), BeforeValidator(lambda raw: [raw] if isinstance(raw, str) else raw)
-    ] = key(f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",))
+    methods: Methods = key(f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",))
     second_order: bool = key("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = key(
-        '`"all"`: a rock is judged by failure modes without a limit too, by library strengths', "all")  # fmt: skip
+        "a rock is judged by all, by library strengths where none is given", "all"
+    )
     on_failure: Literal["abort", "bound", "drop"] | Share = key(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %, '
         'a share such as `"5 %"` up to that', "abort")  # fmt: skip
@@ -344,6 +353,67 @@ class Document(Table):
     margins: MarginsTable | None = None
 
 
+# --- a study while it is read ---------------------------------------------------------------------------------------
+
+
+@dataclass(kw_only=True)
+class Draft:
+    """What is understood of a study.
+
+    folder : that of the study, outside of which no file is read; files: those it has read, by the names it gives them.
+    data : the tables as the file has them; document: the same, validated.
+    numbers : by dotted path (black box: bare name) in the order of the file, strengths and model factors last.
+    """
+
+    folder: Path = Path()
+    data: dict[str, Any] = field(default_factory=dict)
+    document: Document = field(default_factory=Document.model_construct)
+    numbers: dict[str, Number] = field(default_factory=dict)
+    options: dict[str, str | bool | int] = field(default_factory=dict)
+    materials: dict[str, str] = field(default_factory=dict)
+    sources: dict[str, Source] = field(default_factory=dict)
+    record: MeasuredPulse | None = None
+    limits: dict[str, Limit] = field(default_factory=dict)
+    margins: Margins | None = None
+    warnings: list[str] = field(default_factory=list)
+    files: dict[str, Path] = field(default_factory=dict)
+
+    def warn(self, place: Place, message: str) -> None:
+        """Note what a user should know and what does not stop the study, once."""
+        text = f"{path_of(place)}: {message}" if place else message
+        if text not in self.warnings:
+            self.warnings.append(text)
+
+    def mean(self, path: str, absent: float = math.nan) -> float:
+        """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""
+        return self.numbers[path].mean if path in self.numbers else absent
+
+    def elastic(self, table: str) -> tuple[float, float]:
+        """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a table."""
+        E, nu = (self.mean(f"{table}.insert_{key}", self.mean(f"{table}.{key}")) for key in ("E", "nu"))
+        return E, nu
+
+    @property
+    def box(self) -> bool:
+        """Whether the study is a black box."""
+        return "inputs" in self.data or "outputs" in self.data
+
+    @property
+    def rig(self) -> str:
+        """What loads the sphere."""
+        return str(self.document.rig.kind)
+
+    @property
+    def plastic(self) -> bool:
+        """Whether contacts can yield."""
+        return self.document.contact.law == "plastic"
+
+    @property
+    def known(self) -> list[str]:
+        """The quantities that can be asked for."""
+        return list(self.document.outputs.names if self.box else OUTPUTS)
+
+
 # --- what pydantic finds, in the words of a study ------------------------------------------------------------------
 
 _WORDS: Final = {
@@ -397,3 +467,38 @@ def table_in(annotation: Any) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, Table):
         return annotation
     return next((found for part in get_args(annotation) if (found := table_in(part))), None)
+
+
+# --- the schema ----------------------------------------------------------------------------------------------------
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and meanings.
+
+    It says less than the reader: how numbers go together, only `load_study` knows.
+    """
+    schema = Document.model_json_schema()
+    parts, tables, law = schema["$defs"], schema["properties"], {"$ref": "#/$defs/distribution"}
+    for table in SCENE:
+        words = parts[tables[table]["$ref"].rpartition("/")[2]]
+        numbers = {key: _number(quantity, law) for key, quantity in numbers_of(table).items()}
+        tables[table] = {**words, "properties": words["properties"] | numbers}
+    methods = parts["Analysis"]["properties"]
+    methods["methods"] = {"anyOf": [{"const": "auto"}, methods["methods"]]}
+    keys = {key for family in FAMILIES.values() for key in family.keys} | {"lower", "upper"}
+    laws = Observations.model_json_schema()["properties"] | {
+        key: {"type": ["number", "string"]} for key in sorted(keys)
+    }
+    laws |= {key: {"type": "array", "items": {"type": ["number", "string"]}} for key in ("values", "weights")}
+    laws["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
+    sources = [{"required": [key]} for key in ("dist", "file", "draws")]
+    parts["distribution"] = {"type": "object", "properties": laws, "anyOf": sources}
+    kinds = [{"required": ["sphere"]}, {"required": ["inputs", "outputs"]}]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "anyOf": kinds}
+
+
+def _number(quantity: Quantity, law: dict[str, Any]) -> dict[str, Any]:
+    """A number of the scene: a word where one stands for it, a fixed value, or a distribution."""
+    words = list(END_COEFFICIENTS) * quantity.name.endswith("end") + ["flat"] * quantity.name.endswith("face_radius")
+    choices = [_fixed_schema(quantity.dimension), law, *([{"enum": words}] if words else [])]
+    return {"anyOf": choices, "description": quantity.meaning}

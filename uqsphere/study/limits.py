@@ -16,8 +16,7 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
 from uqsphere.quantities import INPUTS, lookup
-from uqsphere.study.document import LimitTable, Observations, declared
-from uqsphere.study.draft import Draft
+from uqsphere.study.document import Draft, LimitTable, Observations, declared
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.study.number import Number, number_of, plain_quantity, value_of, warn_unusual
 from uqsphere.study.observed import fit, is_tests, modulus_of, observations, warn_of_rows, warn_of_tests

@@ -6,6 +6,7 @@ import codecs
 import dataclasses
 import json
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -16,11 +17,11 @@ from typing import Any, Final
 from uqsphere.errors import Problem, StudyError, UsageError
 from uqsphere.files import read_given
 from uqsphere.study.check import BOX_STAGES, STAGES, Faults, resolve
-from uqsphere.study.draft import Draft
+from uqsphere.study.document import Draft
 from uqsphere.study.fault import Fault, Place, path_of, shown, suggestion
 from uqsphere.study.study import Study
-
-LARGEST: Final = 1 << 20
+from uqsphere.uq import LawError
+from uqsphere.uq.foreign import law_table
 
 
 def load_study(
@@ -47,17 +48,15 @@ def load_study(
     draft = Draft(folder=path.parent, data=parse_text(text, path))
     overridden = [_override(draft.data, one) for one in overrides]
     for stage in BOX_STAGES if draft.box else STAGES:
-        if faults := [fault for check in stage for fault in _caught(check(draft))]:
+        faults: list[Fault] = []
+        for check in stage:
+            try:
+                faults.extend(check(draft))
+            except Fault as fault:  # behind those that the check has yielded
+                faults.append(fault)
+        if faults:
             raise StudyError(str(path), _problems([*_removed(draft.data)] or faults, text, overridden))
     return dataclasses.replace(resolve(draft, path, text), overrides=tuple(overrides))
-
-
-def _caught(faults: Faults) -> Faults:
-    """Faults, the one that a check ends with as well."""
-    try:
-        yield from faults
-    except Fault as fault:
-        yield fault
 
 
 # --- keys of earlier studies ---------------------------------------------------------------------------------------
@@ -80,8 +79,6 @@ def _removed(node: Any, above: Place = ()) -> Faults:
 
 @cache
 def _ways_out() -> dict[str, str]:
-    import tomllib
-
     ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
     return {pattern: way for way, patterns in ways.items() for pattern in patterns}
 
@@ -92,8 +89,7 @@ def _ways_out() -> dict[str, str]:
 _DOTS: Final = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
 #: what a message of tomllib with the faulty line may have, and the way out
 _HINTS: Final = {
-    r"(?:declare|mutate) .*(?:twice|immutable)": "this table is written twice",
-    "overwrite a value": "this key is written twice",
+    r"(?:declare|mutate) .*(?:twice|immutable)|overwrite a value": "this is written twice",
     r"character '\\n'|Unterminated": "a text in quotes does not end on its line",
     "\x00": "found a NUL byte, and a study is a text file",
     "[“”„‘’]": 'quotes are straight: "…"',
@@ -112,7 +108,7 @@ def _fault(path: Path, message: str, line: int = 1) -> StudyError:
 def read_text(path: Path) -> str:
     """The text of a study file: at most 1 MiB of UTF-8; a byte order mark is dropped."""
     try:
-        return read_given(path, LARGEST).removeprefix(codecs.BOM_UTF8).decode("utf-8")
+        return read_given(path, 1 << 20).removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         said = f"byte 0x{error.object[error.start]:02x} is not UTF-8 text: save the file as UTF-8"
@@ -121,8 +117,6 @@ def read_text(path: Path) -> str:
 
 def parse_text(text: str, path: Path) -> dict[str, Any]:
     """TOML text → plain values; raises StudyError for a fault of syntax with its line."""
-    import tomllib
-
     if dots := _DOTS.search(text):
         line = text[: dots.start()].count("\n") + 1
         raise _fault(path, "a dotted key goes more than 12 levels deep, which no study needs", line)
@@ -149,17 +143,15 @@ def lines_of(text: str) -> dict[Place, int]:
     table: Place = ()
     seen: Counter[Place] = Counter()
     for number, line in enumerate(text.splitlines(), 1):
-        if header := re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line):
-            parts: Place = _parts(header[2])
-            table = parts
-            if header[1] == "[[":
-                table = (*parts, seen[parts])
-                seen[parts] += 1
-            found[table] = number
-        elif key := re.match(r"\s*([\w.\"' -]+?)\s*=", line):
-            parts = (*table, *_parts(key[1]))
-        else:
+        header = re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line)
+        key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
+        if key is None:
             continue
+        parts: Place = _parts(key[2]) if header else (*table, *_parts(key[2]))
+        if header:
+            table = (*parts, seen[parts]) if key[1] == "[[" else parts
+            seen[parts] += 1
+            found[table] = number
         for n in range(1, len(parts) + 1):
             found.setdefault(parts[:n], number)
     return found
@@ -185,8 +177,6 @@ def _problems(faults: Iterable[Fault], text: str, overridden: Sequence[Place]) -
 
 def _override(data: dict[str, Any], text: str) -> Place:
     """Put ``PATH=VALUE`` into `data`; VALUE is a TOML value, else a text; ``null`` takes out what stands there."""
-    import tomllib
-
     path, sign, value = (part.strip() for part in text.partition("="))
     parts, place = _parts(path), list[str | int]()
     node: Any = data
@@ -240,8 +230,6 @@ def _key(key: object) -> str:
 
 def _value(value: object, place: str) -> str:
     """A value as TOML has it, which is JSON but for keys and the sign behind them."""
-    from uqsphere.uq import LawError
-    from uqsphere.uq.foreign import law_table
 
     def plain(value: Any) -> object:
         if isinstance(value, Path | Mapping):

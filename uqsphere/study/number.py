@@ -18,7 +18,7 @@ from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 
 if TYPE_CHECKING:
-    from uqsphere.study.draft import Draft
+    from uqsphere.study.document import Draft
     from uqsphere.study.study import Tested
 
 #: a share of a law outside what has a meaning that is worth a warning
@@ -56,10 +56,8 @@ def numbers_of(table: str) -> dict[str, Quantity]:
 def bounds_in_words(quantity: Quantity) -> str:
     """Where the values of a quantity must lie."""
     low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
-    if math.isfinite(quantity.upper):
-        way = f"from {low} to {high}" if quantity.closed else f"between {low} and {high}, both excluded"
-        return f"{quantity.meaning} must lie {way}"
-    return f"{quantity.meaning} must be {'at least' if quantity.closed else 'above'} {low}"
+    way = f"lie from {low} to {high}" if quantity.closed else f"lie between {low} and {high}, both excluded"
+    return f"{quantity.meaning} must {way if math.isfinite(quantity.upper) else f'be above {low}'}"
 
 
 def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:

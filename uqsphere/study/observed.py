@@ -14,8 +14,7 @@ from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.files import is_device_name
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import Discrete, Observations, declared
-from uqsphere.study.draft import Draft
+from uqsphere.study.document import Discrete, Draft, Observations, declared
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, within
 from uqsphere.study.number import Number, value_of
 from uqsphere.study.study import Tested

@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.study.document import Pulse
-from uqsphere.study.draft import Draft
+from uqsphere.study.document import Draft, Pulse
 from uqsphere.study.fault import Fault, shown
 from uqsphere.study.observed import opened
 from uqsphere.units import UNITS
