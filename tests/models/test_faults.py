@@ -280,8 +280,9 @@ def test_where_rows_are_evaluated_changes_no_bit(place: Path) -> None:
             ("in reverse", reference, plain, {"executor": Backwards()}),
         ):
             with Model(of, given, **options) as model:
-                found[name] = model.evaluate(["a"], rows, ["y", "z"]).values.tobytes()
-    assert len(set(found.values())) == 1, found.keys()
+                # once what a row takes is not known yet, once it is
+                found[name] = [model.evaluate(["a"], part, ["y", "z"]).values.tobytes() for part in (rows, rows[:200])]
+    assert all(values == found["here"] for values in found.values()), found.keys()
     with Model(limited, reference, threads=2) as model, Model(limited, rough, threads=1) as other:
         assert (
             model.evaluate(["a"], rows, ["y"]).values.tobytes() == other.evaluate(["a"], rows, ["y"]).values.tobytes()

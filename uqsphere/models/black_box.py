@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
-import io
 import os
 import pickle
 import re
@@ -14,7 +13,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -202,14 +201,13 @@ def model_digest(model: str | BlackBox) -> str:
     what it assigns; of an object, a method or a `functools.partial` its state too. What is read or imported besides is
     not seen.
     """
+    digest = hashlib.sha256()
     if isinstance(model, str):
         path, name = parse_reference(model)
-        content = path.read_bytes() + b"\0" + name.encode()
+        digest.update(path.read_bytes() + b"\0" + name.encode())
     else:
-        stream = io.BytesIO()
-        _SourcePickler(stream, 5).dump(model)
-        content = stream.getvalue()
-    return hashlib.sha256(content).hexdigest()[:32]
+        _SourcePickler(SimpleNamespace(write=digest.update), 5).dump(model)
+    return digest.hexdigest()[:32]
 
 
 class _SourcePickler(pickle.Pickler):

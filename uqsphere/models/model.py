@@ -7,7 +7,7 @@ import math
 import sys
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -32,17 +32,15 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
-#: most rows of one block, and blocks that the rows of a black box are cut into
+#: most rows of one block, and blocks that the rows of a slow black box are cut into
 _MOST_ROWS: Final = 16_384
 _BLOCKS: Final = 64
 #: seconds of work that are worth starting processes for
 _WORTH: Final = 2.0
-#: seconds per row below which to evaluate again costs less than to store
+#: seconds per row below which to evaluate again costs less than to store, and more rows in a call less than more calls
 _QUICK: Final = 1e-4
 #: rows in a row that took too long or ended their process, each by itself, after which no more is tried
 _HUNG: Final = 32
-#: seconds of work that are worth a call of a black box of their own: a call costs up to a millisecond by itself
-_CALL: Final = 0.01
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
 #: seconds between two looks at `stop` while answers are waited for
@@ -236,8 +234,9 @@ class Model:
             block[:, given] = rows[places]
             return block
 
-        worth = int(_CALL / self.seconds_per_row) if self.seconds_per_row else 1
-        size = max(1, min(_MOST_ROWS, max(total // _BLOCKS, worth))) if is_box else _MOST_ROWS
+        # two sizes, none between: the last digits of a model may depend on the rows of a call, and time does not repeat
+        quick = not is_box or 0.0 < (self.seconds_per_row or 0.0) < _QUICK
+        size = _MOST_ROWS if quick else max(1, min(_MOST_ROWS, total // _BLOCKS))
         # where time is limited, one row tells first what a row takes
         starts = [0, *range(1 if self.study.analysis.time_limit else size, total, size), total]
         if not is_box and not self._times and total:
@@ -280,8 +279,9 @@ class Model:
 
         # threads of an executor print as they like: what each call sets could stay
         shared = isinstance(self._workers, Given)
-        with contextlib.redirect_stdout(sys.stderr) if shared else contextlib.nullcontext():
-            for places, answers in self._calls(task, missing(), whole, total):
+        printed = contextlib.redirect_stdout(sys.stderr) if shared else contextlib.nullcontext()
+        with printed, contextlib.closing(self._calls(task, missing(), whole, total)) as calls:
+            for places, answers in calls:
                 self.evaluations += len(places)
                 if cache is not None and (self.seconds_per_row or 0.0) >= _QUICK:
                     cache.write(whole(places), answers)
@@ -292,7 +292,7 @@ class Model:
 
     def _calls(
         self, task: Task, due: Iterator[Places], whole: Callable[[Places], Array], total: int
-    ) -> Iterator[tuple[Places, EvaluatedRows]]:
+    ) -> Generator[tuple[Places, EvaluatedRows], None, None]:
         """Answers as they come. A call that raises is cut in two, so that one bad row does not take the others with it;
         rows of one that took too long or ended its process are tried one by one, and one that ended it twice."""
         again, died, running = deque[Places](), set[int](), dict[Future[Timed], Places]()

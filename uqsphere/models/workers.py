@@ -121,7 +121,8 @@ def _prepare(parent: int) -> None:
             time.sleep(1.0)
         os.killpg(0, signal.SIGKILL)
 
-    os.dup2(2, 1)
+    with contextlib.suppress(OSError):
+        os.dup2(2, 1)
     if hasattr(os, "setsid"):
         os.setsid()  # Ctrl-C is for the run
         threading.Thread(target=watch, daemon=True).start()
