@@ -235,15 +235,19 @@ def failure_probability(
     """
     if not (accuracy > 0.0 and evaluations >= 1):
         raise UsageError(f"accuracy and evaluations must be positive, found {accuracy} and {evaluations}")
+    if on_failure not in ("refuse", "bound"):
+        raise UsageError(f"on_failure must be refuse or bound here, found {on_failure!r}")
     with _refusing():
         given = joint_of(inputs)
 
         def function(z: Array) -> Array:
-            return _called(limit, dict(zip(given.names, given.physical(z).T.copy(), strict=True)))
+            values = _called(limit, dict(zip(given.names, given.physical(z).T.copy(), strict=True)))
+            if on_failure == "refuse" and np.isnan(values).any():
+                raise UsageError(f"the limit function is nan at {int(np.isnan(values).sum())} of {len(z)} points")
+            return values
 
-        found = rare.failure_probability(
-            function, len(given.names), on_failure=on_failure, seed=seed, accuracy=accuracy, budget=evaluations
-        )
+        found = rare.failure_probability(rare.Evaluator(function, len(given.names), budget=evaluations), seed=seed,
+                                         accuracy=accuracy)  # fmt: skip
     return Failure(probability=found.estimate, sure=found.sure, warning="" if found.sure else "; ".join(found.checks),
                    design_point=found.design_point(given.names, given.physical))  # fmt: skip
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from tests.campaigns import options, table, tell
 from uqsphere.uq.law import Law, make_law
-from uqsphere.uq.rare import failure_probability
+from uqsphere.uq.rare import Evaluator, failure_probability
 
 Array = npt.NDArray[np.float64]
 
@@ -255,7 +255,7 @@ def measured(entry: Problem, seeds: Sequence[int], budget: int) -> tuple[float, 
     and mean evaluations."""
     errors, holds, sure, spent = [], [], [], []
     for seed in seeds:
-        found = failure_probability(entry.function, entry.dimension, seed=seed, budget=budget)
+        found = failure_probability(Evaluator(entry.function, entry.dimension, budget=budget), seed=seed)
         low, high = found.estimate.low or 0.0, 1.0 if found.estimate.high is None else found.estimate.high
         room = 3.0 * entry.error * entry.reference
         errors.append((found.estimate.value or 0.0) / entry.reference - 1.0)

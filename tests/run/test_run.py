@@ -104,6 +104,23 @@ def test_a_rare_event_is_searched_for() -> None:
     assert np.allclose([point["a"], point["b"]], [26.0 * 3 / 25, 26.0 * 4 / 25], atol=1e-3)
 
 
+def test_many_limits_on_one_quantity_share_their_searches() -> None:
+    limits, truth = {}, {}
+    for k, beta in enumerate(np.linspace(2.4, 6.0, 40)):
+        sd = 0.0 if k % 2 else 1.0 + k % 3
+        mean = beta * float(np.hypot(5.0, sd))
+        limits[f"l{k}"] = {
+            "quantity": "y", "strength": {"dist": "normal", "mean": mean, "sd": sd} if sd else mean, "aim": "survive",
+        }  # fmt: skip
+        truth[f"limits.l{k}"] = float(stats.norm.sf(beta))
+    run = uqsphere.run(study(limits=limits), linear)
+    table = run.answers[(run.answers.answer == "failure_probability") & (run.answers["at"] == "")].set_index("subject")
+    assert all(holds(run, subject, "failure_probability", p) for subject, p in truth.items())
+    assert sum(table.low[subject] <= p <= table.high[subject] for subject, p in truth.items()) >= 35
+    # one by one they take 22,000 runs each
+    assert run.results["accuracy"]["runs"] < 40 * 10_000
+
+
 def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
     run = uqsphere.run(study(margins={"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1, 0.5]}), linear)
     # y = 3 (m + z) + 4 b exceeds 8 with probability p where 3 m = 8 + 5 z_p
@@ -207,14 +224,14 @@ def test_an_accuracy_out_of_reach_ends_with_the_budget() -> None:
 
 
 def test_a_stop_ends_with_what_is_there() -> None:
-    asked = []
+    rows = []
 
-    def stop() -> bool:
-        asked.append(1)
-        return len(asked) > 150
+    def counted(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        rows.append(len(inputs["a"]))
+        return linear(inputs)
 
     tight = study(analysis={"accuracy": {"probability": 1e-6}})
-    run = uqsphere.run(tight, linear, stop=stop)
+    run = uqsphere.run(tight, counted, stop=lambda: sum(rows) > 6000)
     assert run.results["accuracy"]["stopped"] == "interrupted"
     assert run.probability("high")["value"] > 0.0
     with pytest.raises(KeyboardInterrupt):  # before there is anything

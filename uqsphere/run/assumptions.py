@@ -5,7 +5,8 @@ Each is one more failure probability, with something taken otherwise: epistemic 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,13 +21,15 @@ from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, curve_of, target_of
 from uqsphere.run.limits import failure_given_inputs, state_of
 from uqsphere.run.tables import Tables
-from uqsphere.study import Limit, means_fracture, strength_name
-from uqsphere.uq import Law, LawError, Sample, random_generator
+from uqsphere.study import Limit, strength_name
+from uqsphere.uq import Law, LawError, LimitState, Sample, make_law, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted, possible_laws
 from uqsphere.uq.union import make_union, residual_correlation
 
 #: strengths that the tests allow, for the range of a probability, and of a margin
 LAWS, MARGIN_LAWS = 200, 40
+#: what a strength may be instead, with the same mean and standard deviation: the other usual distribution
+OTHER_DISTRIBUTIONS: Final = {"lognormal strength": "lognormal", "Weibull strength": "weibull"}
 #: points of a replicate that these rest on at most
 MOST: Final = 512
 
@@ -49,74 +52,66 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
     """All that is taken for granted by the limits, taken otherwise."""
     answers, ranges = Answers(), dict[str, tuple[float, float]]()
     head = tables.sample.head(min(tables.sample.count, MOST))
+
+    def otherwise(limit: Limit, name: str, state: LimitState, note: str) -> float:
+        p = _mean(limit, state)
+        answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1",
+                    runs=state.demands.size, method="epistemic", note=note)  # fmt: skip
+        return p
+
     for limit in design.study.limits:
-        subject = design.subject(limit)
-        law = strength_of(limit)
-        if isinstance(law, Law) and is_fitted(law):
-            found = _by_tests(design, tables, limit, head)
-            if found is not None:
-                value, low, high = found
-                ranges[limit.name] = low, high
-                note = f"95 % range over the strengths that {count_tests(law)} tests allow"
-                answers.row(subject, "failure_probability", "tests", value, low, high, unit="1", runs=head.size,
-                            method="epistemic", note=note)  # fmt: skip
-                _margin_by_tests(design, tables, limit, answers)
+        laws = _possible_strengths(design, limit, LAWS)
+        if laws is None:
+            continue
+        few = head.head(min(head.count, 64))
+        found = np.array([_mean(limit, state_of(design, limit, few, law)) for law in laws])
+        low, high = (float(x) for x in np.quantile(found, [0.025, 0.975]))
+        ranges[limit.name] = low, high
+        note = f"95 % range over the strengths that {count_tests(laws[0])} tests allow"
+        answers.row(design.subject(limit), "failure_probability", "tests", float(found.mean()), low, high, unit="1",
+                    runs=few.size, method="epistemic", note=note)  # fmt: skip
+        _margin_by_tests(design, tables, limit, answers)
     for mode in design.modes:
-        subject = design.subject(mode.limit)
-        for name, end in (
-            ("weak end of the library's range", mode.weak),
-            ("strong end of the library's range", mode.strong),
-        ):
-            p = float(failure_given_inputs(state_of(design, mode.limit, head, end), mode.limit.aim).mean())
-            answers.row(subject, "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
-                        method="epistemic", note=mode.source)  # fmt: skip
+        for end, law in (("weak", mode.weak), ("strong", mode.strong)):
+            state = state_of(design, mode.limit, head, law)
+            otherwise(mode.limit, f"{end} end of the library's range", state, mode.source)
     for limit in design.limits:
-        for name, other in other_distributions(limit):
-            p = float(failure_given_inputs(state_of(design, limit, head, other), limit.aim).mean())
-            answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1", runs=head.size,
-                        method="epistemic", note="same mean and standard deviation")  # fmt: skip
+        for name, other in _other_distributions(limit).items():
+            otherwise(limit, name, state_of(design, limit, head, other), "same mean and standard deviation")
         state = state_of(design, limit, head)
         if state.shift is not None or state.tie is not None:
             alone = replace(state, shift=None, remaining_sd=1.0, weights=(), tie=None)
-            p = float(failure_given_inputs(alone, limit.aim).mean())
-            answers.row(design.subject(limit), "failure_probability", "assumed: strength independent of the inputs", p,
-                        unit="1", runs=head.size, method="epistemic", note="without dependence")  # fmt: skip
+            otherwise(limit, "strength independent of the inputs", alone, "without dependence")
     plastic = _under_plastic_contact(design, head)
-    if plastic is not None:
-        for limit in design.fracture:
-            p = float(failure_given_inputs(state_of(design, limit, plastic), limit.aim).mean())
-            answers.row(design.subject(limit), "failure_probability", "assumed: contacts yield", p, unit="1",
-                        runs=plastic.size, method="epistemic", note='[contact] law = "plastic"')  # fmt: skip
-            if limit.target is not None and (p < limit.target) is not (_own(design, head, limit) < limit.target):
-                _margin_under_plastic_contact(design, tables, limit, answers)
+    for limit in design.fracture:
+        if plastic is None:
+            break
+        p = otherwise(limit, "contacts yield", state_of(design, limit, plastic), '[contact] law = "plastic"')
+        own = _mean(limit, state_of(design, limit, head))
+        if limit.target is not None and (p < limit.target) is not (own < limit.target):
+            _margin_under_plastic_contact(design, tables, limit, answers)
     return Assumptions(answers=answers, tests=ranges, plastic=plastic)
 
 
-def possible_strengths(design: Design, limit: Limit, count: int) -> list[Law] | None:
-    """Strengths that the tests behind a limit allow, each as likely as the other; None where the tests do not tell."""
+def _mean(limit: Limit, state: LimitState) -> float:
+    return float(failure_given_inputs(state, limit.aim).mean())
+
+
+def _possible_strengths(design: Design, limit: Limit, count: int) -> list[Law] | None:
+    """Strengths that the tests behind a limit allow, each as likely as the other; None where no tests tell."""
     law = strength_of(limit)
-    assert isinstance(law, Law)
+    if not isinstance(law, Law) or not is_fitted(law):
+        return None
     generator = random_generator(seed=design.study.seed, task=f"tests of {strength_name(limit.name)}")
-    try:
+    with suppress(LawError):
         return possible_laws(law, count, generator)
-    except LawError:
-        return None
-
-
-def _by_tests(design: Design, tables: Tables, limit: Limit, head: Sample) -> tuple[float, float, float] | None:
-    laws = possible_strengths(design, limit, LAWS)
-    if laws is None:
-        return None
-    few = head.head(min(head.count, 64))
-    found = np.array([float(failure_given_inputs(state_of(design, limit, few, law), limit.aim).mean()) for law in laws])
-    low, high = (float(x) for x in np.quantile(found, [0.025, 0.975]))
-    return float(found.mean()), low, high
+    return None
 
 
 def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answers) -> None:
     """The free number at the target, with the range that the tests leave it and its conservative end."""
     margins = design.study.margins
-    laws = possible_strengths(design, limit, MARGIN_LAWS)
+    laws = _possible_strengths(design, limit, MARGIN_LAWS)
     if margins is None or laws is None:
         return
     wanted = allowable_probability(design, limit)
@@ -134,80 +129,62 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
                 unit=lookup(margins.axis.path).unit, method="epistemic", note=note)  # fmt: skip
 
 
-def other_distributions(limit: Limit) -> list[tuple[str, Law]]:
+def _other_distributions(limit: Limit) -> dict[str, Law]:
     """The strength by the other usual distribution, with the same mean and standard deviation."""
-    from uqsphere.uq import make_law
-
     law = strength_of(limit)
     if not isinstance(law, Law) or law.family.name not in ("weibull", "lognormal", "normal"):
-        return []
+        return {}
     mean, sd = law.mean(), law.sd()
     if mean is None or sd is None or not mean > 0.0 or not sd > 0.0:
-        return []
-    try:
-        if law.family.name == "weibull":
-            return [("lognormal strength", make_law("lognormal", {"mean": mean, "cov": sd / mean}))]
-        return [("Weibull strength", make_law("weibull", {"mean": mean, "cov": sd / mean}))]
-    except LawError:
-        return []
+        return {}
+    name = "lognormal strength" if law.family.name == "weibull" else "Weibull strength"
+    with suppress(LawError):
+        return {name: make_law(OTHER_DISTRIBUTIONS[name], {"mean": mean, "cov": sd / mean})}
+    return {}
 
 
-def _under_plastic_contact(design: Design, head: Sample) -> Sample | None:
-    """The first rows under a contact that yields, None where the study has one, or no face would yield."""
-    study = design.study
-    if study.black_box or not any(means_fracture(limit) for limit in design.limits) or not design.fracture:
+def _under_plastic_contact(design: Design, sample: Sample, further: Mapping[str, float] | None = None) -> Sample | None:
+    """Points under a contact that yields, None where the study has one, or no face would yield.
+
+    further : numbers that all points share in place of the study's
+    """
+    if design.study.black_box or not design.fracture:
         return None
-    shape = head.scores.shape[:2]
-    rows = np.stack([head.input(name).ravel() for name in design.inputs], axis=1) if design.inputs else np.zeros((1, 0))
-    found = rows_under_plastic_contact(study, design.inputs, rows, design.columns)
+    fixed = {name: value for name, value in (further or {}).items() if name not in design.inputs}
+    rows = np.column_stack([sample.inputs[:, :, : len(design.inputs)].reshape(sample.size, -1),
+                            *(np.full(sample.size, value) for value in fixed.values())])  # fmt: skip
+    found = rows_under_plastic_contact(design.study, (*design.inputs, *fixed), rows, design.columns)
     if found is None:
         return None
-    values = np.where(found.good[:, None], found.values, np.nan)
-    cells = np.broadcast_to(values, (shape[0] * shape[1], values.shape[1])) if not design.inputs else values
-    flags = np.broadcast_to(~found.good, (shape[0] * shape[1],)) if not design.inputs else ~found.good
-    answered = head.with_answers(design.columns, cells.reshape(*shape, -1), failed=flags.reshape(shape))
-    return with_test_forces(design, answered, {})
-
-
-def _own(design: Design, head: Sample, limit: Limit) -> float:
-    return float(failure_given_inputs(state_of(design, limit, head), limit.aim).mean())
+    shape, values = sample.scores.shape[:2], np.where(found.good[:, None], found.values, np.nan)
+    answered = sample.with_answers(design.columns, values.reshape(*shape, -1), failed=~found.good.reshape(shape))
+    return with_test_forces(design, answered, {name: np.full(shape, x) for name, x in (further or {}).items()})
 
 
 def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, answers: Answers) -> None:
     """The free number at the target where contacts yield, which turns the verdict."""
-    margins = design.study.margins
+    margins, line = design.study.margins, dict[float, Sample]()
     if margins is None or not tables.line:
         return
-    axis, line = margins.axis, {}
-    place = axis.path
+    path = margins.axis.path
     for value, sample in tables.line.items():
-        names = (*design.inputs, *(() if place in design.inputs else (place,)))
-        columns = [
-            sample.input(name).ravel() if name in design.inputs else np.full(sample.size, value) for name in names
-        ]
-        found = rows_under_plastic_contact(design.study, names, np.stack(columns, axis=1), design.columns)
-        if found is None or not found.good.all():
+        moved = _under_plastic_contact(design, sample, {path: value})
+        if moved is None or moved.failed.any():
             return
-        answered = sample.with_answers(design.columns, found.values.reshape(*sample.scores.shape[:2], -1))
-        line[value] = with_test_forces(design, answered, {place: np.full(sample.scores.shape[:2], value)})
+        line[value] = moved
     wanted = allowable_probability(design, limit)
     margin = curve_of(design, replace(tables, line=line), limit, None, (wanted,)).values[wanted]
     answers.add(design.subject(limit), "margin", "assumed: contacts yield", margin,
-                unit=lookup(axis.path).unit, runs=sum(sample.size for sample in line.values()))  # fmt: skip
+                unit=lookup(path).unit, runs=sum(sample.size for sample in line.values()))  # fmt: skip
 
 
 # --- several limits together ----------------------------------------------------------------------------------------
 
 
-def together(
-    design: Design, sample: Sample, limits: Sequence[Limit], strengths: Sequence[Law | float | None] = ()
-) -> Array:
+def together(design: Design, sample: Sample, limits: Sequence[Limit]) -> Array:
     """Probability (R, n) that any of some limits is exceeded, given the inputs."""
-    states = [
-        state_of(design, limit, sample, strength)
-        for limit, strength in zip(limits, strengths or [None] * len(limits), strict=True)
-    ]
     generator = random_generator(seed=design.study.seed, task="limits together")
+    states = [state_of(design, limit, sample) for limit in limits]
     return make_union(states, _common_factor(design, limits), generator).any
 
 

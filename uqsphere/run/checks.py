@@ -34,10 +34,6 @@ class Check:
     remedy: str = ""
     failures: Mapping[str, float] = field(default_factory=dict)
 
-    def share_of_failures(self, limit: str) -> float | None:
-        """The share of a limit's failures in rows where the model fails; None where it is not known."""
-        return self.failures.get(limit)
-
     def as_dict(self) -> dict[str, Any]:
         """As results.json has it."""
         return {"name": self.name, "text": self.text, "share": self.share, "grade": self.grade, "effect": self.effect}

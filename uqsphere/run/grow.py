@@ -18,17 +18,16 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.errors import ModelError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
+from uqsphere.run import rare
 from uqsphere.run.chaos import expansions
 from uqsphere.run.design import REPLICATES, VALUES, Design, is_strength, normal_scores
 from uqsphere.run.distributions import described
 from uqsphere.run.fragility import margin_and_scale
 from uqsphere.run.indices import by_chaos_accurate, of_quantity
-from uqsphere.run.limits import can_search, failure
+from uqsphere.run.limits import failure
 from uqsphere.run.progress import Progress, share_done
-from uqsphere.run.rare import search
 from uqsphere.run.tables import Accuracy, Tables, check_failures, evaluate
 from uqsphere.study import Study
 from uqsphere.uq import Sample
@@ -42,8 +41,6 @@ LINE_SHARE, PAIRS_SHARE = 16, 4
 MOST: Final = 1 << 17
 #: rows of one evaluation, about, once there are many: what is in work beside the tables themselves
 PART: Final = 1 << 18
-#: a probability below this is searched for by the methods for rare events where sampling does not reach it
-SMALL: Final = 0.01
 
 
 def grow(design: Design, model: Model, *, seconds: float, progress: Progress | None = None) -> Tables:
@@ -81,7 +78,10 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
         elif time.monotonic() + took > end:
             tables.stopped = "time"
         if tables.stopped:
-            return _search_rare(design, model, tables, end)
+            rare.search(design, model, tables, end)
+            if tables.rare:
+                tables.inaccurate = [error for error in accuracies(design, tables) if error.reached > error.required]
+            return tables
         if not tables.line or any(error.answer != "margin" for error in tables.inaccurate):
             count *= 2
 
@@ -255,7 +255,7 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         estimate = failure(design, tables, limit)
         if not estimate.value or estimate.high is None or estimate.high <= 0.01 * (limit.target or 1e-6):
             continue
-        if estimate.value < SMALL and limit.name not in tables.rare and can_search(design, limit):
+        if estimate.value < rare.SMALL and limit.name not in tables.rare and rare.can_search(design):
             continue  # left to the search for rare events
         relative = estimate.half_width / estimate.value
         require(f"limits.{limit.name}", "failure_probability", relative, accuracy.probability)
@@ -264,28 +264,3 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         if margin.value is not None and width is not None:
             require(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
     return found
-
-
-def _search_rare(design: Design, model: Model, tables: Tables, end: float) -> Tables:
-    """Searches for the failure probabilities that are too small for the sample."""
-    accuracy = design.study.analysis.accuracy.probability
-    for limit in design.limits:
-        p = failure(design, tables, limit)
-        small = p.value is None or p.value < SMALL
-        if not small or p.high is None or p.high < 0.01 * (limit.target or 1e-6) or not can_search(design, limit):
-            continue
-        if p.value and p.half_width <= accuracy * p.value:
-            continue
-        left = design.study.analysis.budget.evaluations - model.evaluations
-        if time.monotonic() > end or left < 1000:
-            break
-        try:
-            tables.rare[limit.name] = search(design, model, limit, accuracy=accuracy, budget=min(left, 30_000))
-        except Interrupted:
-            tables.stopped = "interrupted"
-            break
-        except ModelError:
-            continue
-    if tables.rare:
-        tables.inaccurate = [error for error in accuracies(design, tables) if error.reached > error.required]
-    return tables

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from uqsphere.run.design import Design
 from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, failure_of_aim
-from uqsphere.uq.limit_state import reliability_index, safety_factor
-from uqsphere.uq.rare.mixture import worth_of
+from uqsphere.uq.estimate import carriers
+from uqsphere.uq.limit_state import reliability_index, safety_factor, tails
 
 
 def limits(design: Design, tables: Tables) -> Answers:
@@ -56,27 +55,18 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     if not design.drawn.names and found.value is not None and not state.late.any() and not state.broken.any():
         return exact(found.value)
     if tables.slow is not None:
-        rows, left = (failure_given_inputs(state_of(design, limit, _doubled(part)), limit.aim)[:1]
+        rows, left = (failure_given_inputs(state_of(design, limit, part), limit.aim)[:1]
                       for part in (tables.slow.rows, tables.slow.left_out))  # fmt: skip
         return surrogate.failure(tables.slow, found, rows, left)
-    if found.value is not None and 0.0 < found.value < 1e-3 and worth_of(failure_given_inputs(state, limit.aim)) < 20.0:
+    if found.value is not None and 0.0 < found.value < 1e-3 and carriers(failure_given_inputs(state, limit.aim)) < 20.0:
         bound = max(found.high or 0.0, 3.0 / tables.sample.size)
         none = absent("too few points carry it", found.method, found.evaluations)
         return replace(none, low=0.0, high=min(bound, 1.0))
     return found
 
 
-def _doubled(sample: Sample) -> Sample:
-    """One replicate twice, as a limit state needs two."""
-    parts = ("scores", "inputs", "answers", "censored", "status", "failed")
-    doubled: dict[str, Any] = {name: np.repeat(getattr(sample, name), 2, axis=0) for name in parts}
-    return replace(sample, **doubled)
-
-
 def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     """Probability (R, n) that the aim is missed given the inputs."""
-    from uqsphere.uq import tails
-
     below, above = tails(state)
     return above if aim == "break" else below
 
@@ -99,8 +89,3 @@ def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float
     shift = scores @ weights if np.any(weights) else None
     return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()),
                    tie=design.joint.tie(own, names, scores))  # fmt: skip
-
-
-def can_search(design: Design, limit: Limit) -> bool:
-    """Whether the methods for rare events can take a limit: something is drawn, and the study leaves them."""
-    return bool(design.drawn.names) and rare.possible(design)

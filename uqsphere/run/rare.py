@@ -1,64 +1,97 @@
-"""Small failure probabilities, by one search (FORM points, subset simulation, importance sampling), and design points.
+"""Small failure probabilities, by a search (FORM points, subset simulation, importance sampling), and design points.
 
 The design point is the failure that is most probable: in standard normal variables the one nearest to the origin.
+Limits on one quantity have failure domains inside each other: what one search has seen serves those that are rarer,
+and is searched anew only where too little of it fails.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.errors import ModelError
 from uqsphere.models.model import Model
+from uqsphere.models.rows import Interrupted
 from uqsphere.run.chaos import MOST_LEFT, values_at
-from uqsphere.run.demands import strength_of, with_test_forces
-from uqsphere.run.design import Design, at_normals
+from uqsphere.run.demands import by_force, strength_of, with_test_forces
+from uqsphere.run.design import Design, at_normals, number
 from uqsphere.run.tables import Tables, evaluate
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.joint import CERTAIN
 from uqsphere.uq.limit_state import score_of, tails
-from uqsphere.uq.rare import find_probability
-from uqsphere.uq.rare.form import find_design_points
-from uqsphere.uq.rare.problem import Evaluator
+from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
+#: a probability below this is searched for where sampling does not reach it
+SMALL: Final = 0.01
+#: runs of the model that a search takes at most (tests/campaigns/rare.py), and the least that are worth one
+MOST, LEAST = 30_000, 1000
 #: values of an expansion that the search for a design point takes at most
 MOST_VALUES = 20_000
-State = Callable[[Sample], LimitState]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RareAnswer:
-    """A failure probability with its design point (SI) by variable, and how many failure regions were seen."""
+    """A failure probability with its design point (SI) by variable."""
 
     estimate: Estimate
     design_point: Mapping[str, float] = field(default_factory=dict)
-    regions: int = 0
 
 
-def possible(design: Design) -> bool:
-    """Whether the study leaves the search for small probabilities."""
-    return bool({"auto", "form", "importance", "subset"} & set(design.study.analysis.methods))
+def can_search(design: Design) -> bool:
+    """Whether something is drawn, and the study leaves the search for small probabilities."""
+    wanted = {"auto", "form", "importance", "subset"}
+    return bool(design.drawn.names) and not wanted.isdisjoint(design.study.analysis.methods)
 
 
-def search(design: Design, model: Model, limit: Limit, *, accuracy: float, budget: int) -> RareAnswer:
-    """The failure probability of a limit, searched for with at most `budget` runs of the model."""
-    from uqsphere.run.limits import state_of
+def search(design: Design, model: Model, tables: Tables, end: float) -> None:
+    """Search for the failure probabilities that are too small for the sample, into `tables.rare`, until time is up.
 
-    def state(points: Sample) -> LimitState:
-        return state_of(design, limit, evaluate(design, model, points))
+    The likelier of two limits comes first: its draws may serve the other.
+    """
+    from uqsphere.run.limits import failure
 
-    found = find_probability(_problem(design, limit, state, budget), seed=design.study.seed, accuracy=accuracy)
-    point = found.design.points[0].point if found.design.converged else None
-    return RareAnswer(estimate=found.estimate, design_point=_physical(design, limit, state, point), regions=found.modes)
+    def answered(points: Sample) -> Sample:
+        return evaluate(design, model, points)
+
+    accuracy, shared = design.study.analysis.accuracy.probability, dict[tuple[str, str], list[Draws]]()
+    known = [(limit, failure(design, tables, limit)) for limit in design.limits] if can_search(design) else []
+    for limit, p in sorted(known, key=lambda pair: (-(pair[1].value or 0.0), _rank(pair[0]))):
+        small = p.high is not None and p.high >= 0.01 * (limit.target or 1e-6) and (p.value is None or p.value < SMALL)
+        if not small or (p.value and p.half_width <= accuracy * p.value):
+            continue
+        left = design.study.analysis.budget.evaluations - model.evaluations
+        if time.monotonic() > end or left < LEAST:
+            return
+        problem = _problem(design, limit, answered, min(left, MOST))
+        draws = shared.setdefault((limit.quantity, limit.aim), []) if problem.limit is not None else []
+        try:
+            found = failure_probability(problem, seed=design.study.seed, accuracy=accuracy, known=draws)
+        except Interrupted:
+            tables.stopped = "interrupted"
+            return
+        except ModelError:
+            continue
+        if found.draws is not None and found.sure:
+            # those of the last search, and the last that were drawn nearby since
+            draws[not found.searched :] = [found.draws]
+        point = _physical(design, limit, answered, found.points)
+        tables.rare[limit.name] = RareAnswer(estimate=found.estimate, design_point=point)
+
+
+def _rank(limit: Limit) -> float:
+    """The order of limits that no row of the sample fails: by how far their strength is out."""
+    return number(strength_of(limit)) * (1.0 if limit.aim == "survive" else -1.0)
 
 
 def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
     """The design point of a limit on the expansion of its quantity; empty where that is not accurate enough."""
-    from uqsphere.run.limits import state_of
-
     if limit.name in tables.rare:
         return tables.rare[limit.name].design_point
     expansion = tables.expansions.get(limit.quantity)
@@ -66,43 +99,58 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
         return {}
     predicted = values_at(design, expansion)
 
-    def state(points: Sample) -> LimitState:
-        answered = points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None])
-        return state_of(design, limit, with_test_forces(design, answered, {}, [limit]))
+    def answered(points: Sample) -> Sample:
+        sample = points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None])
+        return with_test_forces(design, sample, {}, [limit])
 
-    found = find_design_points(_problem(design, limit, state, MOST_VALUES), seed=design.study.seed, most=MOST_VALUES)
-    return _physical(design, limit, state, found.points[0].point if found.converged else None)
+    problem = _problem(design, limit, answered, MOST_VALUES)
+    return _physical(design, limit, answered, find_design_points(problem, seed=design.study.seed))
 
 
-def _problem(design: Design, limit: Limit, state: State, budget: int) -> Evaluator:
-    """A limit in standard normal variables: what is left to failure, the score of a random strength integrated."""
-    random = isinstance(strength_of(limit), Law)
+def _problem(design: Design, limit: Limit, answered: Callable[[Sample], Sample], budget: float) -> Evaluator:
+    """A limit in standard normal variables: what is left to failure, the score of a random strength integrated.
+
+    Where failure hangs on the quantity alone, its values are the answers: draws for one limit then serve another.
+    """
+    from uqsphere.run.limits import state_of
+
     sign = -1.0 if limit.aim == "break" else 1.0
 
-    def distance(normals: Array) -> Array:
-        rows = normals if len(normals) > 1 else np.repeat(normals, 2, axis=0)
-        known = state(at_normals(design.drawn, rows[:, None, :]))
-        if random:
-            left = -sign * np.clip(score_of(*tails(known)), -CERTAIN, CERTAIN)
+    def left(state: LimitState) -> Array:
+        if isinstance(state.strength, Law):
+            found = -sign * np.clip(score_of(*tails(state)), -CERTAIN, CERTAIN)
         else:
-            strength = float(strength_of(limit))  # type: ignore[arg-type]
-            left = sign * (strength - known.demands) / abs(strength or 1.0)
-        return np.asarray(np.where(known.broken, np.nan, left)[: len(normals), 0])
+            found = sign * (state.strength - state.demands) / abs(state.strength or 1.0)
+        return np.asarray(np.where(state.broken, np.nan, found)[0])
 
-    return Evaluator(function=distance, dimension=len(design.drawn.names), integrated=random, budget=budget)
+    def sample(normals: Array) -> Sample:
+        return answered(at_normals(design.drawn, normals[None]))
+
+    law = isinstance(strength_of(limit), Law)
+    if design.study.dependence or by_force(limit) or isinstance(limit.model_factor, Law):
+        return Evaluator(lambda normals: left(state_of(design, limit, sample(normals))), len(design.drawn.names),
+                         integrated=law, budget=budget)  # fmt: skip
+    factor = limit.model_factor
+    return Evaluator(lambda normals: sample(normals).outputs(limit.quantity), len(design.drawn.names), integrated=law,
+                     limit=lambda y: left(LimitState(demands=factor * y[None], strength=strength_of(limit))),
+                     budget=budget)  # fmt: skip
 
 
-def _physical(design: Design, limit: Limit, state: State, point: Array | None) -> dict[str, float]:
-    """The variables at a point of the standard normal space, a random strength behind the others."""
-    if point is None:
+def _physical(
+    design: Design, limit: Limit, answered: Callable[[Sample], Sample], points: Sequence[DesignPoint]
+) -> dict[str, float]:
+    """The variables at the nearest design point, a random strength behind the others; empty if there is none."""
+    from uqsphere.run.limits import state_of
+
+    if not points:
         return {}
-    size = len(design.drawn.names)
-    points = at_normals(design.drawn, np.repeat(point[None, None, :size], 2, axis=0))
-    found = dict(zip(design.drawn.names, points.inputs[0, 0].tolist(), strict=True))
+    point, size = points[0].point, len(design.drawn.names)
+    sample = answered(at_normals(design.drawn, point[None, None, :size]))
+    found = dict(zip(design.drawn.names, sample.inputs[0, 0].tolist(), strict=True))
     law = strength_of(limit)
-    if isinstance(law, Law) and len(point) > size:
+    if isinstance(law, Law):
         # failure is z below the score of the demand: the strength there
         sign = -1.0 if limit.aim == "break" else 1.0
-        score = state(points).score_drawn(np.full((2, 1), sign * point[size]))
+        score = state_of(design, limit, sample).score_drawn(np.full((1, 1), sign * point[size]))
         found[strength_name(limit.name)] = float(law.from_normal(score)[0, 0])
     return found

@@ -7,15 +7,13 @@ strength of another failure mode, the few tests behind a strength, a model outsi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from uqsphere.quantities import format_conservative, format_probability, format_value, lookup
 from uqsphere.results import Answers
-from uqsphere.run.assumptions import MOST, Assumptions, along_line, other_distributions, together
+from uqsphere.run.assumptions import MOST, OTHER_DISTRIBUTIONS, Assumptions, along_line, together
 from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
@@ -23,7 +21,7 @@ from uqsphere.run.fragility import allowable_probability, curve_by, planned_valu
 from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, means_fracture, strength_name
-from uqsphere.uq import Estimate, Law, absent, complement, target_met
+from uqsphere.uq import Estimate, Law, Sample, absent, complement, from_replicates, target_met
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.limit_state import reliability_index
 
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 WORDS = {True: "met", False: "not met", None: "undecided"}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Reason:
     """Why a verdict is not established: `decides` names what would turn it, `remedy` what would settle it."""
 
@@ -54,15 +52,14 @@ def _verdict(
     design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check], limit: Limit
 ) -> dict[str, Any]:
     judged = _judged_together(design, limit)
-    p = _combined(design, tables, limit, judged)
+    p = failure(design, tables, limit)
+    if len(judged) > 1:
+        p = _added(p, together(design, tables.sample, judged) - together(design, tables.sample, [limit]))
     target = limit.target
-    reasons = _reasons(design, tables, assumed, checks, limit, judged, p) if target is not None else []
+    reasons = _reasons(design, tables, answers, assumed, checks, limit, judged, p) if target is not None else []
     word = "no target" if target is None else "not established" if reasons else WORDS[target_met(p, target)]
-    modes = [
-        limit,
-        *judged[1:],
-        *(mode.limit for mode in design.modes if limit.aim == "survive" and means_fracture(limit)),
-    ]
+    assumed_modes = design.modes if limit.aim == "survive" and means_fracture(limit) else ()
+    modes = [*judged, *(mode.limit for mode in assumed_modes)]
     governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
     joint, curve = _joint(design, tables, answers, limit, judged, modes, p)
     number = _number_to_use(design, answers, limit, modes, joint)
@@ -111,25 +108,13 @@ def _judged_together(design: Design, limit: Limit) -> list[Limit]:
     return [limit, *(one for one in others if (one.quantity, one.strength) != same)]
 
 
-def _combined(design: Design, tables: Tables, limit: Limit, judged: Sequence[Limit]) -> Estimate:
-    """The failure probability by all limits that are judged together."""
-    own = failure(design, tables, limit)
-    if len(judged) == 1:
-        return own
-    sample = tables.sample
-    more = together(design, sample, judged) - together(design, sample, [limit])
-    return _added(own, more)
-
-
 def _added(own: Estimate, more: Array) -> Estimate:
     """A probability with what further failures (R, n) add to it."""
-    from uqsphere.uq import from_replicates
-
     added = from_replicates(more.mean(axis=1), own.method, own.evaluations)
     if own.value is None or added.value is None:
         return own if added.value is None else added
     low, high = (own.low or 0.0) + (added.low or 0.0), (own.high or 1.0) + (added.high or 0.0)
-    value = min(max(own.value + added.value, 0.0), 1.0)
+    value = _clipped(own.value + added.value)
     return replace(own, value=value, low=min(max(low, 0.0), value), high=max(min(high, 1.0), value))
 
 
@@ -137,120 +122,86 @@ def _added(own: Estimate, more: Array) -> Estimate:
 
 
 def _reasons(
-    design: Design, tables: Tables, assumed: Assumptions, checks: Sequence[Check], limit: Limit,
+    design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check], limit: Limit,
     judged: Sequence[Limit], p: Estimate,
 ) -> list[Reason]:  # fmt: skip
-    target = limit.target or 0.0
-    verdict = target_met(p, target)
+    """What is taken for granted and would turn the verdict if it were otherwise."""
+    target, whole, verdict = limit.target or 0.0, p.value or 0.0, target_met(p, limit.target or 0.0)
     found: list[Reason] = []
-    sample = tables.sample
-    fracture = means_fracture(limit)
 
     def turned(value: float) -> bool:
         return verdict is not None and (value < target) is not verdict
 
-    if fracture and assumed.plastic is not None:
-        base = sample.head(assumed.plastic.count)
+    if means_fracture(limit) and assumed.plastic is not None:
+        base = tables.sample.head(assumed.plastic.count)
         other = _failing(design, assumed.plastic, limit, judged) - _failing(design, base, limit, judged)
-        value = min(max((p.value or 0.0) + float(other.mean()), 0.0), 1.0)
+        value = _clipped(whole + float(other.mean()))
         if turned(value):
-            found.append(Reason(code="contact law", decides="the contact law",
-                                text=f"where contacts yield, the failure probability is {format_probability(value)}",
-                                remedy='set [contact] law = "plastic"'))  # fmt: skip
-    if fracture and limit.aim == "survive":
-        found += _assumed_modes(design, tables, limit, judged, p, turned)
+            text = f"where contacts yield, the failure probability is {format_probability(value)}"
+            found.append(Reason("contact law", text, "the contact law", 'set [contact] law = "plastic"'))
+    if means_fracture(limit) and limit.aim == "survive":
+        found += _assumed_modes(design, tables, judged, whole, turned)
     for one in judged:
-        ends = assumed.tests.get(one.name)
-        if ends is not None:
-            own = failure(design, tables, one).value or 0.0
-            values = [min(max((p.value or 0.0) - own + end, 0.0), 1.0) for end in ends]
-            if len({value < target for value in values}) == 2 or turned(values[0]):
-                law = strength_of(one)
+        rest, law = whole - (failure(design, tables, one).value or 0.0), strength_of(one)
+        if one.name in assumed.tests:
+            low, high = (_clipped(rest + end) for end in assumed.tests[one.name])
+            if (low < target) is not (high < target) or turned(low):
                 n = count_tests(law) if isinstance(law, Law) else 0
-                span = f"{format_probability(values[0])} to {format_probability(values[1])}"
-                found.append(
-                    Reason(
-                        code="tests",
-                        decides=f"the {n} tests of {one.name}",
-                        text=f"the {n} tests of {one.name} leave {span} open",
-                        remedy=_more_tests(n, values, target),
-                    )
-                )
-    for one in judged:
-        own = failure(design, tables, one).value or 0.0
-        head = sample.head(min(sample.count, 512))
-        for name, otherwise in other_distributions(one):
-            changed = float(failure_given_inputs(state_of(design, one, head, otherwise), one.aim).mean())
-            value = min(max((p.value or 0.0) - own + changed, 0.0), 1.0)
-            if turned(value):
-                found.append(
-                    Reason(
-                        code="distribution",
-                        decides=f"the distribution of the strength of {one.name}",
-                        text=f"with a {name} of the same mean and scatter, {format_probability(value)} fail",
-                        remedy=f"test the strength of {one.name} in its lower tail",
-                    )
-                )
+                text = f"the {n} tests of {one.name} leave {format_probability(low)} to {format_probability(high)} open"
+                found.append(Reason("tests", text, f"the {n} tests of {one.name}", _more_tests(n, (low, high), target)))
+        for row in answers.where(design.subject(one), "failure_probability"):
+            name = str(row["at"]).removeprefix("assumed: ")
+            if name in OTHER_DISTRIBUTIONS and turned(value := _clipped(rest + row["value"])):
+                text = f"with a {name} of the same mean and scatter, {format_probability(value)} fail"
+                found.append(Reason("distribution", text, f"the distribution of the strength of {one.name}",
+                                    f"test the strength of {one.name} in its lower tail"))  # fmt: skip
     for check in checks:
-        share = check.share_of_failures(limit.name)
+        share = check.failures.get(limit.name)
         if share is not None and share > target and check.grade == "failure":
-            found.append(
-                Reason(
-                    code="model",
-                    decides=check.text,
-                    text=f"the model does not hold in {format_probability(share)} of the failures: {check.text}",
-                    remedy=check.remedy,
-                )
-            )
+            text = f"the model does not hold in {format_probability(share)} of the failures: {check.text}"
+            found.append(Reason("model", text, check.text, check.remedy))
     synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
     if synthetic & set(design.study.made_up):
-        found.append(Reason(code="synthetic", decides="synthetic data", text="the tests are synthetic data",
-                            remedy="replace the synthetic tests by measured ones"))  # fmt: skip
+        found.append(Reason("synthetic", "the tests are synthetic data", "synthetic data",
+                            "replace the synthetic tests by measured ones"))  # fmt: skip
     return found
 
 
-def _failing(design: Design, sample: Any, limit: Limit, judged: Sequence[Limit]) -> Array:
+def _clipped(probability: float) -> float:
+    return min(max(probability, 0.0), 1.0)
+
+
+def _failing(design: Design, sample: Sample, limit: Limit, judged: Sequence[Limit]) -> Array:
     """Probability (R, n) that the aim is missed given the inputs."""
     if len(judged) > 1:
         return together(design, sample, judged)
-    return np.asarray(failure_given_inputs(state_of(design, limit, sample), limit.aim))
+    return failure_given_inputs(state_of(design, limit, sample), limit.aim)
 
 
 def _assumed_modes(
-    design: Design, tables: Tables, limit: Limit, judged: Sequence[Limit], p: Estimate, turned: Any
+    design: Design, tables: Tables, judged: Sequence[Limit], whole: float, turned: Callable[[float], bool]
 ) -> list[Reason]:
+    """The failure modes whose assumed strengths would turn the verdict, each by itself or all of them together."""
+    if not design.modes:
+        return []
     sample = tables.sample.head(min(tables.sample.count, 256))
     base = together(design, sample, judged)
     deciding, worst = [], base
     for mode in design.modes:
         each = [failure_given_inputs(state_of(design, mode.limit, sample, law), "survive")
                 for law in (mode.weak, mode.limit.strength, mode.strong)]  # fmt: skip
-        values = [(p.value or 0.0) + float(((1.0 - base) * c).mean()) for c in each]
-        if any(turned(min(value, 1.0)) for value in values):
+        if any(turned(_clipped(whole + float(((1.0 - base) * chance).mean()))) for chance in each):
             deciding.append(mode.called)
-        worst = worst + (1.0 - worst) * max(each, key=lambda c: float(c.mean()))
-    if deciding:
-        names, plural = _listed(deciding), "s" * (len(deciding) > 1)
-        return [
-            Reason(
-                code="assumed strength",
-                decides=names,
-                remedy=f"measure the strength{plural} for {names} on this rock",
-                text=f"it depends on the assumed strength{plural} for {names}",
-            )
-        ]
-    value = min((p.value or 0.0) + float((worst - base).mean()), 1.0)
-    if design.modes and turned(value):
-        names = _listed([mode.called for mode in design.modes])
-        return [
-            Reason(
-                code="assumed strength",
-                decides=names,
-                remedy=f"measure the strengths for {names} on this rock",
-                text=f"the assumed strengths for {names} together allow up to {format_probability(value)}",
-            )
-        ]
-    return []
+        worst = worst + (1.0 - worst) * max(each, key=lambda chance: float(chance.mean()))
+    names, plural = _listed(deciding), "s" * (len(deciding) > 1)
+    text = f"it depends on the assumed strength{plural} for {names}"
+    value = _clipped(whole + float((worst - base).mean()))
+    if not deciding:
+        if not turned(value):
+            return []
+        names, plural = _listed([mode.called for mode in design.modes]), "s"
+        text = f"the assumed strengths for {names} together allow up to {format_probability(value)}"
+    return [Reason("assumed strength", text, names, f"measure the strength{plural} for {names} on this rock")]
 
 
 def _more_tests(n: int, ends: Sequence[float], target: float) -> str:

@@ -346,7 +346,7 @@ class Document(Table):
     model: ModelChoice = ModelChoice.model_construct()
     inputs: Annotated[dict[Name, Num], Field(max_length=1000)] = {}
     outputs: Outputs = Outputs.model_construct()
-    limits: Annotated[dict[Name, LimitTable], Field(max_length=50)] = {}
+    limits: Annotated[dict[Name, LimitTable], Field(max_length=200)] = {}
     dependence: Annotated[tuple[Dependence, ...], Field(max_length=100, strict=False)] = ()
     gauges: Annotated[tuple[Gauge, ...], Field(max_length=20, strict=False)] = ()
     analysis: Analysis = Analysis.model_construct()

@@ -113,6 +113,18 @@ def freedom(replicates: int, carriers: float) -> float:
     return max(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0)
 
 
+def carriers(weights: Array) -> float:
+    """The number of equal weights that these are worth, by Kish's count; 0 where all are 0.
+
+    >>> carriers(np.array([2.0, 2.0, 0.0]))
+    2.0
+    """
+    if not weights.any():
+        return 0.0
+    shares = weights / weights.max()  # squares of the smallest weights are no numbers
+    return float(shares.sum() ** 2 / (shares**2).sum())
+
+
 def spread(rows: Array, cell: float = 0.0) -> float:
     """Standard error of the mean of the answers (R,) of replicates.
 
@@ -234,26 +246,15 @@ def quantile(
     return between(value if highest == value else 0.5 * (value + highest), low, high, replicates, method, evaluations)
 
 
-def sample_reader(ordered: Array) -> Callable[[float], float]:
-    """Reads samples in rising order at a probability by Hazen's rule: the i-th of N stands at (i - 1/2)/N.
+def sample_reader(values: Array, weights: Array | None = None) -> Callable[[float], float]:
+    """Reads the distribution of samples of any shape at a probability, by Hazen's rule: a sample stands for the middle
+    of its weight, the i-th of N equal ones at (i - 1/2)/N.
 
-    >>> sample_reader(np.array([1.0, 2.0, 4.0]))(0.5)
+    >>> sample_reader(np.array([4.0, 1.0, 2.0]))(0.5)
     2.0
     """
-
-    def read(p: float) -> float:
-        total = ordered.size
-        lower = min(max(math.floor(p * total - 0.5), 0), total - 1)
-        fraction = min(max(p * total - 0.5 - lower, 0.0), 1.0)
-        left, right = float(ordered[lower]), float(ordered[min(lower + 1, total - 1)])
-        return left if fraction == 0.0 or left == right else left + fraction * (right - left)
-
-    return read
-
-
-def weighted_reader(values: Array, weights: Array) -> Callable[[float], float]:
-    """Reads the distribution of samples of any shape and their weights at a probability."""
     order = np.argsort(values, axis=None, kind="stable")
-    ordered, mass = values.reshape(-1)[order], weights.reshape(-1)[order]
+    ordered = values.reshape(-1)[order]
+    mass = np.ones(ordered.size) if weights is None else weights.reshape(-1)[order]
     middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
     return lambda p: float(np.interp(p, middles, ordered))

@@ -45,12 +45,10 @@ class LimitState:
     method: str = "randomised quasi-Monte Carlo, strength integrated"
 
     def __post_init__(self) -> None:
-        if self.demands.ndim != 2 or self.demands.shape[0] < 2:
-            raise ValueError(f"demands must be (R, n) with R >= 2, found shape {self.demands.shape}")
+        if self.demands.ndim != 2:
+            raise ValueError(f"demands must be (R, n), found shape {self.demands.shape}")
         if self.on_failure not in ("drop", "bound"):
             raise ValueError(f"on_failure must be drop or bound here, found {self.on_failure!r}")
-        if not 0.0 <= self.remaining_sd <= 1.0:
-            raise ValueError(f"remaining_sd must lie in [0, 1], found {self.remaining_sd}")
 
     @property
     def broken(self) -> Flags:
@@ -122,42 +120,6 @@ def _interval(event: Array, other: Array, counts: Array, cell: float) -> tuple[f
     return p / (p + q), *probability_ends(p, q, spread(rows, cell), rows.size, size)
 
 
-def _estimate(state: LimitState, breaking: bool) -> Estimate:
-    """Probability of exceedance (breaking False) or of its complement."""
-    below, above = tails(state)
-    broken, late = state.broken, state.late
-    total = int(state.demands.size)
-    kept_counts = (~broken).sum(axis=1).astype(float)
-    if kept_counts.min() < 2:
-        return absent("too few successful samples in a replicate", state.method, total)
-    n = state.demands.shape[1]
-    cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
-    event, other = (above, below) if breaking else (below, above)
-    value, low, high, error = _interval(event, other, kept_counts, cell)
-    bound = state.on_failure == "bound" and bool(broken.any())
-    method = state.method
-    if bound or late.any():
-        counts = np.full(below.shape[0], float(n)) if bound else kept_counts
-        certain = np.where(late | (broken if bound else False), 1.0, 0.0)
-        unsure = certain > 0.0
-        # Censored demands may exceed any strength; failed rows may have gone either way.
-        most_below = np.where(unsure, 1.0, below)
-        least_above = np.where(unsure, 0.0, above)
-        least_below, most_above = below, np.where(broken, 1.0, above) if bound else above
-        sides = (least_above, most_below), (least_below, most_above)
-        least, most = sides if breaking else sides[::-1]
-        low = _interval(least[0], least[1], counts, cell)[1]
-        high = _interval(most[1], most[0], counts, cell)[2]
-        error = max(error, 0.5 * (high - low) / student(below.shape[0]))
-        named = ["censored"] * bool(late.any()) + ["failed"] * bound
-        method += f", interval widened for {' and '.join(named)} rows"
-    largest = float(event.max()) / float(event.sum()) if event.sum() > 0.0 else 0.0
-    if largest > 0.2:
-        method += f", one sample carries {100.0 * largest:.0f} %"
-    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error,
-                    method=method, evaluations=total)  # fmt: skip
-
-
 def exceedance(state: LimitState) -> Estimate:
     """Probability that the demand exceeds the strength.
 
@@ -167,14 +129,41 @@ def exceedance(state: LimitState) -> Estimate:
     >>> exceedance(LimitState(demands=demands, strength=law)).value
     0.25
     """
-    return _estimate(state, breaking=False)
+    return failure_of_aim(state, "survive")
 
 
 def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     """Probability that the aim is missed: of exceedance for "survive", of its complement for "break"."""
     if aim not in ("survive", "break"):
         raise ValueError(f"aim must be survive or break, found {aim!r}")
-    return _estimate(state, breaking=aim == "break")
+    below, above = tails(state)
+    broken, late, (replicates, n) = state.broken, state.late, state.demands.shape
+    kept = (~broken).sum(axis=1).astype(float)
+    if kept.min() < 2:
+        return absent("too few successful samples in a replicate", state.method, broken.size)
+    cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
+    event, other = (above, below) if aim == "break" else (below, above)
+    value, low, high, error = _interval(event, other, kept, cell)
+    bound = state.on_failure == "bound" and bool(broken.any())
+    method = state.method
+    if bound or late.any():
+        # Censored demands may exceed any strength; failed rows may have gone either way.
+        counts = np.full(replicates, float(n)) if bound else kept
+        unsure = late | (broken & bound)
+        # exceedance and its complement, where as little as possible exceeds, and as much
+        least = below, np.where(broken & bound, 1.0, above)
+        most = np.where(unsure, 1.0, below), np.where(unsure, 0.0, above)
+        if aim == "break":
+            least, most = (most[1], most[0]), (least[1], least[0])
+        low, high = _interval(*least, counts, cell)[1], _interval(*most, counts, cell)[2]
+        error = max(error, 0.5 * (high - low) / student(replicates))
+        named = ["censored"] * bool(late.any()) + ["failed"] * bound
+        method += f", interval widened for {' and '.join(named)} rows"
+    largest = float(event.max()) / float(event.sum()) if event.sum() > 0.0 else 0.0
+    if largest > 0.2:
+        method += f", one sample carries {100.0 * largest:.0f} %"
+    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error,
+                    method=method, evaluations=broken.size)  # fmt: skip
 
 
 def reliability_index(probability: float | None) -> float | None:
@@ -185,22 +174,19 @@ def reliability_index(probability: float | None) -> float | None:
 
 
 def complement(e: Estimate) -> Estimate:
-    """The probability of the opposite."""
-    if e.value is None or e.low is None or e.high is None:
-        return e
-    return replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low)
+    """The probability of the opposite; what is not known is bounded the other way round."""
+    value, low, high = (None if end is None else 1.0 - end for end in (e.value, e.high, e.low))
+    return replace(e, value=value, low=low, high=high, reason=e.reason and f"of the opposite: {e.reason}")
 
 
 def target_met(missed: Estimate, target: float) -> bool | None:
     """True if the interval lies below the target, False if above, None (undecided) if it straddles.
 
-    An upper end below a hundredth of the target is enough even for an answer without a value.
+    An upper end is enough, for an answer without a value too.
     """
-    if missed.high is not None and (missed.high < target or missed.high < 0.01 * target):
+    if missed.high is not None and missed.high < target:
         return True
-    if missed.low is not None and missed.low > target:
-        return False
-    return None
+    return False if missed.low is not None and missed.low > target else None
 
 
 # --- safety factor -----------------------------------------------------------------------------------
@@ -216,7 +202,8 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     doubtful = float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
     if doubtful > 1e-6:
         return absent("the strength may be zero or negative: strength over demand has no meaning", state.method, total)
-    if (~broken).sum(axis=1).min() < 2:
+    counts = (~broken).sum(axis=1).astype(float)
+    if counts.min() < 2:
         return absent("too few successful samples in a replicate", state.method, total)
     if not isinstance(strength, Law):
         # that of a fixed strength is the strength over the demand's quantile at 1 - p
@@ -229,7 +216,6 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
         if d.low <= 0.0:
             return absent("the demand may be zero: the margin is unbounded", d.method, total)
         return between(strength / d.value, strength / d.high, strength / d.low, len(state.demands), d.method, total)
-    counts = (~broken).sum(axis=1).astype(float)
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
         return absent("the demand may be zero: the margin is unbounded", state.method, total)
@@ -248,37 +234,32 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     unsure = float(late.sum()) / counts.sum()
     lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
     lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicates(value)), counts.size, total)
-    lowest, highest = lowest - unsure - lost, highest + lost
-    ends = [_root(pooled, end, value) if 0.0 < end < 1.0 else None for end in (lowest, highest)]
-    if ends[0] is None or ends[1] is None:
+    low, high = _root(pooled, lowest - unsure - lost, value), _root(pooled, highest + lost, value)
+    if low is None or high is None:
         reason = "beyond the censored share" if unsure else "beyond what the samples can show"
         return absent(reason, state.method, total)
-    return between(value, min(ends[0], value), max(ends[1], value), counts.size, state.method, total)
+    return between(value, low, high, counts.size, state.method, total)
 
 
 def _root(probability_at: Callable[[float], float], probability: float, near: float) -> float | None:
-    """Margin at which an increasing probability takes a value: bracketed in ln m, then by Brent's method.
+    """Margin at which an increasing probability takes a value, by Brent's method in ln m; None where it does nowhere.
 
     In normal scores the distribution of a margin is almost straight, and a few steps suffice.
     """
-    target = float(special.ndtri(probability))
+    from scipy.optimize import brentq
+
+    if not 0.0 < probability < 1.0:
+        return None
+    target, middle, half = float(special.ndtri(probability)), math.log(near), 0.05
 
     @cache
     def gap(u: float) -> float:
-        share = min(max(probability_at(math.exp(u)), 1e-300), 1.0 - 1e-16)
+        share = min(max(probability_at(math.exp(min(u, 700.0))), 1e-300), 1.0 - 1e-16)
         return float(special.ndtri(share)) - target
 
-    low = high = math.log(near)
-    step = 0.05
-    while gap(low) > 0.0:
-        high, low, step = low, low - step, 2.0 * step
-        # beyond e^±600 there is none: the median lies where the demand changes its sign
-        if low < -600.0:
+    while gap(middle - half) > 0.0 or gap(middle + half) < 0.0:
+        half *= 2.0
+        # within a factor of e^±600 there is none: the median lies where the demand changes its sign
+        if half > 600.0:
             return None
-    while gap(high) < 0.0:
-        low, high, step = high, high + step, 2.0 * step
-        if high > 600.0:
-            return None
-    from scipy.optimize import brentq
-
-    return math.exp(low if low == high else float(brentq(gap, low, high, xtol=1e-9, rtol=1e-12)))
+    return math.exp(float(brentq(gap, middle - half, middle + half, xtol=1e-9, rtol=1e-12)))

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.estimate import Estimate, quantile, spread, weighted_reader
+from uqsphere.uq.estimate import Estimate, quantile, sample_reader, spread
 from uqsphere.uq.joint import CERTAIN
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
@@ -95,23 +95,18 @@ def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
 def union_state(union: Union) -> LimitState:
     """The union as one limit, so that all that serves a limit serves it: a score against a standard normal.
 
-    Without any random strength it is the largest demand over its strength, against 1.
+    Without any random strength it is counted: something over a strength of 1, or below it.
     """
-    policy = union.states[0].on_failure
+    policy, p = union.states[0].on_failure, union.any
     if not any(isinstance(state.strength, Law) for state in union.states):
-        over = np.where(union.any > 0.5, 2.0, 0.5)
-        return LimitState(demands=over, strength=1.0, failed=union.broken, on_failure=policy)
-    p = union.any
+        return LimitState(demands=np.where(p > 0.5, 2.0, 0.5), strength=1.0, failed=union.broken, on_failure=policy)
     with np.errstate(divide="ignore"):
         held = np.log1p(-union.failure_given_inputs).sum(axis=0)
-    score = score_of(p, np.exp(held))
     return LimitState(
-        demands=np.clip(score, -CERTAIN, CERTAIN),
+        demands=np.clip(score_of(p, np.exp(held)), -CERTAIN, CERTAIN), failed=union.broken, on_failure=policy,
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
-        failed=union.broken,
-        on_failure=policy,
         method="randomised quasi-Monte Carlo, strengths integrated",
-    )
+    )  # fmt: skip
 
 
 # --- samples in which something breaks ----------------------------------------------------------------
@@ -131,39 +126,26 @@ class Breaking:
 
 
 def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breaking | None:
-    """Samples and strengths from their joint law given that a limit is exceeded; None where none can be.
-
-    Samples are picked with the probability that any limit is exceeded there, by systematic resampling in a random
-    order: every eighth point of a Sobol' sequence lies in one slab of the cube.
-    """
-    p = union.any
-    mass = p.mean(axis=1)
+    """Samples and strengths from their joint law given that a limit is exceeded; None where none can be."""
+    mass = union.any.mean(axis=1)
     if not mass.sum() > 0.0:
         return None
-    replicates, n = p.shape
-    size = len(union.states)
-    rows = np.zeros((replicates, count), dtype=np.int64)
-    for r in range(replicates):
-        if mass[r] > 0.0:
-            order = rng.permutation(n)
-            course = np.cumsum(p[r, order]) / p[r].sum()
-            place = np.searchsorted(course, (np.arange(count) + rng.random()) / count)
-            rows[r] = order[np.minimum(place, n - 1)]
+    size, (replicates, n) = len(union.states), union.any.shape
+    chances = np.where(mass[:, None] > 0.0, union.any, 1.0)
+    rows = np.stack([rng.choice(n, count, p=row / row.sum()) for row in chances])
     pick = np.arange(replicates)[:, None], rows
-    failure_given_inputs, normals = union.failure_given_inputs[:, *pick], union.holding[:, *pick].copy()
+    failing, normals = union.failure_given_inputs[:, *pick], union.holding[:, *pick].copy()
     # which limit, in the order of the list, is the first not to hold
-    held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - failure_given_inputs]), axis=0)
-    course = np.cumsum(held[:-1] * failure_given_inputs, axis=0)
+    held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - failing]), axis=0)
+    course = np.cumsum(held[:-1] * failing, axis=0)
     first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
-        lower = _drawn_below(failure_given_inputs[j], rng)
-        free = rng.standard_normal(rows.shape)
+        lower, free = _drawn_below(failing[j], rng), rng.standard_normal(rows.shape)
         normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
     scores = np.tensordot(union.factor, normals, axes=1)
     shares = np.empty_like(scores)
     for j, state in enumerate(union.states):
-        strengths = _strengths(state, scores[j], pick)
-        demands = state.demands[pick]
+        strengths, demands = _strengths(state, scores[j], pick), state.demands[pick]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf))
         # rounding must not let the limit that has been drawn as exceeded hold
@@ -173,21 +155,17 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
 
 def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Array:
     """Strengths (R, m) at normal scores given the inputs of the picked samples."""
-    law = state.strength
-    if not isinstance(law, Law):
-        return np.full(score.shape, float(law))
+    if not isinstance(state.strength, Law):
+        return np.full(score.shape, float(state.strength))
     shift = None if state.shift is None else state.shift[pick]
     tie = None if state.tie is None else replace(state.tie, given=state.tie.given[pick])
     there = replace(state, demands=state.demands[pick], shift=shift, tie=tie, censored=None, failed=None)
-    return law.from_normal(there.score_drawn(score))
-
-
-# --- estimates over those samples ---------------------------------------------------------------------
+    return state.strength.from_normal(there.score_drawn(score))
 
 
 def weighted_quantile(values: Array, weights: Array, p: float, method: str, evaluations: int) -> Estimate:
     """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after Woodruff (1952)."""
     replicates, m = values.shape
-    read = weighted_reader(values, np.repeat(weights, m).reshape(values.shape))
+    read = sample_reader(values, np.repeat(weights, m).reshape(values.shape))
     error = spread(weights * ((values <= read(p)).mean(axis=1) - p), 1.0 / m)
     return quantile(read, p, error, replicates, method, evaluations)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,80 +30,57 @@ LENGTHS: Final = np.array([1.0, 0.5, 0.25, 0.1, 0.03])
 class DesignPoint:
     """A design point (size,) in (augmented) standard normal space.
 
-    `beta` is its distance, negative where the origin fails; `direction` the unit vector against the gradient of g
-    there; `gap` the distance from the limit along the gradient.
+    `beta` is its distance, negative where the origin fails; `direction` the unit vector against the gradient of g.
     """
 
     point: Array
     beta: float
     direction: Array
-    converged: bool
-    gap: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class FormAnswer:
-    """Design points by rising distance; `text` says what is wrong."""
-
-    points: tuple[DesignPoint, ...]
-    text: str = ""
-
-    @property
-    def converged(self) -> bool:
-        """Whether at least one search for a design point converged."""
-        return any(point.converged for point in self.points)
 
 
 def find_design_points(
     evaluator: Evaluator, *, seed: int, starts: Array | None = None, most: float = math.inf
-) -> FormAnswer:
-    """Design points from the origin, from quasi-random directions, and from `starts` (n, size).
+) -> tuple[DesignPoint, ...]:
+    """Design points by rising distance, from the origin, from quasi-random directions, and from `starts` (n, size).
 
-    A second round bulges the points that are known.  At most `most` evaluations are spent.
+    A second round bulges the points that are known.  At most `most` evaluations are spent.  Empty where no search
+    converged, or g is constant where it was looked at.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
-    >>> round(find_design_points(plane, seed=1).points[0].beta, 6)
+    >>> round(find_design_points(plane, seed=1)[0].beta, 6)
     3.0
     """
     size, last = evaluator.size, evaluator.count + most
-    count = 4 if size <= MOST_DIMENSIONS else 1
-    normals = np.asarray(
-        special.ndtri(sobol_points(dimension=size, count=count, seed=seed, task="form starts", replicate=0))
-    )
+    few = size <= MOST_DIMENSIONS
+    normals = special.ndtri(sobol_points(dimension=size, count=4 if few else 1, seed=seed, task="form starts",
+                                         replicate=0))  # fmt: skip
     away = 2.0 * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     first = np.concatenate([np.zeros((1, size)), away, *([] if starts is None else [starts])])
     found: list[DesignPoint] = []
-    text = ""
-    try:
+    with suppress(Spent):
         looked = evaluator.hard(first)
         known = looked[np.isfinite(looked)]
         # a typical size of g: its value at the origin, or its spread over the starts where that is larger
         spread = float(np.ptp(known)) if known.size else 0.0
-        scale = max(abs(looked[0]) if math.isfinite(looked[0]) else 0.0, spread) if spread else 0.0
-        if not scale > 0.0:
-            return FormAnswer(points=(), text="no design point: the limit function is constant where it was looked at")
+        if not spread > 0.0:
+            return ()
+        scale = max(abs(looked[0]) if math.isfinite(looked[0]) else 0.0, spread)
         sign = -1.0 if looked[0] < 0.0 else 1.0
-        if size > MOST_DIMENSIONS:
+        if not few:
             found = _search(evaluator, first[:1], scale, sign, [], last)
-        if not any(point.converged for point in found):
+        if not found:
             found = _distinct(_search(evaluator, first, scale, sign, [], last))
-        bulges = [point.point for point in found if point.converged]
-        if bulges and size <= MOST_DIMENSIONS:
+        if found and few:
+            bulges = [point.point for point in found]
             begin = np.concatenate([np.zeros((1, size)), -np.array(bulges[:3])])
             found = _distinct([*found, *_search(evaluator, begin, scale, sign, bulges, last)])
-    except Spent:
-        text = "the budget ended the search for design points"
-    kept = sorted((p for p in found if p.converged), key=lambda p: abs(p.beta))
-    if not kept:
-        text = text or "no search for a design point converged"
-        kept = sorted(found, key=lambda p: p.gap)[:1]
-    return FormAnswer(points=tuple(kept), text=text)
+    return tuple(found)
 
 
 def _search(
     evaluator: Evaluator, starts: Array, scale: float, sign: float, bulges: Sequence[Array], last: float
 ) -> list[DesignPoint]:
-    """The improved HLRF iteration from all starts together, within `REACH`; what is converged drops out."""
+    """The improved HLRF iteration from all starts together, within `REACH`; what has converged."""
     size, box = evaluator.size, REACH - STEP
 
     def function(points: Array) -> tuple[Array, Array]:
@@ -114,8 +92,7 @@ def _search(
             raised += 2.0 * np.maximum(1.0 - ((points - centre) ** 2).sum(axis=1) / radius**2, 0.0) ** 2
         return raised, plain
 
-    points = starts.copy()
-    best: dict[int, DesignPoint] = {}
+    points, found = starts.copy(), list[DesignPoint]()
     active, penalties = np.arange(len(points)), np.zeros(len(points))
     for _ in range(40):
         # the starts come in the order of their promise
@@ -126,8 +103,10 @@ def _search(
         lengths = np.linalg.norm(slopes, axis=1)
         keep = (lengths > 1e-9) & np.isfinite(values)
         for row in np.flatnonzero(keep):
-            best[int(active[row])] = one = _judge(points[active[row]], float(plain[row]), slopes[row], sign)
-            keep[row] = not one.converged
+            one = _converged(points[active[row]], float(plain[row]), slopes[row], sign)
+            if one is not None:
+                found.append(one)
+                keep[row] = False
         if not keep.any():
             break
         active, values, slopes, lengths = active[keep], values[keep], slopes[keep], lengths[keep]
@@ -149,7 +128,7 @@ def _search(
         # the longest step that improves, else the best of them
         chosen = np.where(better.any(axis=1), better.argmax(axis=1), merit.argmin(axis=1))
         points[active] = trials[np.arange(active.size), chosen]
-    return list(best.values())
+    return found
 
 
 def _gradients(function: Callable[[Array], tuple[Array, Array]], points: Array) -> tuple[Array, Array, Array]:
@@ -163,22 +142,21 @@ def _gradients(function: Callable[[Array], tuple[Array, Array]], points: Array) 
     return raised[:, 0], plain[:, 0], np.where(np.isfinite(slopes), slopes, 0.0)
 
 
-def _judge(point: Array, value: float, slope: Array, sign: float) -> DesignPoint:
-    """Whether a point lies on the limit and along its own gradient."""
-    length = float(np.linalg.norm(slope))
+def _converged(point: Array, value: float, slope: Array, sign: float) -> DesignPoint | None:
+    """The design point, if a point lies on the limit and along its own gradient."""
+    length, distance = float(np.linalg.norm(slope)), float(np.linalg.norm(point))
     direction = -slope / length
-    distance = float(np.linalg.norm(point))
-    off = point - float(point @ direction) * direction
-    gap = abs(value) / length
-    converged = gap < 1e-3 and float(np.linalg.norm(off)) < 0.02 * max(1.0, distance)
-    converged = converged and not (distance > 1e-6 and sign * float(point @ direction) < 0.0)
-    return DesignPoint(point=point.copy(), beta=sign * distance, direction=direction, converged=converged, gap=gap)
+    along = float(point @ direction)
+    off = float(np.linalg.norm(point - along * direction))
+    if abs(value) / length >= 1e-3 or off >= 0.02 * max(1.0, distance) or (distance > 1e-6 and sign * along < 0.0):
+        return None
+    return DesignPoint(point=point.copy(), beta=sign * distance, direction=direction)
 
 
 def _distinct(points: Sequence[DesignPoint]) -> list[DesignPoint]:
     """One of every group that lies together, the nearest to the origin."""
     kept: list[DesignPoint] = []
-    for point in sorted(points, key=lambda p: (not p.converged, abs(p.beta))):
-        if all(float(np.linalg.norm(point.point - other.point)) > SAME for other in kept if other.converged):
+    for point in sorted(points, key=lambda p: abs(p.beta)):
+        if all(float(np.linalg.norm(point.point - other.point)) > SAME for other in kept):
             kept.append(point)
     return kept

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import REPLICATES, Estimate, absent, count_bound, factor_ends, student
+from uqsphere.uq.estimate import REPLICATES, Estimate, absent, carriers, count_bound, factor_ends, spread, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
@@ -26,6 +26,9 @@ METHOD: Final = "importance sampling, mixture with randomised Sobol' points"
 #: least standard error on a hard limit, over that of independent points: stopping when the replicates happen to agree
 #: would make the interval too short (tests/campaigns/rare.py)
 HARD: Final = 0.7
+#: points of a search that must carry the probability of a failure domain inside its own: of a part with 5 % of it one
+#: in 170 such sets of points would have none
+CARRIERS: Final = 100.0
 #: points that a fit is made on at most, where it takes 0.03 s in ten inputs
 MOST_FITTED: Final = 2000
 
@@ -59,7 +62,7 @@ class Mixture:
         >>> one.log_density(np.zeros((1, 1))).round(6).tolist()
         [-0.918939]
         """
-        return log_total(self.log_densities(points))
+        return special.logsumexp(self.log_densities(points), axis=1)
 
     def allocated(self, count: int) -> tuple[Array, Mixture]:
         """Points of each component among `count`, at least one, and the mixture with the shares really drawn."""
@@ -88,12 +91,6 @@ def joined(parts: Sequence[tuple[float, Mixture]]) -> Mixture:
     return Mixture(shares=np.concatenate([share / total * part.shares for share, part in parts]),
                    means=np.concatenate([part.means for _, part in parts]),
                    factors=np.concatenate([part.factors for _, part in parts]))  # fmt: skip
-
-
-def log_total(table: Array) -> Array:
-    """Logarithm of the sum of exponentials over the columns of (n, K)."""
-    highest = table.max(axis=1)
-    return np.asarray(highest + np.log(np.exp(table - highest[:, None]).sum(axis=1)))
 
 
 def wide_mixture(dimension: int) -> Mixture:
@@ -136,8 +133,11 @@ def fit_mixture(
     The number of components has the least Bayesian information criterion, with the points that the weights are worth,
     over what points of a chain are `correlated`, as sample size.
     """
+    if len(weights) > MOST_FITTED:
+        chosen = rng.choice(len(weights), MOST_FITTED, replace=False)
+        points, weights = points[chosen], weights[chosen]
     weights = weights / weights.sum()
-    worth, d = float(1.0 / (weights**2).sum()) / correlated, points.shape[1]
+    worth, d = carriers(weights) / correlated, points.shape[1]
     free = 1.0 + d + 0.5 * d * (d + 1.0)
     best, least = _maximise(points, weights, 1, worth, rng)[0], math.inf
     # a component of few points fits their noise, and leaves holes around itself
@@ -165,7 +165,7 @@ def _maximise(
     mixture, last = _mixture_of(points, weights, duties / duties.sum(axis=1, keepdims=True), worth), -math.inf
     for _ in range(20):
         table = mixture.log_densities(points)
-        whole = log_total(table)
+        whole = special.logsumexp(table, axis=1)
         loglik = float(weights @ whole)
         if len(mixture.shares) == 1 or loglik < last + 1e-3:
             return mixture, loglik
@@ -195,61 +195,60 @@ def _mixture_of(points: Array, weights: Array, duties: Array, worth: float) -> M
 # --- stages -----------------------------------------------------------------------------------------
 
 
-@dataclass(kw_only=True)
-class Pool:
-    """Points of all stages with their mass of failure, and the densities that they were drawn from."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Draws:
+    """Points (..., n, d) that were drawn from a mixture, with the function's answers (..., n)."""
 
-    points: list[Array] = field(default_factory=list)
-    mass: list[Array] = field(default_factory=list)
-    mixtures: list[Mixture] = field(default_factory=list)
-
-    def collect(self, evaluator: Evaluator, mixture: Mixture, count: int, *, seed: int, task: str) -> Array:
-        """Draw `count` points from a mixture; the values of g there."""
-        counts, drawn = mixture.allocated(max(count, mixture.shares.size))
-        points = drawn.draw(counts, seed=seed, task=task, replicate=len(self.points))
-        values = evaluator.values(points)
-        self.points.append(points)
-        self.mass.append(np.nan_to_num(evaluator.mass(values), nan=0.0))
-        self.mixtures.append(drawn)
-        return values
-
-    def weighted(self) -> tuple[Array, Array]:
-        """Failing points (n, d) of all stages, with weights (n,) by all their densities together."""
-        points, mass = np.concatenate(self.points), np.concatenate(self.mass)
-        points, mass = points[mass > 0.0], mass[mass > 0.0]
-        if not len(points):
-            return points, mass
-        sizes = np.array([len(part) for part in self.points], dtype=float)
-        table = np.column_stack([mixture.log_density(points) for mixture in self.mixtures])
-        return points, mass * np.exp(log_normal_density(points) - log_total(table + np.log(sizes / sizes.sum())))
+    mixture: Mixture
+    points: Array
+    answers: Array
 
 
-def worth_of(weights: Array) -> float:
-    """How many equal weights these are worth, by Kish's count."""
-    if not weights.any():
-        return 0.0
-    shares = weights / weights.max()  # squares of the smallest weights are no numbers
-    return float(shares.sum() ** 2 / (shares**2).sum())
+def draw(evaluator: Evaluator, mixture: Mixture, count: int, *, seed: int, task: str, replicate: int = 0) -> Draws:
+    """`count` points (n, d) of a mixture, evaluated."""
+    counts, drawn = mixture.allocated(max(count, mixture.shares.size))
+    points = drawn.draw(counts, seed=seed, task=task, replicate=replicate)
+    return Draws(mixture=drawn, points=points, answers=evaluator.answers(points))
 
 
-def adapt(evaluator: Evaluator, pool: Pool, mixture: Mixture, *, seed: int, per_stage: int) -> Mixture:
+def weighted_mass(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
+    """Weights (..., n) of the points of all draws together, and of those without an answer: mass of failure times the
+    standard normal density over the density of all draws."""
+    sizes = np.array([one.answers.size for one in draws], dtype=float)
+    weights, lost = [], []
+    for one in draws:
+        points = one.points.reshape(-1, one.mixture.dimension)
+        table = np.column_stack([other.mixture.log_density(points) for other in draws])
+        whole = special.logsumexp(table, axis=1, b=sizes / sizes.sum())
+        ratio = np.exp(log_normal_density(points) - whole)
+        mass = evaluator.mass(evaluator.values(points, one.answers.ravel()))
+        weights.append((np.nan_to_num(mass, nan=0.0) * ratio).reshape(one.answers.shape))
+        lost.append((np.isnan(mass) * ratio).reshape(one.answers.shape))
+    return np.concatenate(weights, axis=-1), np.concatenate(lost, axis=-1)
+
+
+def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
+    """Failing points (n, d) of all draws, with their weights (n,)."""
+    weights = weighted_mass(evaluator, draws)[0]
+    points = np.concatenate([one.points for one in draws], axis=-2)
+    return points[weights > 0.0], weights[weights > 0.0]
+
+
+def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture, *, seed: int, per_stage: int) -> Mixture:
     """The mixture after two stages of drawing, weighting and fitting."""
     rng, core, d = random_generator(seed=seed, task="adapt fits"), mixture, evaluator.dimension
     for _ in range(2 if d <= MOST_DIMENSIONS else 0):
         if evaluator.left < per_stage:
             break
-        pool.collect(evaluator, defended(mixture), per_stage, seed=seed, task="adapt")
-        points, weights = pool.weighted()
-        fresh = weights[-int((pool.mass[-1] > 0.0).sum()) :]
-        if worth_of(weights) < max(12.0, 2.0 * d):
+        fresh = draw(evaluator, defended(mixture), per_stage, seed=seed, task="adapt", replicate=len(draws))
+        draws.append(fresh)
+        points, weights = failures(evaluator, draws)
+        if carriers(weights) < max(12.0, 2.0 * d):
             continue
-        if len(weights) > MOST_FITTED:
-            chosen = rng.choice(len(weights), MOST_FITTED, replace=False)
-            points, weights = points[chosen], weights[chosen]
         fitted = fit_mixture(points, weights, rng=rng, most=8)
         # where the fit has a hole by chance, what led to it still reaches
         mixture, core = joined([(0.7, fitted), (0.3, core)]), fitted
-        if worth_of(fresh) > 0.45 * per_stage:
+        if carriers(weighted_mass(evaluator, [fresh])[0]) > 0.45 * per_stage:
             break
     return mixture
 
@@ -265,6 +264,7 @@ class ImportanceAnswer:
     estimate: Estimate
     heaviest: float = 1.0
     shape: float = math.inf
+    draws: Draws | None = None
 
     @property
     def trusted(self) -> bool:
@@ -280,55 +280,68 @@ def importance_sampling(
 
     >>> from uqsphere.uq.rare.form import find_design_points
     >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3)
-    >>> start = around_design_points(find_design_points(plane, seed=1).points, 3)
+    >>> start = around_design_points(find_design_points(plane, seed=1), 3)
     >>> found = importance_sampling(plane, defended(start), seed=1).estimate
     >>> found.low < 2.8665157e-07 < found.high
     True
     """
-    begun = evaluator.count
-    block = max(block, mixture.shares.size)
+    begun, block = evaluator.count, max(block, mixture.shares.size)
     counts, drawn = mixture.allocated(block)
-    weights, lost = np.empty((REPLICATES, 0)), np.empty((REPLICATES, 0))
-    done, more = 0, 1
+    points, answers = np.empty((REPLICATES, 0, mixture.dimension)), np.empty((REPLICATES, 0))
+    answer = ImportanceAnswer(estimate=absent("the budget does not suffice for importance sampling", METHOD, 0))
+    done = 0
     while True:
-        room = evaluator.left // (REPLICATES * block)
-        more = int(min(more, room))
+        more = 1 if done == 0 else done if done < 4 else done // 2
+        more = int(min(more, evaluator.left // (REPLICATES * block)))
         if more < 1:
-            break
+            return answer
         for number in range(done, done + more):
-            points = np.concatenate([drawn.draw(counts, seed=seed, task="importance", replicate=r, block=number)
-                                     for r in range(REPLICATES)])  # fmt: skip
-            mass = evaluator.mass(evaluator.values(points))
-            ratio = np.exp(log_normal_density(points) - drawn.log_density(points))
-            broken = np.isnan(mass)
-            fresh = np.where(broken, 0.0, mass) * ratio, np.where(broken, ratio, 0.0)
-            weights, lost = (np.concatenate([old, new.reshape(REPLICATES, -1)], axis=1)
-                             for old, new in zip((weights, lost), fresh, strict=True))  # fmt: skip
+            fresh = np.stack([drawn.draw(counts, seed=seed, task="importance", replicate=r, block=number)
+                              for r in range(REPLICATES)])  # fmt: skip
+            found = evaluator.answers(fresh.reshape(-1, mixture.dimension)).reshape(REPLICATES, block)
+            points, answers = np.concatenate([points, fresh], axis=1), np.concatenate([answers, found], axis=1)
         done += more
-        estimate = _estimate(weights, lost, evaluator.count - begun, evaluator.integrated)
-        if estimate.value and estimate.half_width <= accuracy * estimate.value:
-            break
-        more = done if done < 4 else done // 2
-    if not done:
-        return ImportanceAnswer(estimate=absent("the budget does not suffice for importance sampling", METHOD, 0))
-    flat = np.sort(weights[weights > 0.0])
-    number = int(min(0.2 * flat.size, 3.0 * math.sqrt(flat.size)))
-    shape = float(np.mean(np.log(flat[-number:] / flat[-number - 1]))) if number >= 5 else math.inf
-    return ImportanceAnswer(estimate=estimate, heaviest=float(flat[-1] / flat.sum()) if flat.size else 1.0, shape=shape)
+        draws = Draws(mixture=drawn, points=points, answers=answers)
+        answer = replace(weigh(evaluator, [draws], evaluator.count - begun), draws=draws)
+        if answer.estimate.value and answer.estimate.half_width <= accuracy * answer.estimate.value:
+            return answer
 
 
-def _estimate(weights: Array, lost: Array, evaluations: int, smooth: bool) -> Estimate:
-    """Mean of the weights (R, n) with Student's interval over the replicates, in logarithms; failed rows widen it."""
+def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> ImportanceAnswer:
+    """Mean of the weights (R, n) of draws, with Student's interval over the replicates, in logarithms; rows without an
+    answer widen it."""
+    weights, lost = weighted_mass(evaluator, draws)
     rows = weights.mean(axis=1)
     value, t = float(rows.mean()), student(rows.size) / math.sqrt(rows.size)
     extra = float(lost.mean()) + t * float(lost.mean(axis=1).std(ddof=1)) if lost.any() else 0.0
     method = METHOD + (", interval widened for failed rows" if extra else "")
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
-        return Estimate(value=None, low=0.0, high=high, std_error=None, method=method, evaluations=evaluations,
-                        reason="no failure among the points")  # fmt: skip
+        none = absent("no failure among the points", method, evaluations)
+        return ImportanceAnswer(estimate=replace(none, low=0.0, high=high))
     plain = float(np.std(weights)) / math.sqrt(weights.size)
-    error = max(float(np.std(rows, ddof=1)) / math.sqrt(rows.size), (0.0 if smooth else HARD) * plain, 1e-12 * value)
+    error = max(spread(rows), 0.0 if evaluator.integrated else HARD * plain, 1e-12 * value)
     low, high = factor_ends(value, error, rows.size)
-    return Estimate(value=value, low=low, high=min(high + extra, 1.0), std_error=error, method=method,
-                    evaluations=evaluations)  # fmt: skip
+    estimate = Estimate(value=value, low=low, high=min(high + extra, 1.0), std_error=error, method=method,
+                        evaluations=evaluations)  # fmt: skip
+    flat = np.sort(weights[weights > 0.0])
+    number = int(min(0.2 * flat.size, 3.0 * math.sqrt(flat.size)))
+    shape = float(np.mean(np.log(flat[-number:] / flat[-number - 1]))) if number >= 5 else math.inf
+    return ImportanceAnswer(estimate=estimate, heaviest=float(flat[-1] / flat.sum()), shape=shape)
+
+
+def nearby(evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy: float) -> ImportanceAnswer | None:
+    """Probability of a failure domain inside another one, by the draws of a search for that and others nearby: weighted
+    anew, else from a mixture that is fitted to them; None where the first of the draws have too few failures here."""
+    known = weigh(evaluator, draws, 0)
+    before = known.estimate
+    if before.value is None or carriers(weighted_mass(evaluator, draws[:1])[0]) < CARRIERS:
+        return None
+    if known.trusted and before.half_width <= accuracy * before.value:
+        return known
+    points, weights = failures(evaluator, draws)
+    fitted = fit_mixture(points, weights, rng=random_generator(seed=seed, task="nearby"), most=8)
+    found = importance_sampling(evaluator, defended(fitted), seed=seed, accuracy=accuracy)
+    now = found.estimate
+    agree = found.trusted and (now.low or 0.0) <= (before.high or 1.0) and (before.low or 0.0) <= (now.high or 1.0)
+    return found if agree else None

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Flags, special
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability lies there
 REACH: Final = 9.0
@@ -22,36 +22,31 @@ REACH: Final = 9.0
 MOST_DIMENSIONS: Final = 10
 
 
-class FailedEvaluation(ValueError):
-    """The limit function gave no number, and the policy refuses that."""
-
-
 class Spent(Exception):
     """The next evaluations would pass the budget."""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class Evaluator:
     """Evaluates a limit function of `dimension` independent standard normal variables, and counts.
 
-    `function` maps rows (n, dimension) to values (n,), failure where negative.  `integrated`: given u, failure has the
-    probability Phi(-g(u)).  `on_failure`: a value nan raises ("refuse") or is carried to the bounds of the answer
-    ("bound"): once as failure, once as none.  `budget` is the most evaluations that may be spent.
+    `function` maps rows (n, dimension) to answers (n,), nan where there is none, and `limit` answers to g, failure
+    where negative; without it they are g.  `integrated`: given u, failure has the probability Phi(-g(u)).  `budget` is
+    the most evaluations that may be spent.
     """
 
     function: Callable[[Array], Array]
     dimension: int
+    _: KW_ONLY
+    limit: Callable[[Array], Array] | None = None
     integrated: bool = False
-    on_failure: str = "bound"
-    budget: float = math.inf
+    budget: float = 30_000
     count: int = field(default=0, init=False)
     failed: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         if self.dimension < 1:
             raise ValueError(f"a limit function needs at least one variable, found {self.dimension}")
-        if self.on_failure not in ("refuse", "bound"):
-            raise ValueError(f"on_failure must be refuse or bound here, found {self.on_failure!r}")
 
     @property
     def size(self) -> int:
@@ -63,28 +58,32 @@ class Evaluator:
         """Evaluations that may still be spent."""
         return self.budget - self.count
 
-    def values(self, points: Array) -> Array:
-        """g at points (n, dimension); inf beyond `REACH`, where nothing is evaluated.
+    def answers(self, points: Array) -> Array:
+        """The function at points (n, dimension); nan beyond `REACH`, where nothing is evaluated.
 
-        Raises Spent before anything is evaluated where the budget does not suffice, FailedEvaluation for a nan that is
-        refused.
+        Raises Spent before anything is evaluated where the budget does not suffice.
         """
-        points = np.ascontiguousarray(points, dtype=np.float64)
         if len(points) > self.left:
             raise Spent
-        near = np.flatnonzero((np.abs(points) <= REACH).all(axis=1))
-        values = np.full(len(points), np.inf)
+        near = within_reach(points)
+        answers = np.full(len(points), np.nan)
         self.count += len(points)
-        if near.size:
+        if near.any():
             found = np.asarray(self.function(points[near]), dtype=np.float64)
-            if found.shape != near.shape:
-                raise ValueError(f"the limit function must return shape ({near.size},), found {found.shape}")
-            values[near] = found
-        lost = int(np.isnan(values).sum())
-        self.failed += lost
-        if lost and self.on_failure == "refuse":
-            raise FailedEvaluation(f"the limit function is nan at {lost} of {len(points)} points")
-        return values
+            if found.shape != (near.sum(),):
+                raise ValueError(f"the limit function must return shape ({near.sum()},), found {found.shape}")
+            answers[near] = found
+            self.failed += int(np.isnan(found).sum())
+        return answers
+
+    def values(self, points: Array, answers: Array | None = None) -> Array:
+        """g at points (n, dimension), of their answers if these are known; inf beyond `REACH`."""
+        answers = self.answers(points) if answers is None else answers
+        return np.where(within_reach(points), self.limits(answers), np.inf)
+
+    def limits(self, answers: Array) -> Array:
+        """g of answers (n,)."""
+        return answers if self.limit is None else self.limit(answers)
 
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends there."""
@@ -97,6 +96,11 @@ class Evaluator:
         if self.integrated:
             return np.asarray(special.ndtr(-values))
         return np.where(np.isnan(values), np.nan, (values < 0.0).astype(float))
+
+
+def within_reach(points: Array) -> Flags:
+    """Whether points (..., d) are evaluated."""
+    return np.asarray((np.abs(points) <= REACH).all(axis=-1))
 
 
 def log_normal_density(points: Array) -> Array:
