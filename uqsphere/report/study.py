@@ -28,7 +28,7 @@ def _inputs(study: Study) -> str:
     numbers: dict[str, float | Law] = {**study.fixed, **study.random}
     for name, value in numbers.items():
         source = study.sources.get(name)
-        text = "study" if source is None else source.text if source.seen else f"{source.text} (source not checked)"
+        text = "study" if source is None else source.source if source.seen else f"{source.source} (source not checked)"
         if isinstance(value, Law):
             low, high = (float(x) for x in value.ppf(np.array([0.05, 0.95])))
             mean, sd = value.mean(), value.sd()

@@ -120,13 +120,13 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
     # where a law has none in the range, it lies beyond an end of it, which is no number to promise
     if len(known) < 0.95 * len(laws):
         note = f"{len(laws) - len(known)} of {len(laws)} strengths that the tests allow leave none in the range"
-        answers.row(design.subject(limit), "margin", "tests", None, unit=lookup(margins.axis.path).unit,
+        answers.row(design.subject(limit), "margin", "tests", None, unit=lookup(margins.path).unit,
                     method="epistemic", note=note)  # fmt: skip
         return
     low, high = (float(x) for x in np.quantile(known, [0.025, 0.975]))
     note = f"95 % range over the strengths that the tests allow, at the target {target_of(design, limit):g}"
     answers.row(design.subject(limit), "margin", "tests", float(np.median(known)), low, high,
-                unit=lookup(margins.axis.path).unit, method="epistemic", note=note)  # fmt: skip
+                unit=lookup(margins.path).unit, method="epistemic", note=note)  # fmt: skip
 
 
 def _other_distributions(limit: Limit) -> dict[str, Law]:
@@ -166,7 +166,7 @@ def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, 
     margins, line = design.study.margins, dict[float, Sample]()
     if margins is None or not tables.line:
         return
-    path = margins.axis.path
+    path = margins.path
     for value, sample in tables.line.items():
         moved = _under_plastic_contact(design, sample, {path: value})
         if moved is None or moved.failed.any():
@@ -205,11 +205,11 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
 
 def along_line(design: Design, limits: Sequence[Limit]) -> Callable[[Sample, float], Array]:
     """What `fragility.curve_by` asks: the probability that any of some limits is exceeded at a value."""
-    axis = design.study.margins.axis if design.study.margins is not None else None
+    margins = design.study.margins
 
     def probability(sample: Sample, value: float) -> Array:
-        moved = [replace(limit, model_factor=limit.model_factor * axis.demand_factor(limit, value))
-                 if axis is not None and axis.limit == limit.name and not isinstance(limit.model_factor, Law) else limit
+        moved = [replace(limit, model_factor=limit.model_factor * margins.demand_factor(limit, value))
+                 if margins and margins.limit == limit.name and not isinstance(limit.model_factor, Law) else limit
                  for limit in limits]  # fmt: skip
         return together(design, sample, moved)
 

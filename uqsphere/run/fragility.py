@@ -32,9 +32,9 @@ METHOD = "the same points at every value"
 def fragility(design: Design, tables: Tables) -> Answers:
     """Curves and margins of every limit and failure mode."""
     answers, margins = Answers(), design.study.margins
-    if margins is None or (margins.axis.moves_rows and not tables.line):
+    if margins is None or (margins.moves_rows and not tables.line):
         return answers
-    unit = lookup(margins.axis.path).unit
+    unit = lookup(margins.path).unit
     for limit in design.study.limits:
         subject, runs = design.subject(limit), sum(sample.size for sample in tables.line.values()) or tables.sample.size
         found = curve_of(design, tables, limit)
@@ -47,7 +47,7 @@ def fragility(design: Design, tables: Tables) -> Answers:
             row = [None if x is None or not x > 0.0 else x / planned if limit.aim == "survive" else planned / x
                    for x in (allowed.value, allowed.low, allowed.high)]  # fmt: skip
             ends = row[1:] if limit.aim == "survive" else row[:0:-1]
-            answers.row(subject, "safety_factor", margins.axis.path, row[0], *ends, unit="1", method=METHOD, runs=runs)
+            answers.row(subject, "safety_factor", margins.path, row[0], *ends, unit="1", method=METHOD, runs=runs)
     return answers
 
 
@@ -71,11 +71,10 @@ def planned_value(design: Design) -> float | None:
     margins = design.study.margins
     if margins is None:
         return None
-    axis = margins.axis
-    if axis.limit is not None:
-        limit = next(limit for limit in design.limits if limit.name == axis.limit)
+    if margins.limit is not None:
+        limit = next(limit for limit in design.limits if limit.name == margins.limit)
         return number(limit.strength)
-    return design.study.at_means().get(axis.path)
+    return design.study.at_means().get(margins.path)
 
 
 def _along(
@@ -84,10 +83,10 @@ def _along(
     """The curve of what `chance(sample, value)` (R, n) gives along the free number, each replicate by itself."""
     margins = design.study.margins
     assert margins is not None
-    if margins.axis.moves_rows:
+    if margins.moves_rows:
         pairs = list(tables.line.items())
     else:
-        pairs = [(value, tables.sample) for value in margins.axis.grid(VALUES)]
+        pairs = [(value, tables.sample) for value in margins.grid(VALUES)]
     table = np.array([chance(sample, value).mean(axis=1) for value, sample in pairs])
     counts = [sample.count for _, sample in pairs]
     return fragility_of(np.array([value for value, _ in pairs]), np.clip(table, 0.0, 1.0), targets,
@@ -103,7 +102,7 @@ def curve_of(
 
     def exceeded(sample: Sample, value: float) -> Array:
         state = state_of(design, limit, sample, strength)
-        factor = margins.axis.demand_factor(limit, value)
+        factor = margins.demand_factor(limit, value)
         if factor != 1.0:
             state = replace(state, demands=state.demands * factor)
         return failure_given_inputs(state, "survive")

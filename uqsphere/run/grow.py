@@ -104,7 +104,7 @@ def first_count(study: Study) -> int:
 
 def first_rows(study: Study, count: int = FIRST) -> int:
     """Model runs of the first size of the loop, with `count` points in each replicate."""
-    moving = study.margins is not None and study.margins.axis.moves_rows
+    moving = study.margins is not None and study.margins.moves_rows
     return REPLICATES * (count + (VALUES * max(count // LINE_SHARE, 2) if moving else 0))
 
 
@@ -148,11 +148,11 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
     Where a margin is too inaccurate the values draw closer together about it, and have twice the points there.
     """
     margins = design.study.margins
-    if margins is None or not margins.axis.moves_rows:
+    if margins is None or not margins.moves_rows:
         return {}
-    axis, known = margins.axis, {} if before is None else before.line
+    known = {} if before is None else before.line
     if before is None:
-        counts = dict.fromkeys(axis.grid(VALUES), max(first_count(design.study) // LINE_SHARE, 2))
+        counts = dict.fromkeys(margins.grid(VALUES), max(first_count(design.study) // LINE_SHARE, 2))
     else:
         twice = 2 * max(part.count for part in known.values())
         counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
@@ -160,15 +160,15 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
     for value, count in counts.items():
         start = known[value].count if value in known else 0
         points = design.points(count - start, start,
-                               joint=axis.move(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
+                               joint=margins.move(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
         parts.append(points)
-        moving.append(points.input(axis.path) if axis.path in points.names
+        moving.append(points.input(margins.path) if margins.path in points.names
                       else np.full(points.scores.shape[:2], value))  # fmt: skip
     if not parts:
         return known
     whole = Sample.at(design.drawn.names, np.concatenate([p.scores for p in parts], axis=1),
                       np.concatenate([p.inputs for p in parts], axis=1))  # fmt: skip
-    answered = evaluate(design, model, whole, {axis.path: np.concatenate(moving, axis=1)})
+    answered = evaluate(design, model, whole, {margins.path: np.concatenate(moving, axis=1)})
     ends = np.cumsum([part.count for part in parts])
     new = {value: answered.rows(int(end) - part.count, int(end))
            for value, part, end in zip(counts, parts, ends, strict=True)}  # fmt: skip
@@ -187,7 +187,7 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
             continue
         at = int(np.searchsorted(values, margin.value))
         near = values[max(at - 2, 0) : at + 2]
-        half = [math.sqrt(a * b) if margins.axis.logarithmic else 0.5 * (a + b)
+        half = [math.sqrt(a * b) if margins.logarithmic else 0.5 * (a + b)
                 for a, b in pairwise(near)]  # fmt: skip
         found |= {*near, *half}
     return found

@@ -27,7 +27,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
 from uqsphere.run.tables import Tables, check_failures, evaluate
-from uqsphere.study import Axis
+from uqsphere.study import Margins
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.describe import Description, describe
@@ -163,7 +163,7 @@ def tables_of(
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
     affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
-    along = known is None and design.study.margins is not None and design.study.margins.axis.moves_rows
+    along = known is None and design.study.margins is not None and design.study.margins.moves_rows
     count = min(int(affordable * (1.0 - LINE_BUDGET * along)), MOST_ROWS) if known is None else known.count
     if count < LEAST_ROWS:
         raise UsageError(f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
@@ -251,15 +251,15 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     margins = design.study.margins
     if margins is None or count < LEAST_ROWS:
         return {}
-    axis, names = margins.axis, design.drawn.names
+    names = design.drawn.names
     points = _design_points(design, count, 1, "slow line")
-    values = np.asarray(axis.value(points[:, -1]))
-    moved = [axis.move(design.study, float(value)).inputs().only(names) for value in values]
+    values = np.asarray(margins.value(points[:, -1]))
+    moved = [margins.move(design.study, float(value)).inputs().only(names) for value in values]
     normals = points[:, : len(names)]
     physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(moved)])
     placed = Sample.at(names, normals[None], physical[None])
-    column = physical[:, names.index(axis.path)] if axis.path in names else values
-    rows = evaluate(design, model, placed, {axis.path: column[None]})
+    column = physical[:, names.index(margins.path)] if margins.path in names else values
+    rows = evaluate(design, model, placed, {margins.path: column[None]})
     order = [names.index(name) for name in design.inputs]
     germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
     places = np.column_stack([germ_points(normals[:, order], germs[:-1]), 2.0 * points[:, -1] - 1.0])
@@ -272,18 +272,18 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
         *table.scores.shape[:2], -1
     )
     found = {}
-    for value in axis.grid(VALUES):
-        place = np.full((*flat.shape[:2], 1), _germ_of(axis, value))
+    for value in margins.grid(VALUES):
+        place = np.full((*flat.shape[:2], 1), _germ_of(margins, value))
         at = np.concatenate([flat, place], axis=2)
         answers = np.stack([one.table(at) for one in responses], axis=2)
         found[value] = table.with_answers(rows.quantities, answers)
     return found
 
 
-def _germ_of(axis: Axis, value: float) -> float:
+def _germ_of(margins: Margins, value: float) -> float:
     """The place of a value of the free number in [-1, 1], in ratios where it is positive."""
-    low, high = axis.low, axis.high
-    if axis.logarithmic:
+    low, high = margins.low, margins.high
+    if margins.logarithmic:
         low, high, value = math.log(low), math.log(high), math.log(value)
     return 2.0 * (value - low) / (high - low) - 1.0
 

@@ -104,9 +104,9 @@ def _free(design: Design) -> dict[str, Any] | None:
     margins = design.study.margins
     if margins is None:
         return None
-    path = margins.axis.path
-    return {"path": path, "meaning": lookup(path).meaning, "planned": planned_value(design), "low": margins.axis.low,
-            "high": margins.axis.high, "unit": display_unit(path)[0]}  # fmt: skip
+    path = margins.path
+    return {"path": path, "meaning": lookup(path).meaning, "planned": planned_value(design), "low": margins.low,
+            "high": margins.high, "unit": display_unit(path)[0]}  # fmt: skip
 
 
 def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:
@@ -182,7 +182,7 @@ def _input(design: Design, name: str) -> Any:
     quantity, source = lookup(name), study.sources.get(name)
     about = {
         "meaning": quantity.meaning, "unit": display_unit(name)[0],
-        "source": source.text if source else "study", "source_checked": source.seen if source else True,
+        "source": source.source if source else "study", "source_checked": source.seen if source else True,
     }  # fmt: skip
     if name in design.drawn.names:
         law = study.laws()[name]

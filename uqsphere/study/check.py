@@ -27,8 +27,8 @@ from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknow
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
 from uqsphere.study.record import measured_pulse
-from uqsphere.study.study import Axis, Margins, Source, Study, strength_name, tie_of
-from uqsphere.uq import Law, LawError, make_joint, make_law
+from uqsphere.study.study import Margins, Study, strength_name
+from uqsphere.uq import Dependence, Law, LawError, make_joint, make_law
 
 Faults = Iterator[Fault]
 #: which materials of the library a table may name; partners take any
@@ -74,7 +74,8 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         given={name: number.given for name, number in draft.numbers.items() if isinstance(number.value, Law)},
         made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
         options=draft.options, materials=draft.materials, sources=draft.sources, model=document.model,
-        limits=tuple(draft.limits.values()), dependence=document.dependence, margins=draft.margins, record=draft.record,
+        limits=tuple(draft.limits.values()), margins=draft.margins, record=draft.record,
+        dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
         analysis=analysis.model_copy(update={"quantities": analysis.quantities or tuple(usual)}),
         outputs=document.outputs.names if draft.box else (), warnings=tuple(draft.warnings),
         gauges=(*gauges, *document.gauges), files=tuple(draft.files.items()),
@@ -160,7 +161,7 @@ def _library(draft: Draft) -> Faults:
             if path is None or path in draft.numbers or (key in LAW and not crushes):
                 continue
             draft.numbers[path] = Number(value=entry.value)
-            draft.sources[path] = Source(text=entry.source, seen=entry.seen)
+            draft.sources[path] = entry
         if (E := known[name].properties.get("E")) is not None and E.value < 1e8:
             draft.warn((table, "material"), f"{name} is no elastic solid: {E.note}")
 
@@ -359,10 +360,10 @@ def _dependence(draft: Draft) -> Faults:
                 yield Fault(said, "dependence", index, "of", at)
                 return
     tied = [name for name in random if any(name in tie.of for tie in ties)]
-    unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
+    made, unit = [Dependence(**dict(tie)) for tie in ties], make_law("normal", {"mean": 0.0, "sd": 1.0})
     for index, tie in enumerate(ties):
         try:
-            make_joint(tied, [unit] * len(tied), [tie_of(one) for one in ties[: index + 1]])
+            make_joint(tied, [unit] * len(tied), made[: index + 1])
         except LawError as error:
             key = "kendall" if error.key == "spearman" and tie.spearman is None else error.key
             raise Fault(error.message, "dependence", index, key) from None
@@ -394,7 +395,7 @@ def _margins(draft: Draft) -> Faults:
             with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
                 compare_sizes(limit, radii, draft, ("margins", "between"))
-    draft.margins = Margins(axis=Axis(path=solve, low=ends[0], high=ends[1]),
+    draft.margins = Margins(path=solve, low=ends[0], high=ends[1],
                             for_probability=tuple(sorted(set(table.for_probability))))  # fmt: skip
     if not isinstance(number.value, Law) or solve in strengths:
         return

@@ -28,7 +28,8 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 
 if TYPE_CHECKING:
-    from uqsphere.study.study import Limit, Margins, Source
+    from uqsphere.materials import Property
+    from uqsphere.study.study import Limit, Margins
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
@@ -371,7 +372,7 @@ class Draft:
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
-    sources: dict[str, Source] = field(default_factory=dict)
+    sources: dict[str, Property] = field(default_factory=dict)
     record: MeasuredPulse | None = None
     limits: dict[str, Limit] = field(default_factory=dict)
     margins: Margins | None = None

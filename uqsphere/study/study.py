@@ -16,12 +16,13 @@ from pydantic import BaseModel
 
 from uqsphere.arrays import Array, special
 from uqsphere.files import Json
+from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import Analysis, Dependence, Document, Gauge, ModelChoice
+from uqsphere.study.document import Analysis, Document, Gauge, ModelChoice
 from uqsphere.study.number import NOTABLE
-from uqsphere.uq import Law
+from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
 from uqsphere.uq.families import Family
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from uqsphere.results import Run
-    from uqsphere.uq import Dependence as Tie
-    from uqsphere.uq import Joint
     from uqsphere.uq.interop import SalibDesign
 
 
@@ -79,22 +78,6 @@ class Limit:
         return self.criterion is not None and "modulus" in CRITERIA[self.criterion].parameters
 
 
-@dataclass(frozen=True, kw_only=True)
-class Margins:
-    """The inverse question: the values along the axis with these probabilities of exceeding each limit."""
-
-    axis: Axis
-    for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """Where a default came from, and whether that source was seen."""
-
-    text: str
-    seen: bool
-
-
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class Study:
     """A validated study: `Study(title=..., inputs=..., outputs=..., limits=..., margins=..., analysis=...)`.
@@ -128,7 +111,7 @@ class Study:
     given: Mapping[str, Mapping[str, float]]
     options: Mapping[str, str | bool | int]
     materials: Mapping[str, str]
-    sources: Mapping[str, Source]
+    sources: Mapping[str, Property]
     model: ModelChoice
     limits: tuple[Limit, ...]
     dependence: tuple[Dependence, ...]
@@ -191,10 +174,8 @@ class Study:
 
     def inputs(self) -> Joint:
         """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
-        from uqsphere.uq import make_joint
-
         laws = self.laws()
-        return make_joint(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
+        return make_joint(tuple(laws), tuple(laws.values()), self.dependence)
 
     def joint(self) -> Distribution:
         """The joint law of the random inputs as a distribution of chaospy; `uqsphere.uq.interop.joint_to_chaospy`."""
@@ -205,8 +186,6 @@ class Study:
     def sample(self, count: int) -> DataFrame:
         """Independent rows of every random number, strengths too, SI: the same for the same seed."""
         from pandas import DataFrame
-
-        from uqsphere.uq import random_generator
 
         joint = self.inputs()
         normals = random_generator(seed=self.seed, task="study sample").standard_normal((count, len(joint.names)))
@@ -221,8 +200,6 @@ class Study:
         (4, 1)
         """
         from pandas import DataFrame
-
-        from uqsphere.uq import sobol_points
 
         joint = self.inputs().only(tuple(self.random))
         points = sobol_points(dimension=len(joint.names), count=count, seed=self.seed, task="slow", replicate=0)
@@ -264,13 +241,6 @@ Study.__signature__ = Signature(  # type: ignore[attr-defined]
 )
 
 
-def tie_of(group: Dependence) -> Tie:
-    """A dependence as the uncertainty side reads it."""
-    from uqsphere.uq import Dependence as Tie
-
-    return Tie(**group.model_dump())
-
-
 def plain(value: Any) -> Json:
     """A value as JSON has it: laws and tables by their parts, null for what is not finite."""
     if isinstance(value, Family):
@@ -290,13 +260,18 @@ def plain(value: Any) -> Json:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
-    """A number that is free between two values (SI): a number of the scene or of a black box, the mean of its law where
-    it scatters, or the mean strength of a limit, all its values in proportion."""
+class Margins:
+    """The inverse question: at which values of a number, free between two (SI), the limits are exceeded with some
+    probabilities.
+
+    The number is one of the scene or of a black box, the mean of its law where it scatters, or the mean strength of a
+    limit, all its values in proportion.
+    """
 
     path: str
     low: float
     high: float
+    for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
 
     @property
     def limit(self) -> str | None:
