@@ -55,12 +55,8 @@ class Form:
 
 def truncated(form: Form, a: float, b: float) -> Form:
     """The form between a and b, from whichever tail is the smaller one: no digits are lost however far out they are."""
-    ends = np.array([a, b])
-    known = np.isfinite(ends)
     with np.errstate(divide="ignore", over="ignore"):
-        below, above = form.tails(np.where(known, ends, 0.0))
-    below_a, below_b = np.where(known, below, ends > 0.0).tolist()
-    above_a, above_b = np.where(known, above, ends < 0.0).tolist()
+        (below_a, below_b), (above_a, above_b) = (tail.tolist() for tail in form.tails(np.array([a, b])))
     if above_a < 0.5:
         mass = above_a - above_b
     else:

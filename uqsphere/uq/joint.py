@@ -211,10 +211,6 @@ class Joint:
     laws: tuple[Law, ...]
     blocks: tuple[tuple[tuple[int, ...], Copula], ...] = ()
 
-    def __post_init__(self) -> None:
-        if len(self.names) != len(self.laws) or len(set(self.names)) != len(self.names):
-            raise LawError(f"{len(self.laws)} laws need as many different names, found {list(self.names)}")
-
     def __repr__(self) -> str:
         return f"<Joint of {', '.join(self.names)}{', dependent' if self.dependent else ''}>"
 

@@ -136,13 +136,10 @@ class Law:
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         values = np.asarray(x, dtype=float)
-        inside = np.isfinite(values) & (values >= self.lower) & (values <= self.upper)
-        if self.family.logarithmic:
-            inside &= values > 0.0
-        safe = np.where(inside, values, 1.0)
-        with np.errstate(divide="ignore", over="ignore"):
-            density = self._form.pdf(self._standard(safe)) / self._whole[1] / (safe if self.family.logarithmic else 1.0)
-        return np.where(inside, density, 0.0)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            density = self._form.pdf(self._standard(values)) / self._whole[1]
+            density = density / values if self.family.logarithmic else density
+        return np.where((values >= self.lower) & (values <= self.upper) & (density > 0.0), density, 0.0)
 
     # --- moments ------------------------------------------------------------------------------------------
 
