@@ -47,7 +47,7 @@ class Form:
 
     tails: Callable[[Array], tuple[Array, Array]]  # y -> P(Y <= y), P(Y > y)
     quantile: Quantile  # p and q = 1 - p, each exact where it is small -> y
-    pdf: Function = no_density
+    pdf: Function = no_density  # nan, or anything beyond bounds of its own, off the law
     moments: tuple[float, float] | None = None  # mean and sd, where quadrature in normal scores is slow or inexact
     orders: tuple[float, float] = (math.inf, math.inf)  # from which on the lower, the upper tail has no moments
     mass: float = 1.0  # probability that truncation has left
@@ -102,22 +102,12 @@ def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.i
     return Form(tails=lambda y: (cdf(y), cdf(-y)), quantile=quantile, pdf=pdf, orders=(order, order))
 
 
-def density(logarithm: Function) -> Function:
-    """A density from its logarithm, which is nan off the law."""
-
-    @np.errstate(invalid="ignore")
-    def pdf(y: Array) -> Array:
-        return np.asarray(np.nan_to_num(np.exp(logarithm(y)), nan=0.0, posinf=math.inf))
-
-    return pdf
-
-
 def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
     """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
 
     return Form(tails=lambda y: (-np.expm1(-hazard(y)), np.exp(-hazard(y))),
                 quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))),
-                pdf=density(lambda y: log_rate(y) - hazard(y)))  # fmt: skip
+                pdf=lambda y: np.exp(log_rate(y) - hazard(y)))  # fmt: skip
 
 
 def falling(form: Form, order: float = math.inf) -> Form:
@@ -144,7 +134,7 @@ SMALLEST: Final = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np
 GUMBEL: Final = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
 UNIFORM: Final = Form(
     tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)), quantile=lambda p, q: p,
-    pdf=lambda y: np.where(abs(y - 0.5) <= 0.5, 1.0, 0.0), moments=(0.5, 12.0**-0.5),
+    pdf=np.ones_like, moments=(0.5, 12.0**-0.5),
 )  # fmt: skip
 
 
@@ -161,7 +151,7 @@ def frechet(a: float) -> Form:
 def gamma(k: float) -> Form:
     return Form(tails=lambda y: (special.gammainc(k, np.maximum(y, 0.0)), special.gammaincc(k, np.maximum(y, 0.0))),
                 quantile=either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q)),
-                pdf=density(lambda y: special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)),
+                pdf=lambda y: np.exp(special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)),
     )  # fmt: skip
 
 
@@ -187,8 +177,7 @@ def triangular(mode: float) -> Form:
         return np.where(p <= a, np.sqrt(p * a), 1.0 - np.sqrt((1.0 - p) * b))
 
     def pdf(y: Array) -> Array:
-        sides = np.where(y < mode, y / (mode or 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0)
-        return np.where((y >= 0.0) & (y <= 1.0), 2.0 * sides, 0.0)
+        return 2.0 * np.where(y < mode, y / (mode or 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0)
 
     # its quantiles have a kink, and quadrature fewer digits
     moments = (1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)
@@ -196,12 +185,11 @@ def triangular(mode: float) -> Form:
 
 
 def beta(a: float, b: float) -> Form:
-    def logarithm(y: Array) -> Array:
-        inside = np.where((y >= 0.0) & (y <= 1.0), y, math.nan)
-        return special.xlogy(a - 1.0, inside) + special.xlog1py(b - 1.0, -inside) - special.betaln(a, b)
+    def pdf(y: Array) -> Array:
+        return np.exp(special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y) - special.betaln(a, b))
 
     return between(lambda y, a, b: special.betainc(a, b, np.clip(y, 0.0, 1.0)),
-                   lambda p, a, b: special.betaincinv(a, b, p), density(logarithm), a, b)  # fmt: skip
+                   lambda p, a, b: special.betaincinv(a, b, p), pdf, a, b)  # fmt: skip
 
 
 def form_of(
