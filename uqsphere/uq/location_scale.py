@@ -101,10 +101,7 @@ class LocationScale:
 
 
 def _normal_terms(z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
-    # phi(z)/S(z), which far out is z itself
-    near = np.clip(z, -40.0, 1e3)
-    hazard = np.exp(-0.5 * near * near - 0.5 * math.log(2.0 * math.pi) - special.log_ndtr(-near))
-    hazard = np.where(z > 1e3, z, hazard)
+    hazard = math.sqrt(2.0 / math.pi) / special.erfcx(z / math.sqrt(2.0))  # phi(z)/S(z)
     value = stopped * special.log_ndtr(-z) - failures * (0.5 * z * z + 0.5 * math.log(2.0 * math.pi))
     return value, -failures * z - stopped * hazard, -failures - stopped * hazard * (hazard - z)
 
