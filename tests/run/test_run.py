@@ -24,6 +24,7 @@ from uqsphere.run.distributions import density
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 FIXED = ("sphere.E=52 GPa", "sphere.nu=0.25", "sphere.radius=10 mm", "dependence=[]", "analysis.failure_modes=given")
+LOOSE = ("analysis.accuracy={ mean = 0.05, quantile = 0.1, sobol = 0.1, probability = 0.05 }",)
 PRESSURE = ("limits.crushing.strength_is=pressure",)
 
 
@@ -202,6 +203,36 @@ def test_a_strength_out_of_reach_and_a_criterion_out_of_its_range_are_said(
     found = [check for check in run.results["checks"] if check["name"] == name]
     assert [check["grade"] for check in found] == ([grade] if grade else [])
     assert all(text in check["text"] for check in found)
+
+
+# --- what is taken for granted ---
+
+
+def test_a_strength_of_another_distribution_and_without_its_tie() -> None:
+    """Given the score z of the strength, y = 3 a + 4 b is normal about 3 rho z: one integral over z."""
+    tied = [{"of": ["a", "limits.high.strength"], "spearman": 0.5}]
+    run = uqsphere.run(study({"dist": "lognormal", "mean": 12.0, "cov": 0.3}, dependence=tied), linear)
+    found = run.answers.query("answer == 'failure_probability'").set_index("at")["value"]
+    rho, s, z = 2.0 * math.sin(math.pi / 12.0), math.sqrt(math.log1p(0.09)), np.linspace(-8.0, 8.0, 4001)
+    own, unit = 12.0 * np.exp(s * z - 0.5 * s * s), stats.weibull_min(3.7138)  # the modulus of a cov of 0.3
+    assert unit.std() / unit.mean() == pytest.approx(0.3, abs=1e-5)
+    weibull = 12.0 / unit.mean() * unit.ppf(stats.norm.cdf(z))
+    for at, strength, tie in (("", own, rho), ("assumed: Weibull strength", weibull, rho),
+                              ("assumed: strength independent of the inputs", own, 0.0)):  # fmt: skip
+        below = stats.norm.sf((strength - 3.0 * tie * z) / math.sqrt(9.0 * (1.0 - tie**2) + 16.0))
+        assert found[at] == pytest.approx(np.trapezoid(below * stats.norm.pdf(z), z), rel=0.05), at
+
+
+def test_contacts_that_yield_turn_a_verdict_of_hertz_with_their_own_numbers() -> None:
+    given = (*FIXED, *PRESSURE, *LOOSE, "limits.crushing.strength.mean=3.5 GPa", "limits.crushing.target=0.6",
+             "striker.speed.mean=1.2 m/s", "margins.for_probability=[0.6]")  # fmt: skip
+    hertz, plastic = (uqsphere.run(uqsphere.load_study("studies/granite.toml", (*given, f"contact.law={law}")))
+                      for law in ("hertz", "plastic"))  # fmt: skip
+    taken = hertz.answers[hertz.answers["at"] == "assumed: contacts yield"].set_index("answer")["value"]
+    assert taken["failure_probability"] == pytest.approx(plastic.probability("crushing")["value"], rel=0.02)
+    assert taken["margin"] == pytest.approx(plastic.margin("crushing", 0.6)["value"], rel=0.02)
+    assert [reason["code"] for reason in hertz.verdicts["crushing"]["reasons"]] == ["contact law"]
+    assert plastic.verdicts["crushing"]["verdict"] == "met"
 
 
 # --- accuracy, budget, interruption --------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ Each is one more failure probability, with something taken otherwise: epistemic 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -29,7 +30,7 @@ from uqsphere.uq.union import make_union, residual_correlation
 #: strengths that the tests allow, for the range of a probability, and of a margin
 LAWS, MARGIN_LAWS = 200, 40
 #: what a strength may be instead, with the same mean and standard deviation: the other usual distribution
-OTHER_DISTRIBUTIONS: Final = {"lognormal strength": "lognormal", "Weibull strength": "weibull"}
+OTHER_DISTRIBUTIONS: Final = ("lognormal strength", "Weibull strength")
 #: points of a replicate that these rest on at most
 MOST: Final = 512
 
@@ -131,15 +132,22 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
 
 def _other_distributions(limit: Limit) -> dict[str, Law]:
     """The strength by the other usual distribution, with the same mean and standard deviation."""
+    from scipy.optimize import brentq
+    from scipy.special import gammaln
+
     law = strength_of(limit)
     if not isinstance(law, Law) or law.family.name not in ("weibull", "lognormal", "normal"):
         return {}
     mean, sd = law.mean(), law.sd()
     if mean is None or sd is None or not mean > 0.0 or not sd > 0.0:
         return {}
-    name = "lognormal strength" if law.family.name == "weibull" else "Weibull strength"
-    with suppress(LawError):
-        return {name: make_law(OTHER_DISTRIBUTIONS[name], {"mean": mean, "cov": sd / mean})}
+    with suppress(ValueError):  # a scatter that no law has
+        if law.family.name == "weibull":
+            return {"lognormal strength": make_law("lognormal", {"mean": mean, "cov": sd / mean})}
+        # 1 + cov² = Gamma(1 + 2/m)/Gamma(1 + 1/m)²
+        excess = math.log1p((sd / mean) ** 2)
+        modulus = brentq(lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4)
+        return {"Weibull strength": make_law("weibull", {"mean": mean, "modulus": modulus})}
     return {}
 
 
