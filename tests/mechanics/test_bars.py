@@ -33,9 +33,5 @@ def test_steel_bar():
     assert bars.round_trip(1.5, 210e9, 7850.0) == pytest.approx(580.0246e-6, abs=1e-10)
 
 
-def test_ends():
-    assert bars.END_COEFFICIENTS == {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
-
-
 def test_the_band_of_a_record_ends_before_the_second_mode() -> None:
     assert bars.first_mode(0.3).band < bars._second_mode(0.3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.campaigns.durations import compare, quadrature, rig_scenes, scenes
-from tests.scenes import ENDLESS, EXAMPLE, example, scaled_scene
+from tests.scenes import ENDLESS, example, scaled_scene
 from uqsphere.mechanics.as_printed import compare as beside_the_paper
 from uqsphere.mechanics.closed_form import loading_approach, solve_blow, solve_closed
 from uqsphere.mechanics.integrator.solve import later_loading, motion, motions, solve
@@ -130,11 +130,3 @@ def test_scenes_whose_record_ends_otherwise_have_no_later_loading() -> None:
     for changes in ({"first_loading_only": True}, {"whole_record": True}):
         assert later_loading(example(**changes)).tolist() == [1.0]
     assert math.isnan(later_loading(example(sphere_nu=0.7))[0])
-
-
-def test_the_unit_of_a_record_changes_nothing() -> None:
-    """All lengths and times by k: the duration by k."""
-    one = solve(example(), tolerance=1e-9, quantities=("contact_duration",)).values["contact_duration"][0]
-    lengths = {name: 2.0 * EXAMPLE[name] for name in EXAMPLE if name.endswith(("radius", "diameter", "length"))}
-    two = solve(example(numbers=EXAMPLE | lengths), tolerance=1e-9, quantities=("contact_duration",))
-    assert two.values["contact_duration"][0] == pytest.approx(2.0 * one, rel=1e-9)

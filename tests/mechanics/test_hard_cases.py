@@ -9,7 +9,7 @@ from scenes import scaled_scene
 
 from uqsphere.bench import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
-from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.scene import STATUS
 
 
 @pytest.mark.parametrize(
@@ -67,11 +67,6 @@ def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> N
     # 40 t_c are some 1,100 oscillations: once they have died out, time costs next to nothing
     assert steps[2] - steps[1] < 40
     assert steps[1] < 1.3 * steps[0]
-
-
-def test_a_record_without_end_is_refused() -> None:
-    with pytest.raises(ValueError, match="finite"):
-        Scene(columns=scene_with().columns, horizon=np.inf)
 
 
 @pytest.mark.parametrize(("mu", "theta"), [(1e-6, 3.0), (1e-6, 10.0), (1e-7, 0.5)])

@@ -112,12 +112,6 @@ def test_more_speed_is_due_where_steel_yields(force, more):
     assert ratio == pytest.approx(1.0 + more, abs=0.03)
 
 
-def test_a_light_sphere_is_two_springs_in_series():
-    assert closed_form.light_sphere_constant(3.0, 3.0) == pytest.approx(3.0 / 2.0**1.5, rel=1e-15)
-    assert closed_form.reduced_mass(2.0, 2.0) == 1.0
-    assert closed_form.reduced_mass(2.0) == 2.0
-
-
 def test_waves_take_little_of_a_blow():
     """0.7 % of the energy on steel for 20 mm limestone at 3.6 m/s."""
     _, beta, mass = numbers(LIMESTONE)

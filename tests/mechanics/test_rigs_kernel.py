@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.independent.motion import Law, Motion, Pole, march
-from tests.scenes import EXAMPLE, example
 from uqsphere.mechanics.closed_form import solve_blow
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
@@ -228,20 +227,3 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
     assert (found.status == 0).all()
     for name in asked:
         np.testing.assert_allclose(found.values[name], closed.values[name], rtol=3e-6, err_msg=name)
-
-
-@pytest.mark.parametrize("speed", [0.3, 0.8, 2.0])
-def test_rise_of_faces_that_yield_are_those_of_their_forces(speed: float) -> None:
-    numbers = EXAMPLE | {
-        "bars.E": 205e9, "bars.nu": 0.29, "bars.receiving_end": 0.0, "striker.length": 0.5, "striker.speed": speed,
-        "pulse.rise": 25e-6, "pulse.fall": 25e-6,
-        "contact.onset_pressure": 0.75e9, "contact.hardness": 1.5e9, "contact.pile_up": 2.0,
-    }  # fmt: skip
-    scene = example("trapezoid", numbers=numbers, contact_law="plastic")
-    asked = ("P_max", "rise_time")
-    found = solve(scene, quantities=asked)
-    whole = motion(scene, 0, tolerance=1e-9)
-    times = np.linspace(0.0, min(whole.horizon, float(found.record[0])), 40_001)
-    share = whole.forces_at(times).max(axis=1) / found.values["P_max"][0]
-    rise = times[np.argmax(share >= 0.9)] - times[np.argmax(share >= 0.1)]
-    assert found.values["rise_time"][0] == pytest.approx(rise, rel=1e-3)

@@ -29,6 +29,7 @@ def test_infinite_bars_need_neither_lengths_nor_ends():
         ({"shape": "step", "infinite": True}, "needs a horizon"),
         ({"horizon": 0.0}, "horizon must be positive"),
         ({"horizon": float("nan")}, "horizon must be positive"),
+        ({"horizon": np.inf}, "finite"),
         ({"sphere_colour": 1.0}, "unknown numbers of a scene: sphere.colour"),
     ],
 )

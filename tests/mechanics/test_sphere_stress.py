@@ -276,14 +276,6 @@ def test_the_core_is_continuous_where_its_place_reaches_the_centre() -> None:
     assert np.all(tension >= stress.centre_ratio(ratio, np.full(401, 0.45)) * (1.0 - 1e-6))
 
 
-def test_the_depth_is_where_the_series_has_its_maximum() -> None:
-    tension, depth = stress.core_ratio(0.07, 0.2)
-    hoop = axis_series(load_on_axis(0.07), 0.2)[0]
-    at = [float(np.sum(hoop * (1.0 - d) ** (2.0 * np.arange(len(hoop))))) for d in depth * np.array([0.97, 1.0, 1.03])]
-    assert at[1] == pytest.approx(float(tension), rel=STATED)
-    assert at[1] > max(at[0], at[2])
-
-
 def test_outside_the_nearest_ratio_is_taken_and_said() -> None:
     for name in ("core", "shear"):
         assert stress.ratio(name, [1e-4, 0.9], [0.2, 0.2]) == pytest.approx(stress.ratio(name, [0.005, 0.3], 0.2))

@@ -165,6 +165,9 @@ def test_the_share_of_rows_outside_the_range_of_a_criterion():
     (check,) = check_ranges(scene, found, ("core_tension",))
     assert check.share == 0.25
     assert check.text.startswith("in 25 % of the rows")
+    # only what lies outside is named, with the value furthest out
+    assert check.worst == pytest.approx(0.35, rel=1e-12)
+    assert [words.split()[0] for words in check.text.split(" reaches ")[1:]] == ["0.35;"]
 
 
 def test_no_answer_at_all():
