@@ -161,18 +161,19 @@ def test_given_some_inputs_the_others_follow_their_conditional_law() -> None:
     assert abs(stats.spearmanr(base[:, 3], again[:, 3]).statistic) < 0.05
 
 
-def test_the_regression_and_the_tie_of_what_is_not_drawn() -> None:
-    joint = five()
-    weights, remaining = joint.regression("c", ("a", "d"))
+def test_the_tie_of_what_is_not_drawn() -> None:
+    joint, scores = five(), normals(16, 4)
     rho = 2.0 * math.sin(math.pi * 0.6 / 6.0)
-    assert weights == pytest.approx([rho, 0.0])
-    assert remaining == pytest.approx(math.sqrt(1.0 - rho * rho))
-    scores = normals(16, 4)
-    tie = joint.tie("e", ("a", "b", "c", "d"), scores)
+    tie = joint.tie("c", ("a", "b", "d"), scores)
     assert tie is not None
-    assert np.array_equal(tie.given, scores[:, [1]])
-    assert joint.tie("c", ("a", "b", "d"), scores) is None
+    found = tie.copula.score_at(1, (0,), tie.given, scores[:, 3])
+    assert found == pytest.approx(rho * scores[:, 0] + math.sqrt(1.0 - rho * rho) * scores[:, 3])
+    other = joint.tie("e", ("a", "b", "c", "d"), scores)
+    assert other is not None
+    assert other.columns == (1,)
+    assert np.array_equal(other.given, scores[:, [1]])
     assert joint.tie("e", ("a", "d"), scores[:, :2]) is None
+    assert joint.tie("d", ("a", "b"), scores[:, :2]) is None
 
 
 @pytest.mark.parametrize(

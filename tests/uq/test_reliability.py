@@ -11,6 +11,7 @@ from scipy.special import ndtr, ndtri, owens_t
 
 from uqsphere.uq.estimate import Estimate, absent, share
 from uqsphere.uq.fitting import fitted_law
+from uqsphere.uq.joint import Copula, Tie
 from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import LimitState, exceedance, failure_of_aim, reliability_index, safety_factor, target_met
 from uqsphere.uq.points import sobol_points
@@ -76,6 +77,10 @@ def test_no_event_among_the_samples_is_not_zero_for_certain() -> None:
     assert one.low <= one.value == pytest.approx(1e-3)
 
 
+def tied(rho: float, z: np.ndarray) -> Tie:
+    return Tie(copula=Copula(correlation=np.array([[1.0, rho], [rho, 1.0]])), given=z[..., None], columns=(0,))
+
+
 def test_strength_that_depends_on_the_inputs() -> None:
     # ln S = m + s zS, ln D = d z, corr(zS, z) = rho: the difference is normal in closed form.
     rho, s, d, m = 0.6, 0.15, 0.1, 0.3
@@ -83,15 +88,14 @@ def test_strength_that_depends_on_the_inputs() -> None:
     state = LimitState(
         demands=np.exp(d * z),
         strength=make_law("lognormal", {"log_mean": m, "log_sd": s}),
-        shift=rho * z,
-        remaining_sd=math.sqrt(1.0 - rho**2),
+        tie=tied(rho, z),
     )
     sd = math.sqrt(s**2 + d**2 - 2.0 * rho * s * d)
     found = exceedance(state)
     assert found.value == pytest.approx(stats.norm.cdf(-m / sd), abs=4.0 * found.std_error)
     median = safety_factor(state, 0.05)
     assert median.value == pytest.approx(math.exp(m + ndtri(0.05) * sd), abs=4.0 * median.std_error)
-    comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, shift=z, remaining_sd=0.0)
+    comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, tie=tied(1.0 - 1e-9, z))
     # Now S/D = exp(m + (s - d) z): exceeded where z < -m/(s - d).
     found = exceedance(comonotone)
     assert found.value == pytest.approx(stats.norm.cdf(-m / (s - d)), abs=4.0 * found.std_error + 1e-3)

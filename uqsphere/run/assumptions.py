@@ -80,8 +80,8 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
         for name, other in _other_distributions(limit).items():
             otherwise(limit, name, state_of(design, limit, head, other), "same mean and standard deviation")
         state = state_of(design, limit, head)
-        if state.shift is not None or state.tie is not None:
-            alone = replace(state, shift=None, remaining_sd=1.0, weights=(), tie=None)
+        if state.tie is not None:
+            alone = replace(state, tie=None)
             otherwise(limit, "strength independent of the inputs", alone, "without dependence")
     plastic = _under_plastic_contact(design, head)
     for limit in design.fracture:

@@ -35,12 +35,14 @@ def drivers(design: Design, tables: Tables) -> Answers:
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
     for limit in design.study.limits:
         state, subject = state_of(design, limit, sample), design.subject(limit)
-        moved = None
-        if state.shift is not None:
+        moved, tie = np.zeros(gradients.shape), state.tie
+        for k, column in enumerate(tie.columns if tie is not None else ()):
+            assert tie is not None
             # a strength that depends on an input stays where it was while the input moves
-            both = [[failure_given_inputs(replace(state, shift=state.shift + sign * w * STEP), limit.aim)
-                     for sign in (-1.0, 1.0)] for w in state.weights]  # fmt: skip
-            moved = np.stack([(below - above) / (2.0 * STEP) for below, above in both], axis=2)
+            step = np.where(np.arange(len(tie.columns)) == k, STEP, 0.0)
+            below, above = (failure_given_inputs(replace(state, tie=replace(tie, given=tie.given + way)), limit.aim)
+                            for way in (-step, step))  # fmt: skip
+            moved[:, :, column] = (below - above) / (2.0 * STEP)
         found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
             if limit_of(name) in (None, limit.name):
@@ -57,7 +59,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
     return answers
 
 
-def change_per_sd(probabilities: Array, gradients: Array, moved: Array | None = None) -> list[Estimate]:
+def change_per_sd(probabilities: Array, gradients: Array, moved: Array | float = 0.0) -> list[Estimate]:
     """Change of the failure probability per standard deviation that an input's centre is moved by.
 
     For T (R, n) and gradients (R, n, d) of `Joint.score_gradients` it is E[T g_i], by the density that moves with the
@@ -65,5 +67,5 @@ def change_per_sd(probabilities: Array, gradients: Array, moved: Array | None = 
     changes nothing but the noise.  `moved` (R, n, d) adds what a strength that is tied to the inputs does meanwhile.
     """
     about = probabilities - probabilities.mean()
-    rows = (about[:, :, None] * gradients + (0.0 if moved is None else moved)).mean(axis=1)
+    rows = (about[:, :, None] * gradients + moved).mean(axis=1)
     return [from_replicates(row, "derivative of the density", probabilities.size) for row in rows.T]

@@ -85,7 +85,4 @@ def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float
         return state
     names = design.drawn.names
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
-    weights, remaining = design.joint.regression(own, names)
-    shift = scores @ weights if np.any(weights) else None
-    return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()),
-                   tie=design.joint.tie(own, names, scores))  # fmt: skip
+    return replace(state, tie=design.joint.tie(own, names, scores))

@@ -189,10 +189,12 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tie:
-    """An input that is not drawn: the last member of `copula`, given the normal scores (..., size - 1) of others."""
+    """An input that is not drawn: the last member of `copula`, given the normal scores (..., size - 1) of others, which
+    are these columns of the inputs that are drawn."""
 
     copula: Copula
     given: Array
+    columns: tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,30 +294,15 @@ class Joint:
             found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
         return found
 
-    def regression(self, target: str, given: Sequence[str]) -> tuple[Array, float]:
-        """Normal score of `target` given the normal scores of `given` by the Gaussian copula: weights (k,), sd left.
-
-        z_target | z_given is normal with mean weights · z_given and this standard deviation; independent: 0, 1.
-        """
-        correlation = self.correlation
-        if correlation is None:
-            return np.zeros(len(given)), 1.0
-        at, others = self.names.index(target), [self.names.index(name) for name in given]
-        across = correlation[others, at]
-        weights = np.asarray(np.linalg.solve(correlation[np.ix_(others, others)], across))
-        return weights, math.sqrt(max(0.0, 1.0 - float(across @ weights)))
-
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
-        """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores (..., d).
-
-        None where it depends on none of them or by the Gaussian copula, for which there is `regression`.
-        """
+        """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores (..., d); or None."""
         at = self.names.index(target)
-        for columns, copula in self.blocks:
-            known = [k for k, column in enumerate(columns) if self.names[column] in drawn]
-            if math.isfinite(copula.dof) and at in columns and known:
-                of = [list(drawn).index(self.names[columns[k]]) for k in known]
-                return Tie(copula=copula.among([*known, columns.index(at)]), given=scores[..., of])
+        for block, copula in self.blocks:
+            known = [k for k, column in enumerate(block) if self.names[column] in drawn]
+            if at in block and known:
+                own, columns = block.index(at), tuple(list(drawn).index(self.names[block[k]]) for k in known)
+                if math.isfinite(copula.dof) or np.any(copula.correlation[own, known]):
+                    return Tie(copula=copula.among([*known, own]), given=scores[..., columns], columns=columns)
         return None
 
 

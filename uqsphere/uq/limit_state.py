@@ -25,19 +25,13 @@ from uqsphere.uq.law import Law
 class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
-    `strength` is a number or a law.  `shift` (R, n) and `remaining_sd` describe a strength that depends on
-    the inputs by the Gaussian copula: its normal score is shift + remaining_sd · ε, the shift being the inputs'
-    scores times `weights` (`Joint.regression`).  `tie`, with given scores (R, n, k), is one that depends
-    on them by a Student t copula (`Joint.tie`).  `censored` demands are known only to exceed their value;
-    `failed` rows (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
-    once as not ("bound"), never as survival.
+    `strength` is a number or a law.  `tie`, with given scores (R, n, k), says how it depends on the inputs
+    (`Joint.tie`).  `censored` demands are known only to exceed their value; `failed` rows (and demands that are nan)
+    are left out (`on_failure` "drop") or counted once as exceeding and once as not ("bound"), never as survival.
     """
 
     demands: Array
     strength: Law | float
-    shift: Array | None = None
-    remaining_sd: float = 1.0
-    weights: tuple[float, ...] = ()
     tie: Tie | None = None
     censored: Flags | None = None
     failed: Flags | None = None
@@ -65,25 +59,20 @@ class LimitState:
 
     def score_given_inputs(self, score: Array) -> Array:
         """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
-        if self.tie is not None:
-            last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
-            near = np.clip(score, -CERTAIN, CERTAIN)
-            found = self.tie.copula.conditional_score(last, range(last), known, near.reshape(-1)).reshape(score.shape)
-            return np.where(np.isinf(score), score, found)
-        if self.shift is None:
+        if self.tie is None:
             return score
-        if self.remaining_sd == 0.0:
-            # certainty where the inputs leave no scatter
-            return np.where(score > self.shift, math.inf, -math.inf)
-        return np.asarray((score - self.shift) / self.remaining_sd)
+        last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
+        near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
+        found = self.tie.copula.conditional_score(last, range(last), known, near).reshape(score.shape)
+        return np.where(np.isinf(score), score, found)
 
     def score_drawn(self, score: Array) -> Array:
         """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is `score`."""
-        if self.tie is not None:
-            last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
-            near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1, 1)
-            return self.tie.copula.conditional_scores(range(last), known, near).reshape(score.shape)
-        return score if self.shift is None else self.shift + self.remaining_sd * score
+        if self.tie is None:
+            return score
+        last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
+        near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
+        return self.tie.copula.score_at(last, range(last), known, near).reshape(score.shape)
 
 
 def score_of(below: Array, above: Array) -> Array:
@@ -102,7 +91,7 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
         below, above = strength.tails(demands)
     else:
         below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
-    if state.tie is not None or state.shift is not None:
+    if state.tie is not None:
         score = state.score_given_inputs(score_of(below, above))
         below, above = np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
     return np.where(broken, 0.0, below), np.where(broken, 0.0, above)

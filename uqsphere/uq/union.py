@@ -157,9 +157,8 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
     """Strengths (R, m) at normal scores given the inputs of the picked samples."""
     if not isinstance(state.strength, Law):
         return np.full(score.shape, float(state.strength))
-    shift = None if state.shift is None else state.shift[pick]
     tie = None if state.tie is None else replace(state.tie, given=state.tie.given[pick])
-    there = replace(state, demands=state.demands[pick], shift=shift, tie=tie, censored=None, failed=None)
+    there = replace(state, demands=state.demands[pick], tie=tie, censored=None, failed=None)
     return state.strength.from_normal(there.score_drawn(score))
 
 
