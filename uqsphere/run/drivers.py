@@ -39,9 +39,9 @@ def drivers(design: Design, tables: Tables) -> Answers:
         for k, column in enumerate(tie.columns if tie is not None else ()):
             assert tie is not None
             # a strength that depends on an input stays where it was while the input moves
-            step = np.where(np.arange(len(tie.columns)) == k, STEP, 0.0)
+            small = np.where(np.arange(len(tie.columns)) == k, STEP, 0.0)
             below, above = (failure_given_inputs(replace(state, tie=replace(tie, given=tie.given + way)), limit.aim)
-                            for way in (-step, step))  # fmt: skip
+                            for way in (-small, small))  # fmt: skip
             moved[:, :, column] = (below - above) / (2.0 * STEP)
         found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
