@@ -246,7 +246,7 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         least = 1e-13 * abs(description.mean.value) / scale
         require(name, "mean", description.mean.half_width / scale - least, accuracy.mean)
         for p, estimate in description.quantiles.items():
-            if estimate.value is not None and p not in description.exempt:
+            if estimate.value is not None:
                 require(name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile)
         for input_name, row in of_quantity(design, tables, name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)

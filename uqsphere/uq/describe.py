@@ -40,7 +40,7 @@ class Description:
     """What a sample of one quantity says.
 
     `scale` is the standard deviation that accuracies are relative to (half the 16-84 % range where the standard
-    deviation is absent); `exempt` are the quantiles that censoring makes unanswerable.
+    deviation is absent).
     """
 
     mean: Estimate
@@ -48,7 +48,6 @@ class Description:
     quantiles: Mapping[float, Estimate]
     censored_share: Estimate
     scale: float
-    exempt: tuple[float, ...] = ()
 
 
 def hill(outputs: Array) -> float:
@@ -90,13 +89,13 @@ def describe(
     mean, sd, scale = _moments(samples, kept, shown)
     if (late | broken).all():
         mean = sd = absent("every sample outlasts the record", method, total)
-    estimates, exempt = quantile_estimates(
+    estimates = quantile_estimates(
         samples, censored=late, failed=broken, on_failure=on_failure, quantiles=quantiles, method=method
     )
     beyond = share(late, "share of the samples")
     if late.any() and broken.any():
         beyond = from_replicates(late.sum(axis=1) / counts, "share of the samples", total)
-    return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=beyond, scale=scale, exempt=exempt)
+    return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=beyond, scale=scale)
 
 
 def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estimate, float]:
@@ -134,8 +133,8 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
 
 def quantile_estimates(
     samples: Array, *, censored: Flags, failed: Flags, on_failure: str, quantiles: Sequence[float], method: str
-) -> tuple[dict[float, Estimate], tuple[float, ...]]:
-    """Quantiles of (R, n) samples, and those that censoring leaves unanswered.
+) -> dict[float, Estimate]:
+    """Quantiles of (R, n) samples; those that censoring or failures leave unanswered are absent.
 
     The replicates' distribution functions at the pooled quantile give the standard error of its probability.
     """
@@ -147,7 +146,6 @@ def quantile_estimates(
     upper = sample_reader(np.sort(np.where(failed | censored, math.inf, samples)[kept]))
     counts = kept.sum(axis=1)
     answers: dict[float, Estimate] = {}
-    exempt: list[float] = []
     for p in quantiles:
         if min(p, 1.0 - p) * counts.sum() < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
@@ -159,8 +157,7 @@ def quantile_estimates(
             shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
             parts = [f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares.items() if part]
             answers[p] = absent("beyond " + " and ".join(parts), method, total)
-            exempt += [p] * bool(shares["censored"])
-    return answers, tuple(exempt)
+    return answers
 
 
 # --- a cheap model at many points, corrected by the real one at few of them ------------------------------

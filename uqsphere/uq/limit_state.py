@@ -199,7 +199,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
         d = quantile_estimates(
             np.where(broken, 0.0, state.demands), censored=late, failed=broken, on_failure=state.on_failure,
             quantiles=[1.0 - p], method="randomised quasi-Monte Carlo",
-        )[0][1.0 - p]  # fmt: skip
+        )[1.0 - p]  # fmt: skip
         if d.value is None or d.low is None or d.high is None:
             return d
         if d.low <= 0.0:
