@@ -45,6 +45,8 @@ _HUNG: Final = 32
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
 #: seconds between two looks at `stop` while answers are waited for
 _LOOK: Final = 0.1
+#: a larger answer has failed: the squares of a few are no numbers
+_LARGEST: Final = 1e150
 #: how far outside its usual range a single number is worth a warning
 _FAR: Final = 10.0
 
@@ -249,7 +251,7 @@ class Model:
             nonlocal done, first_failed
             values, status = answers.values[:, taken], answers.status
             if is_box:
-                status = np.where((status == 0) & ~np.isfinite(values).all(axis=1), Code.NOT_FINITE, status)
+                status = np.where((status == 0) & ~(np.abs(values) <= _LARGEST).all(axis=1), Code.NOT_FINITE, status)
             found.values[places] = np.where((status == 0)[:, None], values, np.nan)
             if answers.censored.any():
                 found.censored[places] = answers.censored[:, taken]
@@ -258,8 +260,8 @@ class Model:
                 k = int(np.argmax(status != 0))
                 text = answers.note or TEXTS.get(int(status[k]), "")
                 if status[k] == Code.NOT_FINITE:
-                    j = int(np.argmin(np.isfinite(values[k])))
-                    text = f"{columns[j]} = {values[k, j]:g}"
+                    j = int(np.argmin(np.abs(values[k]) <= _LARGEST))
+                    text = f"{columns[j]} = {values[k, j]:g}{', too large' * bool(np.isfinite(values[k, j]))}"
                 first_failed = min(first_failed, (int(places[k]), text))
             done += len(places)
             if self.progress is not None:
