@@ -77,7 +77,7 @@ FAULTS: dict[str, tuple[str, Code | type[Exception], str]] = {
         Code.NOT_FINITE,
         "y = inf at a = 3",
     ),
-    "huge": (
+    "squares that overflow": (
         "return {'y': x['a'] + np.where(x['a'] > 2, 1e300, 2.0), 'z': x['a'] * x['b']}",
         Code.NOT_FINITE,
         "y = 1e+300, too large at a = 3",
