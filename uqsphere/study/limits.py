@@ -196,23 +196,17 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
     tested = limit.tested
     if tested is None:
         return
-
-    def ratio(radius: float) -> float:
-        return max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter)
-
-    def sizes(radius: float) -> str:
-        tests = f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm"
-        return f"{tests}, the sphere of {2e3 * radius:.4g} mm"
-
-    far, linked = max(radii, key=ratio), modulus_of(tested.law) is not None and tested.exponent != 0.0
-    if ratio(far) > _SIZES_REFUSED and not (limit.needs_modulus or linked):
+    linked = limit.needs_modulus or (modulus_of(tested.law) is not None and tested.exponent != 0.0)
+    ratios = [max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii]
+    refused = not linked and max(ratios) > _SIZES_REFUSED
+    sizes = (f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of "
+             f"{2e3 * radii[ratios.index(max(ratios)) if refused else 0]:.4g} mm")  # fmt: skip
+    if refused:
         way = 'or take fit = "weibull"' if tested.law is not None else "or fit anew with this size as strength_at"
-        said = f"{sizes(far)}, and no size law over more than 50 %: test spheres of this size, {way}"
-        raise Fault(said, str(place[-1]))
-    if ratio(radii[0]) > _SIZES_TOLD:
+        raise Fault(f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}", str(place[-1]))
+    if ratios[0] > _SIZES_TOLD:
         by = "its size_exponent" if tested.law is None and tested.exponent else "nothing"
-        by = "the weakest link" if limit.needs_modulus or linked else by
-        draft.warn(place, f"{sizes(radii[0])}: {by} carries the strength")
+        draft.warn(place, f"{sizes}: {'the weakest link' if linked else by} carries the strength")
 
 
 # --- the sphere in the tests ---------------------------------------------------------------------------------------

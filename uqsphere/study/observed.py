@@ -143,7 +143,7 @@ def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[
         many = np.ones(len(found)) if table.count is None else found.numbers(table.count, key="count")
         found.refuse("count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0))
         found.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
-        for key in columns.keys() & {"force", "diameter"}:
+        for key in [key for key in ("force", "diameter") if key in columns]:
             found.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
     rows = np.repeat(np.arange(len(found)), many.astype(int))
     return found, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
