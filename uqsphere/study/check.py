@@ -262,7 +262,7 @@ def _scene(draft: Draft) -> Faults:
             draft.record = measured_pulse(document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
     try:
-        scene = Scene(
+        draft.scene = scene = Scene(
             columns=columns, rig=draft.rig, options={name: str(word) for name, word in options.items()}, shape=shape,
             infinite=document.bars.infinite, rigid_contact=document.bars.rigid_contact, horizon=horizon or 1.0,
             contact_law=document.contact.law, hardness_at_onset=at_onset, record=draft.record,

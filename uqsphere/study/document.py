@@ -29,6 +29,7 @@ from uqsphere.uq.families import FAMILIES
 
 if TYPE_CHECKING:
     from uqsphere.materials import Property
+    from uqsphere.mechanics.scene import Scene
     from uqsphere.study.study import Limit, Margins
 
 #: what loads the sphere, and the tables that belong to each rig
@@ -364,6 +365,7 @@ class Draft:
     folder : that of the study, outside of which no file is read; files: those it has read, by the names it gives them.
     data : the tables as the file has them; document: the same, validated.
     numbers : by dotted path (black box: bare name) in the order of the file, strengths and model factors last.
+    scene : the one row at its means.
     """
 
     folder: Path = Path()
@@ -374,6 +376,7 @@ class Draft:
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Property] = field(default_factory=dict)
     record: MeasuredPulse | None = None
+    scene: Scene | None = None
     limits: dict[str, Limit] = field(default_factory=dict)
     margins: Margins | None = None
     warnings: list[str] = field(default_factory=list)

@@ -11,10 +11,9 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.materials import library
-from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.outputs import PATHS, follows_force
-from uqsphere.mechanics.rigs import LAW, RIGS, body_of, law_of, sphere_body
+from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, lookup
 from uqsphere.study.document import Draft, LimitTable, Observations, declared
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
@@ -236,18 +235,15 @@ def _radii(draft: Draft) -> tuple[float, ...]:
 
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     """The sphere of the tests at its means, as `equivalent_force` takes it: what is elastic, and what yields."""
+    assert draft.scene is not None
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
-    rigid, tables = bool(draft.options.get("bars.rigid_contact")), RIGS[draft.rig].tables
-    # the sphere's share of the elastic energy in the contacts of the study's rig
-    moduli = [float(reduced_modulus(E, nu, *draft.elastic(table), rigid_bars=rigid)) for table in tables]
-    sphere = {"E": E, "nu": nu, "density": density, "partner": len(moduli) / sum(moduli) - (1.0 - nu * nu) / E}
-    if not draft.plastic:
-        return sphere
+    # what stores energy beside the sphere in the contacts of the study's rig
+    modulus = float(np.mean([partner.modulus[0] for partner in draft.scene.there]))
+    sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / modulus - (1.0 - nu * nu) / E}
     # what yields is the same as in the rig if its partner is the platens, else the sphere
-    columns = {name: np.array([number.mean]) for name, number in draft.numbers.items()}
-    law, takes = sphere_body(columns), True
-    if table := next((t for t in tables if np.allclose(draft.elastic(t), platens, rtol=1e-9)), None):
-        law = law_of(columns, table, rigid=rigid, at_onset=draft.options.get("contact.hardness") == "onset")
-        takes = bool(sphere_body(columns).onset[0] < body_of(columns, table, rigid).onset[0])
-    face = {key: float(value[0]) for key, value in zip(LAW, law, strict=True)} | {"takes": float(takes)}
-    return {**sphere, **face} if math.isfinite(sum(face.values())) else sphere
+    alike = next((p for p in draft.scene.there if np.allclose(draft.elastic(p.table), platens, rtol=1e-9)), None)
+    face = sphere_body(draft.scene.columns) if alike is None else alike.face
+    if not draft.plastic or face is None or not np.isfinite(face.onset + face.hardness + face.pile_up).all():
+        return sphere
+    law = {key: float(value[0]) for key, value in zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)}
+    return {**sphere, **law, "takes": 1.0 if alike is None else float(alike.takes[0])}
