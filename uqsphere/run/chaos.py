@@ -7,8 +7,8 @@ onto the terms of a set of inputs u, every variance of y is
 
 The first part is a sum of squared coefficients, the second a mean over rows, and the third is bounded by the error of
 the expansion, which the same rows measure.  So an index from chaos has an interval that holds whatever the fit; its
-value has of the third what the terms of the residual say (`uqsphere.uq.chaos.remainder`).  An expansion of ln y is
-taken where it leaves less than half as much: its variances are integrated, and projected by its plain form.
+value takes the third to be made up as the expansion is.  An expansion of ln y is taken where it leaves less than half
+as much: its variances are integrated, and projected by its plain form.
 """
 
 from __future__ import annotations
@@ -27,13 +27,11 @@ from uqsphere.uq import Sample
 from uqsphere.uq.chaos import (
     Chaos,
     Integrals,
-    Remainder,
     fit_chaos,
     germ_points,
     germs_of,
     integrals,
     predict,
-    remainder,
     rows_of,
 )  # fmt: skip
 
@@ -58,7 +56,6 @@ class Expansion:
     terms : values (R-1, m, T) of the terms of its plain form at the first m of these rows; the first term is 1
     residuals : (R-1, m) what it leaves of those
     left : share of the variance that it leaves, of all rows it was not fitted to
-    rest : how that is made up
     """
 
     fit: Chaos
@@ -67,7 +64,6 @@ class Expansion:
     terms: Array
     residuals: Array
     left: float
-    rest: Remainder
 
     @cached_property
     def known(self) -> Integrals:
@@ -119,10 +115,9 @@ def expansions(
         few, form = min(count, MOST_TERMS), fit.plain_form
         terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
         rest = outputs[1:] - values
-        some = points[1:, : min(count, MOST_ROWS)].reshape(-1, size), rest[:, : min(count, MOST_ROWS)].ravel()
         found[name] = Expansion(
             fit=fit, rows=rows, values=values, terms=terms.T.reshape(len(values), few, -1), residuals=rest[:, :few],
-            left=_left(outputs, values), rest=remainder(fit.germs, *some),
+            left=_left(outputs, values),
         )  # fmt: skip
     return found
 

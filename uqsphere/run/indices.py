@@ -97,36 +97,36 @@ def method_of(design: Design, tables: Tables, name: str) -> str:
 
 def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
-    form, known, rest = expansion.fit.plain_form, expansion.known, expansion.rest.active
-    powers = form.multi_indices > 0
+    form, known = expansion.fit.plain_form, expansion.known
+    active = form.multi_indices > 0
+    many = active.sum(axis=1)
     rows: dict[str, tuple[Estimate, ...]] = {}
     for k, name in enumerate(design.inputs):
-        single = powers[:, k] & (powers.sum(axis=1) == 1)
-        first = _index(expansion, single, float(known.first[k]), expansion.rest.single[:, k])
-        total = _index(expansion, powers[:, k], float(known.total[k]), rest[:, k])
+        first = _index(expansion, active[:, k] & (many == 1), float(known.first[k]))
+        total = _index(expansion, active[:, k], float(known.total[k]))
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
         rows[name] = first, total
     if design.study.analysis.second_order:
         for i, j in combinations(range(len(design.inputs)), 2):
-            own, left = (active[:, i] & active[:, j] & (active.sum(axis=1) == 2) for active in (powers, rest))
+            own = active[:, i] & active[:, j] & (many == 2)
             share = float((form.coefficients[own] ** 2).sum()) / known.sd**2 if known.sd > 0.0 else 0.0
-            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, share, left),)
+            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, share),)
     return rows
 
 
-def _index(expansion: chaos.Expansion, which: np.ndarray, share: float, rest: np.ndarray) -> Estimate:
+def _index(expansion: chaos.Expansion, which: np.ndarray, share: float) -> Estimate:
     """One index of the terms `which`, of which the expansion has `share`: what no term of it holds, between nothing and
-    all that is left, widens it upwards, and the value has of it the share of the terms `rest` of the residual."""
+    all that is left, widens it upwards, and the value takes that to be made up as the expansion is."""
     value, off = ratio_of_means(*expansion.projection(which, share))
     estimate = from_replicates(value + off, CHAOS, expansion.residuals.size, float(value))
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return estimate
-    best = max(estimate.value, 0.0) + expansion.left * expansion.rest.share(rest, min(max(float(value), 0.0), 1.0))
+    best = min(max(estimate.value, 0.0) / max(1.0 - expansion.left, 1e-300), 1.0)
     error = expansion.known.error
     low, high = max(estimate.low - error, 0.0), min(estimate.high + error + expansion.left, 1.0)
-    return replace(estimate, value=min(best, 1.0)).spanning(low, high)
+    return replace(estimate, value=min(best, high)).spanning(low, high)
 
 
 def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:

@@ -26,50 +26,16 @@ the table of docs/study-file.md follow.  Its test is a line in PAIRS of tests/uq
 
 from __future__ import annotations
 
-from uqsphere.uq.estimate import NORMAL, REPLICATES, Estimate, absent, exact, from_replicates, spread, student
+from uqsphere.uq.estimate import Estimate, absent, exact, from_replicates, student
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, discrete_law, make_law
-from uqsphere.uq.limit_state import (
-    LimitState,
-    complement,
-    exceedance,
-    failure_of_aim,
-    reliability_index,
-    safety_factor,
-    score_of,
-    tails,
-    target_met,
-)
+from uqsphere.uq.limit_state import LimitState, complement, failure_of_aim, score_of, tails, target_met
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample
 
 __all__ = [
-    "NORMAL",
-    "REPLICATES",
-    "Dependence",
-    "Estimate",
-    "Joint",
-    "Law",
-    "LawError",
-    "LimitState",
-    "Sample",
-    "absent",
-    "complement",
-    "discrete_law",
-    "exact",
-    "exceedance",
-    "failure_of_aim",
-    "from_replicates",
-    "make_joint",
-    "make_law",
-    "random_generator",
-    "reliability_index",
-    "safety_factor",
-    "score_of",
-    "sobol_points",
-    "spread",
-    "student",
-    "tails",
-    "target_met",
+    "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent", "complement",
+    "discrete_law", "exact", "failure_of_aim", "from_replicates", "make_joint", "make_law", "random_generator",
+    "score_of", "sobol_points", "student", "tails", "target_met",
 ]  # fmt: skip

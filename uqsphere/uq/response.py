@@ -26,7 +26,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections, remainder
+from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections
 from uqsphere.uq.chaos.select import Order, folds_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Estimate, absent, around, quantile, sample_reader, student
@@ -202,8 +202,8 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
         N = E_many[P²] + 2 E_rows[r P] + |P r|²,    V = Var_many(S) + E_rows[(Y - m)² - (S - m)²]
 
     and a row's influence on it (2 r P - N/V ((Y - m)² - (S - m)²))/V.  Folds whose responses differ count besides.  The
-    part of r itself is between none and all of what the response leaves, which the interval holds; the value has what
-    the terms of r say (`uq.chaos.remainder`).
+    part of r itself is between none and all of the share e that the response leaves, which the interval holds; the
+    value takes r to be made up as S is, N/V/(1 - e).
     """
     n, d = response.count, len(response.germs)
     if response.constant:
@@ -220,7 +220,7 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
     for k, fit in enumerate(response.fits):
         there = response.folds == k
         parts[:, :, there] = np.array(projections(fit, response.points[there])) / unit
-    rest, note = remainder(response.germs, response.points, residuals), f"{METHOD}; {unseen(n)}"
+    note = f"{METHOD}; {unseen(n)}"
     found: dict[str, list[Estimate]] = {}
     for row, order in enumerate(("first", "total")):
         tops = np.array([getattr(one, order) for one in folds]) * variances[:, None]  # (K, d)
@@ -232,8 +232,7 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
         for j, value in enumerate(np.clip(values, 0.0, 1.0).tolist()):
             half = math.hypot(half_width((moved[j] - values[j] * changed) / whole), float(between_folds[j]))
             half += max(one.error for one in folds) + 1e-15
-            which = rest.active[:, j] if order == "total" else rest.single[:, j]
-            best = min(value + response.error * rest.share(which, value), 1.0)
+            best = min(value / max(1.0 - response.error, 1e-300), 1.0)
             estimate = Estimate(value=best, low=best, high=best, std_error=0.0, evaluations=n, method=note)
             found[order].append(estimate.spanning(max(0.0, value - half), min(1.0, value + half + response.error)))
     return found

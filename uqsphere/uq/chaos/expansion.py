@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.chaos.basis import HIGHEST_DEGREE, Germ, GermLike, Indices, germ_points, nested, recurrence_of, rows_of
+from uqsphere.arrays import Array, special
+from uqsphere.uq.chaos.basis import Germ, GermLike, Indices, germ_points, nested, recurrence_of, rows_of
 from uqsphere.uq.chaos.select import solve_rows
 from uqsphere.uq.estimate import ratio_of_means, student
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 #: rows whose values stay in the processor's cache
 BLOCK: Final = 4096
-#: terms that a residual is looked at by, at most: 512 rows of 15 replicates know their sum to 0.002 of its variance
-REMAINDER: Final = 120
+#: terms of a plain form at most: its points are 17 times as many
+PLAIN: Final = 240
 #: randomisations of the pairs that integrate ln y, and the base points of each; `Integrals.error` is what they leave
 PAIRS_REPLICATES, PAIRS = 8, 256
 
@@ -128,11 +128,13 @@ class Chaos:
         if not self.log:
             return self
         inputs = np.flatnonzero((self.multi_indices > 0).any(axis=0))
-        found = nested(len(inputs), 0.75, 10, 2 * REMAINDER)
+        found = nested(len(inputs), 0.75, 10, PLAIN)
         small = np.zeros((1, len(inputs)), dtype=np.int64) if found is None else found[0]
         terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
         terms[:, inputs] = small
-        points = law_points(self.germs, BLOCK)
+        normals = special.ndtri(sobol_points(dimension=len(self.germs), count=BLOCK, seed=0, task="polynomial chaos",
+                                             replicate=0))  # fmt: skip
+        points = germ_points(normals, self.germs)
         values = predict(self, points)
         unit = float(np.abs(values).max())
         coefficients = solve_rows(rows_of(self.germs, points, terms), values / unit) * unit
@@ -177,12 +179,6 @@ def predict(fit: Chaos, points: Array) -> Array:
     return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)) if fit.log else values)
 
 
-def law_points(germs: Sequence[GermLike], count: int) -> Array:
-    """Germ points (count, d), the same every time."""
-    return germ_points(special.ndtri(sobol_points(dimension=len(germs), count=count, seed=0, task="polynomial chaos",
-                                                  replicate=0)), germs)  # fmt: skip
-
-
 # --- moments and indices ------------------------------------------------------------------------------------
 
 
@@ -221,7 +217,8 @@ def integrals(fit: Chaos) -> Integrals:
     varying = np.where(active.any(axis=1), plain.coefficients, 0.0)
     unit = float(np.abs(varying).max())  # squares of large ones stay finite
     squares, mean = (varying / unit) ** 2, float(plain.coefficients[0])
-    whole, first, total = float(squares.sum()), squares @ _single(active), squares @ active
+    single = active & (active.sum(axis=1) == 1)[:, None]
+    whole, first, total = float(squares.sum()), squares @ single, squares @ active
     if not fit.log:
         return Integrals(mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole)
     blocks = Blocks(inputs_count=d)
@@ -255,54 +252,10 @@ def _product(fit: Chaos) -> Integrals:
                      total=more / (1.0 + more) * (1.0 + whole) / whole)  # fmt: skip
 
 
-def _single(active: Flags) -> Flags:
-    """Which terms (P, d) have the one input alone."""
-    single: Flags = active & (active.sum(axis=1) == 1)[:, None]
-    return single
-
-
 def projections(fit: Chaos, points: Array) -> tuple[Array, Array]:
     """What the terms of single inputs, (d, n), and all terms with an input, (d, n), say at germ points (n, d)."""
     plain = fit.plain_form
     active = plain.multi_indices > 0
     rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]
-    return _single(active).T.astype(float) @ rows, active.T.astype(float) @ rows
-
-
-# --- what an expansion leaves -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Remainder:
-    """How the residual of an expansion is made up: `energies` (Q,) of terms with the inputs `active` (Q, d).
-
-    Each is the mean of r_i r_j p(x_i) p(x_j) over pairs of different rows, which has no bias; their sum has the
-    standard error `noise` where there is nothing but noise.
-    """
-
-    active: Flags
-    energies: Array
-    noise: float
-
-    @property
-    def single(self) -> Flags:
-        """Which terms (Q, d) have the one input alone."""
-        return _single(self.active)
-
-    def share(self, which: Flags, prior: float) -> float:
-        """The share of the residual's variance that belongs to some terms (Q,), drawn to `prior` by the noise."""
-        own, every = max(float(self.energies[which].sum()), 0.0), max(float(self.energies.sum()), 0.0)
-        return min((own + self.noise * prior) / max(every + self.noise, own + self.noise * prior, 1e-300), 1.0)
-
-
-def remainder(germs: Sequence[GermLike], points: Array, residuals: Array) -> Remainder:
-    """The residual (n,) of an expansion at germ points (n, d) that it was not fitted to, by terms."""
-    n, d = points.shape
-    found = nested(d, 0.75, HIGHEST_DEGREE, max(REMAINDER, d + 1)) if d else None
-    terms = np.zeros((0, d), dtype=np.int64) if found is None else found[0][1:]
-    unit = float(np.abs(residuals).max(initial=0.0)) or 1.0
-    r = (residuals - residuals.mean()) / unit
-    rows = rows_of(germs, points, terms) if len(terms) else np.zeros((0, n))
-    energies = ((rows @ r) ** 2 - rows**2 @ r**2) / (n * (n - 1.0))
-    return Remainder(active=terms > 0, energies=energies,
-                     noise=float(r @ r) / n * math.sqrt(2.0 * max(len(terms), 1)) / n)  # fmt: skip
+    single = active & (active.sum(axis=1) == 1)[:, None]
+    return single.T.astype(float) @ rows, active.T.astype(float) @ rows
