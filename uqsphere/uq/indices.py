@@ -12,7 +12,7 @@ carry the answer (`uqsphere.uq.estimate.freedom`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Final, TypeAlias
@@ -139,10 +139,10 @@ def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     return numerator, np.repeat(0.5 * _mean(a * a + b * b), rows.size, axis=1)
 
 
-#: estimator by the size of the total index -> order -> its name and the ratio of a, b, ab
-ESTIMATORS: Final[Mapping[str, Mapping[str, tuple[str, Callable[..., Ratio]]]]] = {
-    "small": {"first": ("Saltelli 2010", saltelli_first), "total": ("Jansen", jansen_total)},
-    "large": {"first": ("correlation of pairs", janon_first), "total": ("correlation of pairs", janon_total)},
+#: order -> name and ratio of a, b, ab for an input whose total index is small, and for one whose is large
+ESTIMATORS: Final[Mapping[str, Sequence[tuple[str, Callable[..., Ratio]]]]] = {
+    "first": (("Saltelli 2010", saltelli_first), ("correlation of pairs", janon_first)),
+    "total": (("Jansen", jansen_total), ("correlation of pairs", janon_total)),
 }
 
 
@@ -195,12 +195,10 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
         a, b, ab = (np.concatenate(part, axis=1) for part in ((a, b), (b, a), (ab, ba)))
     numerator, denominator = jansen_total(a, b, ab)
     large = numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)
-    found = {order: [absent(NO_SCATTER, METHOD, outputs.size)] * d for order in ("first", "total")}
-    for size, which in (("small", ~large), ("large", large)):
-        places = np.flatnonzero(which)
-        for order, (shown, ratio) in ESTIMATORS[size].items():
-            for j, e in zip(places, _estimates(ratio, (a, b, ab[:, :, places]), shown, outputs.size), strict=True):
-                found[order][j] = e
+    found = {}
+    for order, estimators in ESTIMATORS.items():
+        small, big = (_estimates(ratio, (a, b, ab), shown, outputs.size) for shown, ratio in estimators)
+        found[order] = [big[j] if large[j] else small[j] for j in range(d)]
     return SampledIndices(first=found["first"], total=found["total"], second=dict(zip(pairs, second, strict=True)))
 
 

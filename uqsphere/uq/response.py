@@ -27,6 +27,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections
+from uqsphere.uq.chaos.fit import mean_and_sd
 from uqsphere.uq.chaos.select import Order, folds_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Estimate, absent, around, quantile, sample_reader, student
@@ -99,11 +100,6 @@ class Response:
         return self.fits[0].germs
 
     @property
-    def constant(self) -> bool:
-        """Whether no fold has more than a constant."""
-        return all(fit.constant for fit in self.fits)
-
-    @property
     def usable(self) -> bool:
         """Whether the error is small enough for the response to speak for the model."""
         return self.error <= MOST
@@ -143,11 +139,8 @@ def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
         levels = np.empty(n)
         for k, fit in enumerate(fits):
             levels[folds == k] = predict(fit, points[folds == k])
-        unit = float(np.abs(y).max()) or 1.0
-        spread = float(np.var(y / unit))
-        left = float(np.mean(((y - levels) / unit) ** 2))
-        flat = not spread > (1e-14 * float(np.mean(y / unit))) ** 2
-        error = 0.0 if flat else min(left / spread, 1.0) if math.isfinite(left) else 1.0
+        mean, sd = mean_and_sd(y)
+        error = 0.0 if sd <= 1e-14 * abs(mean) else min(float(np.mean(((y - levels) / sd) ** 2)), 1.0)
         made.append(Response(fits=fits, folds=folds, points=np.asarray(points), outputs=y, levels=levels,
                              residuals=y - levels, error=error))  # fmt: skip
     return made
@@ -206,7 +199,7 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
     value takes r to be made up as S is, N/V/(1 - e).
     """
     n, d = response.count, len(response.germs)
-    if response.constant:
+    if all(fit.constant for fit in response.fits):
         nothing = [absent("the output does not vary with the inputs, or the expansion is a constant", METHOD, n)] * d
         return {"first": nothing, "total": list(nothing)}
     folds = [integrals(fit) for fit in response.fits]

@@ -231,20 +231,6 @@ class Expansion:
         found = integrals(self.fit)
         return found.mean, found.sd
 
-    def sample(self, count: int, *, seed: int = 0) -> DataFrame:
-        """Rows of the inputs by their laws, with the value of the expansion in the column `value`."""
-        from pandas import DataFrame
-
-        normals = random_generator(seed=seed, task="expansion").standard_normal((count, len(self.names)))
-        scores = self.joint.scores(normals)
-        frame = DataFrame(self.joint.marginal(scores), columns=list(self.names))
-        frame["value"] = predict(self.fit, germ_points(scores, self.fit.germs))
-        return frame
-
-    def quantiles(self, probabilities: Sequence[float], *, count: int = 65_536, seed: int = 0) -> Array:
-        """Quantiles of the expansion, of so many rows of a sample."""
-        return np.asarray(np.quantile(self.sample(count, seed=seed)["value"].to_numpy(), probabilities))
-
     def indices(self) -> dict[str, dict[str, Estimate]]:
         """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs are tied."""
         if self.response is None:

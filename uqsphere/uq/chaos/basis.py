@@ -148,8 +148,6 @@ def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
     for column, germ in enumerate(germs):
         if base_of(germ) == "uniform":
             points[:, column] = 2.0 * special.ndtr(points[:, column]) - 1.0
-        elif base_of(germ) != "normal":
-            raise ValueError(f"unknown germ {germ!r}; allowed: normal, uniform, or a law of its own")
     return points
 
 
@@ -162,21 +160,14 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    budget = degree**norm + 1e-9
-    partial: list[tuple[tuple[int, ...], float]] = [((), 0.0)]
+    costs, rows, used = np.arange(degree + 1.0) ** norm, np.zeros((1, 0), dtype=np.int64), np.zeros(1)
     for _ in range(dimension):
-        longer = []
-        for head, used in partial:
-            for k in range(degree + 1):
-                total = used + k**norm if k else used
-                if total > budget:
-                    break
-                longer.append(((*head, k), total))
-        if len(longer) > most:
+        total = used[:, None] + costs
+        heads, last = np.nonzero(total <= degree**norm + 1e-9)
+        if len(heads) > most:
             return None
-        partial = longer
-    rows = sorted((row for row, _ in partial), key=lambda row: (sum(row), row))
-    return np.array(rows, dtype=np.int64).reshape(len(rows), dimension)
+        rows, used = np.column_stack([rows[heads], last]), total[heads, last]
+    return rows[np.lexsort((*rows.T[::-1], rows.sum(axis=1)))]
 
 
 @lru_cache(maxsize=64)

@@ -49,7 +49,7 @@ class Basis(NamedTuple):
     sizes: tuple[int, ...] = ()
 
 
-def _moments(values: Array) -> tuple[float, float]:
+def mean_and_sd(values: Array) -> tuple[float, float]:
     """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
     unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
     return unit * float((values / unit).mean()), unit * float((values / unit).std())
@@ -78,7 +78,7 @@ class Target:
     @cached_property
     def scale(self) -> tuple[float, float]:
         """Centre and spread of w."""
-        return _moments(self.w)
+        return mean_and_sd(self.w)
 
     @cached_property
     def values(self) -> Array:
@@ -95,7 +95,7 @@ class Target:
         if not self.log:
             return np.asarray((values - self.values) ** 2)
         w = np.clip(self.scale[0] + self.scale[1] * values, *self.bounds)
-        return np.asarray(((self.sign * np.exp(w) - self.outputs) / _moments(self.outputs)[1]) ** 2)
+        return np.asarray(((self.sign * np.exp(w) - self.outputs) / mean_and_sd(self.outputs)[1]) ** 2)
 
     def error(self, values: Array) -> float:
         found = float(self.squares(values).mean())
@@ -166,7 +166,7 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
         raise ValueError(f"need points (n, {d}) and outputs (n,), n >= 4; found {points.shape}, {n}")
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
-    mean, deviation = _moments(outputs)
+    mean, deviation = mean_and_sd(outputs)
     flat = deviation <= 1e-14 * abs(mean)
     constant = Chaos(coefficients=np.array([mean]), multi_indices=np.zeros((1, d), dtype=np.int64), germs=germs,
                      cross_validation_error=0.0 if flat and d else 1.0, samples=n)  # fmt: skip

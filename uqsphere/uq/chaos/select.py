@@ -111,23 +111,23 @@ def forward_selection(basis: Array, target: Array, folds: Order, error_of: Calla
 def whole_set(
     basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int, sizes: tuple[int, ...]
 ) -> Path:
-    """All rows of a set, of the nested sets of these sizes that with the least K-fold error."""
-    inside = [folds != k for k in range(folds.max() + 1)]
-    sizes = tuple(size for size in sizes if size <= min(most, min(int(seen.sum()) for seen in inside) - 1))
-    if not sizes:
-        return Path(np.zeros(1, dtype=np.intp), math.inf, np.zeros(target.size))
-    predicted = np.empty((len(sizes), target.size))
-    for seen in inside:
-        q, r = np.linalg.qr(basis[: sizes[-1], seen].T)
-        diagonal = np.abs(np.diag(r))
-        # a column that depends on the others gets no weight
-        r[np.diag_indices_from(r)] = np.where(diagonal > 1e-10 * diagonal.max(), np.diag(r), 1e150)
-        ahead = np.linalg.solve(r.T, basis[: sizes[-1], ~seen]).T
-        fitted = np.cumsum(ahead * (q.T @ target[seen]), axis=1)
-        predicted[:, ~seen] = fitted[:, [size - 1 for size in sizes]].T
-    errors = [error_of(line) for line in predicted]
-    at = int(np.argmin(errors))
-    return Path(np.arange(sizes[at], dtype=np.intp), errors[at], predicted[at])
+    """All rows of a set, of the nested sets of these sizes that with the least K-fold error.
+
+    Least squares without a fold miss its samples by (I - H_kk)⁻¹ r_k, with H_kk the block of the projection on the rows
+    and r_k the residuals of all samples.
+    """
+    n, count = target.size, int(folds.max()) + 1
+    sizes = tuple(size for size in sizes if size <= min(most, n - -(-n // count) - 1))
+    best = Path(np.zeros(1, dtype=np.intp), math.inf, np.zeros(n))
+    q = np.linalg.qr(basis[: max(sizes, default=0)].T)[0]
+    for size in sizes:
+        held_out, own = target.copy(), q[:, :size]
+        left = target - own @ (own.T @ target)
+        for at in (np.flatnonzero(folds == k) for k in range(count)):
+            held_out[at] -= np.linalg.lstsq(np.eye(at.size) - own[at] @ own[at].T, left[at], rcond=1e-12)[0]
+        if (error := error_of(held_out)) < best.error:
+            best = Path(np.arange(size, dtype=np.intp), error, held_out)
+    return best
 
 
 def solve_rows(rows: Array, values: Array) -> Array:
