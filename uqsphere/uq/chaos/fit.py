@@ -81,6 +81,11 @@ class Target:
         return mean_and_sd(self.w)
 
     @cached_property
+    def deviation(self) -> float:
+        """Standard deviation of the outputs."""
+        return mean_and_sd(self.outputs)[1]
+
+    @cached_property
     def values(self) -> Array:
         """What the polynomial is fitted to (n,)."""
         return (self.w - self.scale[0]) / self.scale[1]
@@ -95,7 +100,7 @@ class Target:
         if not self.log:
             return np.asarray((values - self.values) ** 2)
         w = np.clip(self.scale[0] + self.scale[1] * values, *self.bounds)
-        return np.asarray(((self.sign * np.exp(w) - self.outputs) / mean_and_sd(self.outputs)[1]) ** 2)
+        return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
 
     def error(self, values: Array) -> float:
         found = float(self.squares(values).mean())
@@ -190,18 +195,22 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
 
 
 def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
-    """The terms with the least error of all bases: selected, else whole sets.  A target that is far off drops out."""
+    """The terms with the least error of all bases: selected, else whole sets.  Of two targets one that is far off on a
+    set of no more terms than samples is not searched."""
     n, found = targets[0].outputs.size, list[Choice]()
+    most = _most_terms(n)
+    if len(targets) > 1:
+        size = max([size for size in bases[0].sizes if size <= n] or bases[0].sizes[:1])
+        looks = [target.forward(Basis(bases[0].terms[:size], bases[0].rows[:size]), most).error for target in targets]
+        near = max(CLEAR * min(looks), ENOUGH)
+        targets = [target for target, look in zip(targets, looks, strict=True) if look <= near]
     for basis in bases:
-        for target in targets:
-            found.append(_search(target, basis, _most_terms(n)))
-        least = min(one.error for one in found)
-        if least < ENOUGH:
+        found += [_search(target, basis, most) for target in targets]
+        if min(one.error for one in found) < ENOUGH:
             break
-        targets = list({one.target: None for one in found if one.error <= CLEAR * least})
     else:
         # a whole set is no choice that few samples could mislead
-        most = max(_most_terms(n), min(2 * n // 3, MOST_TERMS))
+        most = max(most, min(2 * n // 3, MOST_TERMS))
         found += [target.whole(basis, most) for target in targets for basis in bases]
     return min(found, key=lambda one: one.error)
 
