@@ -89,17 +89,13 @@ def expansions(
 
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
-    size, count = len(design.inputs), sample.count
-    germs = germs_of(design.joint.only(design.inputs).laws)
+    size, count, germs = len(design.inputs), sample.count, germs_of(design.joint.only(design.inputs).laws)
+    points = points_of(design, sample.scores)
     found: dict[str, Expansion] = {}
-    points: Array | None = None
     for name in columns:
         outputs = sample.answer(name)
         if not sample.knows(name) or not outputs.std() > 1e-12 * abs(outputs).max():
             continue
-        if points is None:
-            flat = sample.scores[:, :, :size].reshape(-1, size)
-            points = germ_points(flat, germs).reshape(*outputs.shape, size)
         rows = min(count, MOST_ROWS)
         known = before.get(name)
         if known is not None and (known.rows == rows or known.left < GOOD):
@@ -127,12 +123,19 @@ def _left(outputs: Array, values: Array) -> float:
     return float((outputs[1:] - values).var() / outputs[1:].var())
 
 
-def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
-    """Values of an expansion at independent normals (..., d) of the inputs."""
+def points_of(design: Design, normals: Array) -> Array:
+    """Germ points (..., d) of the inputs at independent normals (..., D) of all variables, of which they are the
+    first."""
     germs = germs_of(design.joint.only(design.inputs).laws)
+    flat = normals.reshape(-1, normals.shape[-1])[:, : len(germs)]
+    return germ_points(flat, germs).reshape(*normals.shape[:-1], len(germs))
+
+
+def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
+    """Values of an expansion at independent normals (..., D)."""
 
     def at(normals: Array) -> Array:
-        flat = normals.reshape(-1, normals.shape[-1])[:, : len(germs)]
-        return predict(expansion.fit, germ_points(flat, germs)).reshape(normals.shape[:-1])
+        points = points_of(design, normals)
+        return predict(expansion.fit, points.reshape(-1, points.shape[-1])).reshape(normals.shape[:-1])
 
     return at

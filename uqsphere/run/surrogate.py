@@ -1,14 +1,9 @@
 """Slow models: one design, a polynomial chaos corrected by its own rows, and the same tables as any run.
 
 A model is slow where the first size of the loop would take longer than the budget allows.  It gets one design of N
-rows.  Eight expansions, each fitted without one eighth of the rows, predict the tables: replicate r by expansion r
-modulo eight, so that the replicates differ by the fit as well.  What an expansion leaves of the rows that it was not
-fitted to corrects every answer,
-
-    E[T(y)] = E[T(f)] + E[T(y) - T(f)],
-
-the first over the table, the second over the N rows, whose spread is the interval.  An event rarer than about 3/N is
-not in N rows: every answer says so.
+rows, to which the eight expansions of `uqsphere.uq.response` are fitted; replicate r of a table is predicted by
+expansion r modulo eight, and every answer is corrected by the N rows.  An event rarer than about 3/N is not in N rows:
+every answer says so.
 """
 
 from __future__ import annotations
@@ -17,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -25,11 +20,12 @@ from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
+from uqsphere.run.chaos import points_of
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
 from uqsphere.run.tables import Tables, check_failures, evaluate
 from uqsphere.study import Margins
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
-from uqsphere.uq.chaos import germ_points, germs_of
+from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected, half_width, index_shares, unseen
 from uqsphere.uq.surrogate import columns_of, each_once
@@ -78,7 +74,9 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
     if analysis.budget.evaluations < first:
         return True
     try:
-        model.evaluate(design.inputs, _rows_of(design, _design_points(design, PROBE)), design.columns)
+        probe = at_normals(design.drawn, _design_points(design, PROBE)[None])
+        rows = np.stack([probe.input(name)[0] for name in design.inputs], axis=1)
+        model.evaluate(design.inputs, rows, design.columns)
     except Interrupted:
         raise KeyboardInterrupt from None
     return (model.seconds_per_row or 0.0) * first > seconds
@@ -91,14 +89,7 @@ def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow
     return np.concatenate([normal_scores(points[:, :size]), points[:, size:]], axis=1)
 
 
-def _rows_of(design: Design, normals: Array) -> Array:
-    names = design.drawn.names
-    physical = design.drawn.physical(normals[:, : len(names)])
-    return np.asarray(physical[:, [names.index(name) for name in design.inputs]])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class KnownRows:
+class KnownRows(NamedTuple):
     """Rows that were answered elsewhere: their points (1, N), and a model that looks their answers up."""
 
     points: Sample
@@ -208,42 +199,27 @@ def tables_of(
 
 def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
     """The expansions of all columns, and a table of their values; a column that stays rough keeps its rows."""
-    size, dropped = len(design.inputs), 0.0
+    dropped = 0.0
     if design.study.analysis.policy == "drop" and rows.failed.any():
         dropped, rows = float(rows.failed.mean()), rows.where(~rows.failed[0])
-    order = [rows.names.index(name) for name in design.inputs]
-    germs = germs_of(design.joint.only(design.inputs).laws)
-    good = np.isfinite(rows.answers[0]).all(axis=1) & ~rows.censored[0].any(axis=1)
-    responses: dict[str, Response] = {}
-    if good.sum() >= LEAST_ROWS and size:
-        points = germ_points(rows.scores[0][:, order], germs)[good]
-        for name, response in zip(rows.quantities, cross_fit(points, rows.answers[0][good], germs), strict=True):
-            if response.usable:
-                responses[name] = response
-    if len(responses) < len(rows.quantities) or not good.all():
-        # one table for all columns: where one is rough, the rows answer for all
-        replicates = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
-        kept = _blocks(rows, replicates)
-        return Slow(rows=rows, left_out=rows, responses={}, dropped=dropped), kept
-    table = design.points(POINTS)
-    flat = germ_points(table.scores[:, :, order].reshape(-1, size), germs).reshape(REPLICATES, POINTS, size)
-    values = np.stack([responses[name].table(flat) for name in rows.quantities], axis=2)
-    left_out = rows.with_answers(
-        rows.quantities, np.stack([responses[name].levels for name in rows.quantities], axis=1)[None]
-    )
-    slow = Slow(rows=rows, left_out=left_out, responses=responses, dropped=dropped)
-    return slow, table.with_answers(rows.quantities, values)
-
-
-def _blocks(rows: Sample, count: int) -> Sample:
-    """Rows (1, N) cut into blocks of consecutive ones, which stand for replicates."""
+    if np.isfinite(rows.answers).all() and not rows.censored.any() and rows.count >= LEAST_ROWS:
+        germs = germs_of(design.joint.only(design.inputs).laws)
+        responses = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
+        if all(response.usable for response in responses):
+            left_out = rows.with_answers(rows.quantities, np.stack([one.levels for one in responses], axis=1)[None])
+            slow = Slow(rows=rows, left_out=left_out, dropped=dropped,
+                        responses=dict(zip(rows.quantities, responses, strict=True)))  # fmt: skip
+            table = design.points(POINTS)
+            points = points_of(design, table.scores)
+            values = np.stack([response.table(points) for response in responses], axis=2)
+            return slow, table.with_answers(rows.quantities, values)
+    # one table for all columns: where one is rough the rows answer for all, in blocks that stand for replicates
+    count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
     each = rows.count // count
+    blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
     parts = ("scores", "inputs", "answers", "censored", "status", "failed")
-    cut: dict[str, Any] = {}
-    for name in parts:
-        own = getattr(rows, name)[0, : each * count]
-        cut[name] = own.reshape(count, each, *own.shape[1:])
-    return replace(rows, **cut)
+    cut: dict[str, Any] = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in parts}
+    return Slow(rows=rows, left_out=rows, responses={}, dropped=dropped), replace(rows, **cut)
 
 
 def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
@@ -253,30 +229,22 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
         return {}
     names = design.drawn.names
     points = _design_points(design, count, 1, "slow line")
-    values = np.asarray(margins.value(points[:, -1]))
+    values, normals = np.asarray(margins.value(points[:, -1])), points[:, : len(names)]
     moved = [margins.move(design.study, float(value)).inputs().only(names) for value in values]
-    normals = points[:, : len(names)]
     physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(moved)])
-    placed = Sample.at(names, normals[None], physical[None])
     column = physical[:, names.index(margins.path)] if margins.path in names else values
-    rows = evaluate(design, model, placed, {margins.path: column[None]})
-    order = [names.index(name) for name in design.inputs]
+    rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), {margins.path: column[None]})
     germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
-    places = np.column_stack([germ_points(normals[:, order], germs[:-1]), 2.0 * points[:, -1] - 1.0])
+    places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     good = np.isfinite(rows.answers[0]).all(axis=1)
     responses = cross_fit(places[good], rows.answers[0][good], germs)
     if not all(response.usable for response in responses):
         return {}
     table = design.points(sample.count if sample.replicates == REPLICATES else POINTS).head(256)
-    flat = germ_points(table.scores[:, :, order].reshape(-1, len(order)), germs[:-1]).reshape(
-        *table.scores.shape[:2], -1
-    )
-    found = {}
+    inputs, found = points_of(design, table.scores), {}
     for value in margins.grid(VALUES):
-        place = np.full((*flat.shape[:2], 1), _germ_of(margins, value))
-        at = np.concatenate([flat, place], axis=2)
-        answers = np.stack([one.table(at) for one in responses], axis=2)
-        found[value] = table.with_answers(rows.quantities, answers)
+        at = np.concatenate([inputs, np.full((*inputs.shape[:2], 1), _germ_of(margins, value))], axis=2)
+        found[value] = table.with_answers(rows.quantities, np.stack([one.table(at) for one in responses], axis=2))
     return found
 
 

@@ -100,6 +100,11 @@ class Response:
         return self.fits[0].germs
 
     @property
+    def constant(self) -> bool:
+        """Whether no fold has more than a constant."""
+        return all(fit.constant for fit in self.fits)
+
+    @property
     def usable(self) -> bool:
         """Whether the error is small enough for the response to speak for the model."""
         return self.error <= MOST
@@ -199,7 +204,7 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
     value takes r to be made up as S is, N/V/(1 - e).
     """
     n, d = response.count, len(response.germs)
-    if all(fit.constant for fit in response.fits):
+    if response.constant:
         nothing = [absent("the output does not vary with the inputs, or the expansion is a constant", METHOD, n)] * d
         return {"first": nothing, "total": list(nothing)}
     folds = [integrals(fit) for fit in response.fits]

@@ -167,7 +167,7 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
         if len(heads) > most:
             return None
         rows, used = np.column_stack([rows[heads], last]), total[heads, last]
-    return rows[np.lexsort((*rows.T[::-1], rows.sum(axis=1)))]
+    return np.asarray(rows[np.lexsort((*rows.T[::-1], rows.sum(axis=1)))])
 
 
 @lru_cache(maxsize=64)
