@@ -13,6 +13,7 @@ as much: its variances are integrated, and projected by its plain form.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -127,8 +128,8 @@ def points_of(design: Design, normals: Array) -> Array:
     """Germ points (..., d) of the inputs at independent normals (..., D) of all variables, of which they are the
     first."""
     germs = germs_of(design.joint.only(design.inputs).laws)
-    flat = normals.reshape(-1, normals.shape[-1])[:, : len(germs)]
-    return germ_points(flat, germs).reshape(*normals.shape[:-1], len(germs))
+    shape = (*normals.shape[:-1], len(germs))
+    return germ_points(normals[..., : len(germs)].reshape(math.prod(shape[:-1]), len(germs)), germs).reshape(shape)
 
 
 def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:

@@ -32,9 +32,9 @@ from uqsphere.uq.chaos.select import Order, Path, folds_of, forward_selection, s
 NORMS: Final = (0.75, 1.0, 0.5)
 #: share of the variance below which a larger set would only cost time
 ENOUGH: Final = 1e-18
-#: a grown set must bring the error below this share: what has more ways to be lucky has to help measurably
-#: (tests/campaigns/chaos.py)
-GROWS: Final = 0.9
+#: a logarithm must bring the error below this share, and a grown
+#: set below its own: what has more ways to be lucky has to help measurably (tests/campaigns/chaos.py)
+HELPS, GROWS = 0.8, 0.9
 #: of y and ln y the one within this factor of the least error goes on, a factor 2 of amplitude
 CLEAR: Final = 4.0
 #: terms at most: more take time and gain nothing on the 22 functions of tests/campaigns/chaos.py
@@ -212,7 +212,7 @@ def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
         # a whole set is no choice that few samples could mislead
         most = max(most, min(2 * n // 3, MOST_TERMS))
         found += [target.whole(basis, most) for target in targets for basis in bases]
-    return min(found, key=lambda one: one.error)
+    return min(found, key=lambda one: one.error / HELPS**one.target.log)
 
 
 def _search(target: Target, basis: Basis, most: int) -> Choice:
