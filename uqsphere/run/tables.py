@@ -106,7 +106,7 @@ def check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDAr
     if analysis.policy == "abort":
         raise TooManyFailures(f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
                               'analysis.on_failure = "bound" or "drop" goes on without such rows')  # fmt: skip
-    most = max(analysis.drop_limit, 3.0 / len(good))
+    most = max(0.01 if isinstance(analysis.on_failure, str) else analysis.on_failure, 3.0 / len(good))
     if share > most:
         raise TooManyFailures(
             f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}; "

@@ -28,7 +28,7 @@ from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
 from uqsphere.study.record import measured_pulse
 from uqsphere.study.study import Margins, Study, strength_name
-from uqsphere.uq import Dependence, Law, LawError, make_joint, make_law
+from uqsphere.uq import Dependence, Law, LawError, make_joint
 
 Faults = Iterator[Fault]
 #: which materials of the library a table may name; partners take any
@@ -56,6 +56,7 @@ FORMS: Final[dict[str, dict[str, str]]] = {
                "ball": "E nu density diameter speed|drop_height"},
     "other": {"": "E nu density radius"}, "rod": {"": "E nu density diameter length"},
     "platens": {"": "E nu force|displacement"},
+    "model": {"bars": "; first_loading_only whole_record compare_with_paper"},
     "contact": {"hertz": "", "plastic": "; onset_pressure hardness pile_up"},
 }  # fmt: skip
 
@@ -64,7 +65,6 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
     document, rod = draft.document, draft.document.rod
     usual = draft.known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
-    analysis = document.analysis
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
     own = {name: number.value for name, number in draft.numbers.items() if not name.startswith("limits.")}
     return Study(
@@ -76,7 +76,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         options=draft.options, materials=draft.materials, sources=draft.sources, model=document.model,
         limits=tuple(draft.limits.values()), margins=draft.margins, record=draft.record,
         dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
-        analysis=analysis.model_copy(update={"quantities": analysis.quantities or tuple(usual)}),
+        analysis=document.analysis.model_copy(update={"quantities": document.analysis.quantities or tuple(usual)}),
         outputs=document.outputs.names if draft.box else (), warnings=tuple(draft.warnings),
         gauges=(*gauges, *document.gauges), files=tuple(draft.files.items()),
     )  # fmt: skip
@@ -155,10 +155,9 @@ def _library(draft: Draft) -> Faults:
             continue
         if table != "insert":
             draft.materials[table] = name
-        crushes = table == "sphere" and draft.plastic
         for key, entry in known[name].properties.items():
             path = getattr(numbers_of(table).get(key), "name", None)
-            if path is None or path in draft.numbers or (key in LAW and not crushes):
+            if path is None or path in draft.numbers or (key in LAW and not (table == "sphere" and draft.plastic)):
                 continue
             draft.numbers[path] = Number(value=entry.value)
             draft.sources[path] = entry
@@ -197,10 +196,10 @@ def _forms(draft: Draft) -> Faults:
     timed = "pulse.duration" * (shape == "step" or "pulse.duration" in numbers)
     kinds = {
         "target": document.target.kind, "anvil": document.anvil.kind, "hammer": document.hammer.shape or "",
-        "bars": "infinite" if document.bars.infinite else "", "pulse": shape, "rig": draft.rig,
+        "bars": "infinite" if document.bars.infinite else "", "pulse": shape, "rig": draft.rig, "model": draft.rig,
         "striker": "measured" if shape == "measured" else timed, "contact": document.contact.law,
     }  # fmt: skip
-    for table in [name for name in ("sphere", *RIG_TABLES[draft.rig], "rig", "contact") if name in draft.data]:
+    for table in [name for name in ("sphere", *RIG_TABLES[draft.rig], "rig", "contact", "model") if name in draft.data]:
         kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
         needs, _, others = FORMS[table].get(kind, "").partition(";")
         takes, anywhere = (re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values())))
@@ -234,9 +233,6 @@ def _model(draft: Draft) -> Faults:
     if model.whole_record and model.first_loading_only:
         said = "the whole record goes on after the first loading: leave first_loading_only out"
         yield Fault(said, "model", "whole_record")
-    for key in ("first_loading_only", "whole_record", "compare_with_paper"):
-        if getattr(model, key) and not bars:
-            yield Fault(f'{key} belongs to the rig "bars": leave it out', "model", key)
     if model.fidelity != "full" and not bars and not light:
         yield Fault(f"the rig {shown(rig)} is solved in full: leave fidelity out", "model", "fidelity")
     if not bars and rig != "platens":
@@ -275,12 +271,10 @@ def _scene(draft: Draft) -> Faults:
         yield Fault(f"nothing says what yields: give {names} or contact.onset_pressure", "contact", "law")
     for table, (face, crushes) in faces.items():
         if not face.valid[0]:
-            given = {key: format_value(float(value[0]), f"contact.{key}")
-                     for key, value in zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)}  # fmt: skip
-            values = ", ".join(f"{key} {'missing' if 'nan' in value else value}" for key, value in given.items())
-            said = (
-                f"found {values}: a hardness of the onset or more is required, with b = C H/p_y - 1 = 0 or 0.2 to 100"
-            )
+            law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
+            values = ", ".join(f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law)
+            values = values.replace("nan GPa", "missing")
+            said = f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 to 100 are required"
             way = 'pile_up = 1 and no hardness make it 0, law = "hertz" has no bound'
             yield Fault(f"{said}; {way}", "contact" if own else "sphere" if crushes else table, "hardness")
     if draft.rig != "bars":
@@ -350,7 +344,7 @@ def _analysis(draft: Draft) -> Faults:
 def _dependence(draft: Draft) -> Faults:
     """The names of each dependence, then all together."""
     ties = draft.document.dependence
-    random = [name for name, number in draft.numbers.items() if isinstance(number.value, Law)]
+    random = {name: number.value for name, number in draft.numbers.items() if isinstance(number.value, Law)}
     for index, tie in enumerate(ties):
         for at, name in enumerate(tie.of):
             if name not in random:
@@ -359,11 +353,10 @@ def _dependence(draft: Draft) -> Faults:
                     said = f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
                 yield Fault(said, "dependence", index, "of", at)
                 return
-    tied = [name for name in random if any(name in tie.of for tie in ties)]
-    made, unit = [Dependence(**dict(tie)) for tie in ties], make_law("normal", {"mean": 0.0, "sd": 1.0})
+    made = [Dependence(**dict(tie)) for tie in ties]
     for index, tie in enumerate(ties):
         try:
-            make_joint(tied, [unit] * len(tied), made[: index + 1])
+            make_joint(list(random), list(random.values()), made[: index + 1])
         except LawError as error:
             key = "kendall" if error.key == "spearman" and tie.spearman is None else error.key
             raise Fault(error.message, "dependence", index, key) from None

@@ -142,9 +142,7 @@ class Rig(Table):
 class Struck(Body):
     """A target or an anvil."""
 
-    kind: Literal["thick", "plate", "bar", "mass"] = key(
-        "of target or anvil; a plate bends, a bar is hit at its end", "thick"
-    )
+    kind: Literal["thick", "plate", "bar", "mass"] = key("a plate bends, a bar is struck at its end", "thick")
 
 
 class Hammer(Body):
@@ -293,9 +291,7 @@ class Analysis(Table):
     quantiles: Shares = key("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
     methods: Methods = key(f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",))
     second_order: bool = key("Sobol' indices of all pairs of inputs as well", False)
-    failure_modes: Literal["all", "given"] = key(
-        "a rock is judged by all, by library strengths where none is given", "all"
-    )
+    failure_modes: Literal["all", "given"] = key("`all`: those of a rock that have no limit, too", "all")
     on_failure: Literal["abort", "bound", "drop"] | Share = key(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %, '
         'a share such as `"5 %"` up to that', "abort")  # fmt: skip
@@ -306,11 +302,6 @@ class Analysis(Table):
     def policy(self) -> str:
         """What becomes of failed evaluations: abort, bound or drop."""
         return self.on_failure if isinstance(self.on_failure, str) else "drop"
-
-    @property
-    def drop_limit(self) -> float:
-        """The largest share of failed evaluations that is left out."""
-        return 0.01 if isinstance(self.on_failure, str) else self.on_failure
 
 
 class MarginsTable(Table):
@@ -495,8 +486,7 @@ def json_schema() -> dict[str, Any]:
     }
     laws |= {key: {"type": "array", "items": {"type": ["number", "string"]}} for key in ("values", "weights")}
     laws["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
-    sources = [{"required": [key]} for key in ("dist", "file", "draws")]
-    parts["distribution"] = {"type": "object", "properties": laws, "anyOf": sources}
+    parts["distribution"] = {"type": "object", "properties": laws}
     kinds = [{"required": ["sphere"]}, {"required": ["inputs", "outputs"]}]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "anyOf": kinds}
 

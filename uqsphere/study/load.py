@@ -10,7 +10,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,29 +54,28 @@ def load_study(
             except Fault as fault:  # behind those that the check has yielded
                 faults.append(fault)
         if faults:
-            raise StudyError(str(path), _problems([*_removed(draft.data)] or faults, text, overridden))
+            raise StudyError(str(path), _problems([*_removed(draft.data, _ways_out())] or faults, text, overridden))
     return dataclasses.replace(resolve(draft, path, text), overrides=tuple(overrides))
 
 
 # --- keys of earlier studies ---------------------------------------------------------------------------------------
 
 
-def _removed(node: Any, above: Place = ()) -> Faults:
+def _removed(node: Any, ways: Mapping[str, str], above: Place = ()) -> Faults:
     """Every key and value of an earlier study that is renamed or dropped, with the way out; a table by its keys."""
     for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
         place: Place = (*above, key)
         path, held = ".".join(map(str, place)), "+".join(value) if isinstance(value, dict) else value
-        for pattern, way in _ways_out().items():
+        for pattern, way in ways.items():
             if fnmatchcase(path, pattern) or fnmatchcase(f"{path}={held}", pattern):
                 found = f"{shown(value)} is no longer allowed" if "=" in pattern else f"{key} is no longer a key"
                 yield Fault(f"{found}: {way}", *place)
                 break
         else:
             if isinstance(value, dict | list) and len(place) < 6:
-                yield from _removed(value, place)
+                yield from _removed(value, ways, place)
 
 
-@cache
 def _ways_out() -> dict[str, str]:
     ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
     return {pattern: way for way, patterns in ways.items() for pattern in patterns}

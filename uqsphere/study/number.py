@@ -12,7 +12,7 @@ import numpy as np
 
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, within
+from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
 from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
@@ -64,8 +64,7 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
     if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
         if raw not in END_COEFFICIENTS:
-            found = f"found {shown(raw)}, allowed: {one_of(END_COEFFICIENTS)}, or a number in [-1, 1]"
-            raise Fault(found + suggestion(raw, END_COEFFICIENTS))
+            raise Fault(f"{unknown('end', raw, END_COEFFICIENTS)}; a number from -1 to 1 is known too")
         return END_COEFFICIENTS[raw]
     try:
         value = parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
@@ -96,8 +95,7 @@ def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Nu
 
         found = law_of_data(raw, quantity, draft, place)
     else:
-        law, given = _member(raw, quantity)
-        found = Number(value=law, given=given)
+        found = _member(raw, quantity)
     warn_unusual(found.mean, quantity, draft, place)
     if isinstance(found.value, Law):
         _check_law(found.value, found.given, quantity, draft, place)
@@ -111,7 +109,7 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -
         draft.warn(place, f"{said} is unusual (usual: {low} to {high}); is the unit right?")
 
 
-def _member(raw: Mapping[str, Any], quantity: Quantity) -> tuple[Law, dict[str, float]]:
+def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
     kind, ends = raw.get("dist"), ("mean", "mode", "lower", "upper")
     if (family := family_named(kind) if isinstance(kind, str) else None) is None:
@@ -131,7 +129,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> tuple[Law, dict[str, 
             given[key] = value_of(raw[key], entry, bounded=False)
     bounds = given.pop("lower", None), given.pop("upper", None)
     try:
-        return make_law(family.name, given, *bounds), given
+        return Number(value=make_law(family.name, given, *bounds), given=given)
     except LawError as error:
         unit = f" (numbers in {quantity.unit})" * (error.key in ("", *DIMENSIONAL) and quantity.unit != "")
         raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
