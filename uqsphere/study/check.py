@@ -265,18 +265,17 @@ def _scene(draft: Draft) -> Faults:
         )  # fmt: skip
     except ValueError as error:
         raise Fault(f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker") from None
-    faces = {partner.table: (partner.face, partner.takes[0]) for partner in scene.there if partner.face is not None}
+    faces = {"sphere" if one.takes[0] else one.table: one.face for one in scene.there if one.face is not None}
     if draft.plastic and not faces:
         names = one_of([*(f"{partner.table}.yield_strength" for partner in scene.there), "sphere.onset_pressure"])
         yield Fault(f"nothing says what yields: give {names} or contact.onset_pressure", "contact", "law")
-    for table, (face, crushes) in faces.items():
+    for softer, face in faces.items():
         if not face.valid[0]:
             law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
             values = ", ".join(f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law)
             values = values.replace("nan GPa", "missing")
             said = f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 to 100 are required"
-            way = 'pile_up = 1 and no hardness make it 0, law = "hertz" has no bound'
-            yield Fault(f"{said}; {way}", "contact" if own else "sphere" if crushes else table, "hardness")
+            yield Fault(f"{said}; pile_up = 1 and no hardness make it 0", "contact" if own else softer, "hardness")
     if draft.rig != "bars":
         return
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
@@ -343,7 +342,7 @@ def _analysis(draft: Draft) -> Faults:
 
 def _dependence(draft: Draft) -> Faults:
     """The names of each dependence, then all together."""
-    ties = draft.document.dependence
+    ties = [Dependence(**dict(table)) for table in draft.document.dependence]
     random = {name: number.value for name, number in draft.numbers.items() if isinstance(number.value, Law)}
     for index, tie in enumerate(ties):
         for at, name in enumerate(tie.of):
@@ -353,10 +352,9 @@ def _dependence(draft: Draft) -> Faults:
                     said = f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
                 yield Fault(said, "dependence", index, "of", at)
                 return
-    made = [Dependence(**dict(tie)) for tie in ties]
     for index, tie in enumerate(ties):
         try:
-            make_joint(list(random), list(random.values()), made[: index + 1])
+            make_joint(list(random), list(random.values()), ties[: index + 1])
         except LawError as error:
             key = "kendall" if error.key == "spearman" and tie.spearman is None else error.key
             raise Fault(error.message, "dependence", index, key) from None
@@ -381,8 +379,8 @@ def _margins(draft: Draft) -> Faults:
         with within("margins", "between", index):
             ends.append(value_of(raw, entry))
     if not ends[0] < ends[1]:
-        first, second = map(shown, table.between)
-        raise Fault(f"found {first} and {second}: the lower value must come first", "margins", "between")
+        found = " and ".join(map(shown, table.between))
+        raise Fault(f"found {found}: the lower value must come first", "margins", "between")
     for limit in draft.limits.values():
         if solve == "sphere.radius" and limit.tested is not None:
             with within("margins"):
@@ -403,7 +401,6 @@ def _margins(draft: Draft) -> Faults:
 
 #: what is looked at together, of a scene and of a black box
 STAGES: Final = (
-    (tables,), (_rig, _library), (_forms,), (_model, _scene, _gauges), (_limits, _analysis),
-    (_dependence, _margins),
+    (tables,), (_rig, _library), (_forms,), (_model, _scene, _gauges), (_limits, _analysis), (_dependence, _margins),
 )  # fmt: skip
 BOX_STAGES: Final = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))
