@@ -267,13 +267,17 @@ def _scene(draft: Draft) -> Faults:
         raise Fault(f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker") from None
     faces = {"sphere" if one.takes[0] else one.table: one.face for one in scene.there if one.face is not None}
     if draft.plastic and not faces:
-        names = one_of([*(f"{partner.table}.yield_strength" for partner in scene.there), "sphere.onset_pressure"])
-        yield Fault(f"nothing says what yields: give {names} or contact.onset_pressure", "contact", "law")
+        names = (
+            "sphere.onset_pressure",
+            *(f"{one.table}.yield_strength" for one in scene.there),
+            "contact.onset_pressure",
+        )
+        yield Fault(f"nothing says what yields: give {one_of(dict.fromkeys(names))}", "contact", "law")
     for softer, face in faces.items():
         if not face.valid[0]:
             law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
             values = ", ".join(f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law)
-            values = values.replace("nan GPa", "missing")
+            values = re.sub("(nan|inf) GPa", "missing", values)
             said = f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 to 100 are required"
             yield Fault(f"{said}; pile_up = 1 and no hardness make it 0", "contact" if own else softer, "hardness")
     if draft.rig != "bars":
