@@ -62,9 +62,11 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     "no place": (f"{RUN} --out /proc/x", 6, "/proc/x", None),
     "a file in its place": (f"{RUN} --out box.py", 5, "is no folder", None),
     "files of another": (f"mkdir s-results; touch s-results/thesis; {RUN}", 5, "'thesis', which is of", {"thesis"}),
-    "two at once": (f"(SLOW=0.02 {RUN} &) >/dev/null 2>&1; sleep 4; {RUN}", 5, "in use by another run", None),
+    "two at once": (
+        f"SLOW=0.02 {RUN} >/dev/null 2>&1 & until test -e s-results/cache.sqlite; do sleep 0.1; done; "
+        f"{RUN}; code=$?; kill $!; exit $code", 5, "in use by another run", None),
     "killed, and again": (
-        f"SLOW=0.002 {RUN} & for k in $(seq 400); do sleep 0.1; test $(cat s-results/cache* | wc -c) -gt 60000 && "
+        f"SLOW=0.001 {RUN} & for k in $(seq 400); do sleep 0.1; test $(cat s-results/cache* | wc -c) -gt 60000 && "
         f"break; done; kill -9 $!; wait; {RUN} --json | grep reused", 0, '"reused": [1-9]', WHOLE),
     "moved and copied": (
         f"{DONE}; mv s-results m; cp -r m s-results; {UQ} report m && {UQ} verify m --again --model box.py:f && "
