@@ -316,7 +316,7 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
     >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)])
     <Joint of a, b, c, dependent>
     """
-    correlation, pairs, blocks = np.eye(len(names)), set[tuple[int, int]](), []
+    correlation, blocks = np.full((len(names), len(names)), np.nan), []
     taken: list[int] = []
     for tie in dependences:
         if unknown := [name for name in tie.of if name not in names]:
@@ -327,16 +327,15 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
             taken += columns
             continue
         for pair in combinations(sorted(columns), 2):
-            if pair in pairs:
+            if np.isfinite(correlation[pair]):
                 raise LawError(f"the dependence of {names[pair[0]]} and {names[pair[1]]} is given twice", "of")
-            pairs.add(pair)
             correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
-    tied = sorted({column for pair in pairs for column in pair})
+    tied = np.flatnonzero(np.isfinite(correlation).any(axis=1)).tolist()
     if twice := [column for column in range(len(names)) if taken.count(column) + tied.count(column) > 1]:
         raise LawError(f"{names[twice[0]]} is in more than one dependence, and one of them is not Gaussian: name all "
                        "of them in one dependence, or take Gaussian copulas", "of")  # fmt: skip
     if tied:
-        gaussian = correlation[np.ix_(tied, tied)]
+        gaussian = np.where(np.eye(len(tied)), 1.0, np.nan_to_num(correlation[np.ix_(tied, tied)]))
         if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
             raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
                            f"(least eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import permutations
 
 import numpy as np
@@ -44,22 +45,20 @@ def closed_effects(
         designs.append((base, normals[:, d : 2 * d], y, apart))
     every = np.array([y for _, _, y, _ in designs])
     centre, unit = float(every.mean()), float(every.std())
-    known: dict[tuple[int, ...], tuple[float, Array]] = {
-        (): (0.0, np.zeros(REPLICATES)), tuple(range(d)): (1.0, np.zeros(REPLICATES))
-    }  # fmt: skip
 
+    @cache
     def closed(subset: tuple[int, ...]) -> tuple[float, Array]:
-        if subset not in known:
-            rows = []
-            for r, (base, fresh, y, apart) in enumerate(designs):
-                z = function(joint.given(subset, base, fresh), r)
-                y, z, none = (y - centre) / unit, (z - centre) / unit, (apart - centre) / unit
-                rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
-            plain, small, square = np.array(rows).T
-            # a small effect by differences, whose noise is small with it
-            value, off = ratio_of_means(plain if plain.mean() > LARGE * square.mean() else small, square)
-            known[subset] = float(value), off
-        return known[subset]
+        if len(subset) in (0, d):
+            return float(len(subset) > 0), np.zeros(REPLICATES)
+        rows = []
+        for r, (base, fresh, y, apart) in enumerate(designs):
+            z = function(joint.given(subset, base, fresh), r)
+            y, z, none = (y - centre) / unit, (z - centre) / unit, (apart - centre) / unit
+            rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
+        plain, small, square = np.array(rows).T
+        # a small effect by differences, whose noise is small with it
+        value, off = ratio_of_means(plain if plain.mean() > LARGE * square.mean() else small, square)
+        return float(value), off
 
     return closed
 
