@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,8 @@ def test_a_slow_test_gives_back_its_law(tmp_path: Path) -> None:
 
 
 def test_machine_and_platens_are_taken_off(tmp_path: Path) -> None:
-    found = fit(
-        loading(compliance=1.0 / 50e6), tmp_path, machine_stiffness="50 N/um", platens="maraging_steel", nu=0.25
-    )
+    keys = {"machine_stiffness": "50 N/um", "platens": "maraging_steel", "nu": 0.25}
+    found = fit(loading(compliance=1.0 / 50e6), tmp_path, **keys)
     assert found.modulus.value == pytest.approx(40e9, rel=0.02)
     assert found.sphere_modulus.value > 40e9 * (1.0 - 0.25**2)
 
@@ -80,9 +80,8 @@ def test_fit_contact_from_the_command_line(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\ndiameter = "10 mm"\n')
     assert main(["fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")]) == 0
     assert 'law = "plastic"' in capsys.readouterr().out
-    assert tomllib.loads((tmp_path / "out/contact.toml").read_text())["contact"]["pile_up"] == pytest.approx(
-        2.0, rel=0.03
-    )
+    written = tomllib.loads((tmp_path / "out/contact.toml").read_text())
+    assert written["contact"]["pile_up"] == pytest.approx(2.0, rel=0.03)
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\n')
     assert main(["fit-contact", str(tmp_path / "slow.toml")]) == 2
     assert "diameter" in capsys.readouterr().err
@@ -124,16 +123,13 @@ def plan(folder: Path, capsys: pytest.CaptureFixture[str], E: str, *more: str) -
 def test_small_shares_come_from_the_law_of_the_strength(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = plan(tmp_path, capsys, '"60 GPa"')
     force = np.array(found["force"])[:, 1]
-    from math import gamma
-
-    truth = weibull_min.cdf(force, 6.0, scale=12e3 / gamma(1.0 + 1.0 / 6.0))
+    truth = weibull_min.cdf(force, 6.0, scale=12e3 / math.gamma(1.0 + 1.0 / 6.0))
     np.testing.assert_allclose(np.array(found["shares"]["crushing"])[:, 0], truth, rtol=1e-6)
     assert 0.0 < truth[0] < 1e-4
     reached = {one["share"]: one["value"][0] for one in found["reached"]["crushing"]}
     assert reached[1e-4] < reached[0.04] < reached[0.5]
-    assert np.interp(np.log(reached[0.04]), np.log(found["values"]), np.log(truth)) == pytest.approx(
-        np.log(0.04), abs=0.2
-    )
+    there = np.interp(np.log(reached[0.04]), np.log(found["values"]), np.log(truth))
+    assert there == pytest.approx(np.log(0.04), abs=0.2)
     assert pd.read_csv(tmp_path / "out/plan.csv").shape[0] == 9
 
 

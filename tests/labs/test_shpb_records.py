@@ -22,6 +22,7 @@ from uqsphere.mechanics.bars import correct
 E, DENSITY, DIAMETER, LENGTH, GAUGE_A, GAUGE_B = 200e9, 7850.0, 0.02, 1.5, 0.75, 0.6
 C0, EA = (E / DENSITY) ** 0.5, E * np.pi * DIAMETER**2 / 4.0
 STEP, PEAK = 0.5e-6, 25e3
+INC, REC = "incident [strain]", "receiving [strain]"
 BARS: dict[str, Any] = {
     "incident_bar": {
         "E": "200 GPa",
@@ -55,9 +56,7 @@ def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFra
     receiving = moved(-force(time - first - (GAUGE_A + GAUGE_B) / C0) / EA, GAUGE_B)
     rng = np.random.default_rng(seed)
     both = (v + noise * rng.standard_normal(len(time)) for v in (-incident - reflected, receiving))
-    return pd.DataFrame(
-        dict(zip(("time [us]", "incident [strain]", "receiving [strain]"), (time * 1e6, *both), strict=True))
-    )
+    return pd.DataFrame(dict(zip(("time [us]", INC, REC), (time * 1e6, *both), strict=True)))
 
 
 def read(folder: Path, frame: pd.DataFrame, **changes: Any) -> Reading:
@@ -160,7 +159,6 @@ def late(name: str, samples: int) -> Any:
     return lambda f: f.assign(**{name: np.roll(f[name], samples)})
 
 
-INC, REC = "incident [strain]", "receiving [strain]"
 #: what happens to a record or is said of it: frame, keys, and words of the doubt or refusal; empty where it is mended
 FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "sign of one bar": (scaled(INC, -1.0), {}, ""),
@@ -383,9 +381,7 @@ def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "three.toml").write_text(text.replace("[record]", "[record]\nfoo = 1"))
     assert main(["records", str(tmp_path / "three.toml")]) == 2
     assert "record.foo" in capsys.readouterr().err
-    assert (
-        main(["records", str(tmp_path / "one.toml"), str(tmp_path / "one.toml"), "--out", str(tmp_path / "many")]) == 0
-    )
+    assert main(["records", *[str(tmp_path / "one.toml")] * 2, "--out", str(tmp_path / "many")]) == 0
     assert len((tmp_path / "many/tests.csv").read_text().splitlines()) == 3
     assert main(["nothing"]) == 2
 

@@ -21,7 +21,6 @@ from uqsphere.mechanics.closed_form import (
     solve_closed,
 )
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.scene import Scene
 
 # ---- massless loading and relaxation
 
@@ -94,16 +93,6 @@ def test_closed_form_against_the_integrator(settings):
         np.testing.assert_array_equal(closed.censored[name], flags, err_msg=name)
     np.testing.assert_allclose(closed.record, integrated.record, rtol=5 * tolerance)
     assert closed.censored["time_to_first_loss"].all()
-
-
-def test_rows_outside_the_domain_have_no_answer():
-    scene = scaled_scene([1e-3, 1e-3], 1.0)
-    columns = {**scene.columns, "sphere.nu": np.array([0.25, 0.7])}
-    found = solve_closed(Scene(columns=columns, infinite=True))
-    assert found.status.tolist() == [0, 1]
-    assert np.isnan(found.values["p_max"]).tolist() == [False, True]
-    assert found.censored["time_to_first_loss"].tolist() == [True, False]
-    assert found.values["p_max"][0] == solve_closed(scene).values["p_max"][0]
 
 
 def test_where_the_closed_form_applies():

@@ -261,6 +261,16 @@ def test_one_contact_has_half_of_what_lives_at_the_centre() -> None:
     assert shares["link.rim"] == pytest.approx(0.5 ** (1.0 / 8.0), rel=1e-11)
 
 
+def test_tensions_around_a_dent_are_those_of_its_mean_pressure() -> None:
+    """A Hertz pressure of the same force on the same circle: p_0 = 3 P/(2 pi a²), whatever the peak of the true one."""
+    found = solved(struck(np.array([1.0, 4.0]), law="plastic", yield_strength=834e6)).values
+    field = 1.5 * found["P_max"] / (math.pi * found["a_max"] ** 2)
+    assert (field > 1.01 * found["p_max"]).any()
+    assert found["edge_tension"] == pytest.approx(contact.edge_tension(field, 0.25), rel=1e-9)
+    core = stress.ratio("core_one", found["a_max"] / 0.01, 0.25)
+    assert found["core_tension"] == pytest.approx(core * field, rel=1e-9)
+
+
 def test_unequal_forces_lie_between_one_and_two() -> None:
     """A weight on soft ground: each face has its own circle, and the other's force counts by its share."""
     given = converged_scene("07_drop_weight_chatter")
