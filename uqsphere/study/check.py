@@ -55,7 +55,7 @@ FORMS: Final[dict[str, dict[str, str]]] = {
     "hammer": {"": "E nu mass speed|drop_height; density face_radius",
                "ball": "E nu density diameter speed|drop_height"},
     "other": {"": "E nu density radius"}, "rod": {"": "E nu density diameter length"},
-    "platens": {"": "E nu force|displacement"},
+    "platens": {"": "E nu force|displacement"}, "analysis": {"a black box": "; cost time_limit"},
     "model": {"bars": "; first_loading_only whole_record compare_with_paper"},
     "contact": {"hertz": "", "plastic": "; onset_pressure hardness pile_up"},
 }  # fmt: skip
@@ -171,9 +171,7 @@ def _library(draft: Draft) -> Faults:
 def _forms(draft: Draft) -> Faults:
     """Words that choose an equation, defaults, what each table needs by its kind, and what belongs to another kind."""
     document, numbers, options = draft.document, draft.numbers, draft.options
-    for table in ("target", "anvil"):
-        if table in draft.data:
-            options[f"{table}.kind"] = getattr(document, table).kind
+    options |= {f"{table}.kind": getattr(document, table).kind for table in ("target", "anvil") if table in draft.data}
     if document.hammer.shape is not None:
         options["hammer.shape"] = "ball"
     usual = {f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers}
@@ -199,14 +197,15 @@ def _forms(draft: Draft) -> Faults:
         "bars": "infinite" if document.bars.infinite else "", "pulse": shape, "rig": draft.rig, "model": draft.rig,
         "striker": "measured" if shape == "measured" else timed, "contact": document.contact.law,
     }  # fmt: skip
-    for table in [name for name in ("sphere", *RIG_TABLES[draft.rig], "rig", "contact", "model") if name in draft.data]:
+    for table in (name for name in FORMS if name in draft.data):
         kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
         needs, _, others = FORMS[table].get(kind, "").partition(";")
         takes, anywhere = (re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values())))
         for key in raw:
             if key in anywhere and key not in takes:
-                of = f"with {shown(kind)}, which takes {one_of(takes)}" if kind else "here"
-                yield Fault(f"{key} does not belong to [{table}] {of}: leave it out", table, key)
+                homes = [shown(one) for one, text in FORMS[table].items() if one and key in re.findall(r"\w+", text)]
+                of = f"[{table}]{f' with {shown(kind)}' * bool(kind)}{f', but with {one_of(homes)}' * bool(homes)}"
+                yield Fault(f"{key} does not belong to {of}: leave it out", table, key)
         for keys in (need.split("|") for need in needs.split()):
             given = [key for key in keys if key in raw or (key in known and known[key].name in numbers)]
             if len(given) == 2:
@@ -267,12 +266,9 @@ def _scene(draft: Draft) -> Faults:
         raise Fault(f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker") from None
     faces = {"sphere" if one.takes[0] else one.table: one.face for one in scene.there if one.face is not None}
     if draft.plastic and not faces:
-        names = (
-            "sphere.onset_pressure",
-            *(f"{one.table}.yield_strength" for one in scene.there),
-            "contact.onset_pressure",
-        )
-        yield Fault(f"nothing says what yields: give {one_of(dict.fromkeys(names))}", "contact", "law")
+        bodies = dict.fromkeys(f"{one.table}.yield_strength" for one in scene.there)
+        names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
+        yield Fault(f"nothing says what yields: give {names}", "contact", "law")
     for softer, face in faces.items():
         if not face.valid[0]:
             law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
@@ -334,14 +330,10 @@ def _limits(draft: Draft) -> Faults:
 
 
 def _analysis(draft: Draft) -> Faults:
-    """Quantities that the model has, and keys that only a black box takes."""
-    analysis, known = draft.document.analysis, draft.known
-    for index, name in enumerate(analysis.quantities):
-        if name not in known:
-            yield Fault(unknown("quantity", name, known), "analysis", "quantities", index)
-    for key in ("cost", "time_limit") if not draft.box else ():
-        if getattr(analysis, key) is not None:
-            yield Fault(f"{key} is for a black box ([inputs], [outputs]): leave it out", "analysis", key)
+    """Quantities that the model has."""
+    for index, name in enumerate(draft.document.analysis.quantities):
+        if name not in draft.known:
+            yield Fault(unknown("quantity", name, draft.known), "analysis", "quantities", index)
 
 
 def _dependence(draft: Draft) -> Faults:
