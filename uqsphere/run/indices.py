@@ -75,7 +75,9 @@ def of_quantity(design: Design, tables: Tables, name: str) -> Mapping[str, tuple
     if not design.inputs:
         return {}
     if design.joint.only(design.inputs).dependent:
-        return dependent(design, tables, name)
+        # variance has no parts of its own for each of inputs that are tied
+        nothing = absent("inputs depend on each other: their Sobol' indices have no meaning", CHAOS, tables.sample.size)
+        return dict.fromkeys(design.inputs, (nothing, nothing))
     if tables.slow is not None:
         return surrogate.shares(design, tables.slow, name)
     if name in tables.pairs:
@@ -162,9 +164,3 @@ def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Esti
     for (i, j), estimate in found.second.items():
         rows[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
     return rows
-
-
-def dependent(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
-    """Where inputs depend on each other variance has no parts of its own for each."""
-    nothing = absent("inputs depend on each other: their Sobol' indices have no meaning", CHAOS, tables.sample.size)
-    return dict.fromkeys(design.inputs, (nothing, nothing))

@@ -266,11 +266,8 @@ def described(design: Design, slow: Slow, sample: Sample, name: str) -> Descript
         return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name),
                         on_failure="bound" if analysis.policy == "bound" else "drop", quantiles=analysis.quantiles,
                         method=f"{slow.count} {ROUGH}; {unseen(slow.count)}")  # fmt: skip
-    rows, levels = slow.rows.answer(name)[0], slow.left_out.answer(name)[0]
-    known = np.isfinite(rows) & np.isfinite(levels)
-    if not known.any():  # beyond floating point
-        return describe(sample.answer(name), quantiles=analysis.quantiles)
-    return describe_corrected(sample.answer(name), rows[known], levels[known], analysis.quantiles)
+    response = slow.responses[name]
+    return describe_corrected(sample.answer(name), response.outputs, response.levels, analysis.quantiles)
 
 
 def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
@@ -298,10 +295,8 @@ def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, .
     """First and total indices of a quantity, off its expansions."""
     response = slow.responses.get(name)
     if response is None:
-        failed = (
-            '; analysis.on_failure = "drop" gives those of the rows that answered' if slow.rows.failed.any() else ""
-        )
-        nothing = absent(f"{slow.count} runs of a rough model show no indices{failed}", ROUGH, slow.count)
+        lost = '; analysis.on_failure = "drop" gives those of the rows that answered' if slow.rows.failed.any() else ""
+        nothing = absent(f"{slow.count} runs of a rough model show no indices{lost}", ROUGH, slow.count)
         return dict.fromkeys(design.inputs, (nothing, nothing))
     found = index_shares(response)
     if slow.dropped:
