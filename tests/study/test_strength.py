@@ -420,6 +420,7 @@ IMPLAUSIBLE = {
     "cm for mm": (('"mm"', '"cm"'), ROWS, "more than three times off the sphere's, the first 119 mm: is the unit mm?"),
     "three tests": (("", ""), ROWS[:3], "3 observations: what so few leave open is large"),
     "a decimal slip": (("", ""), ["11.9,28300", *ROWS[1:]], "line 2 (11.3 times the median): far from the other rows"),
+    "a slip of a diameter": (("", ""), ["119,2830", *ROWS[1:]], "line 2 (0.0119 times the median): far from the other"),
     "rows pasted twice": (("", ""), ROWS * 2, "repeat earlier rows: pasted twice?"),
     "a mean row": (("", ""), [*ROWS, "11.9,2486"], "line 14 is the mean of the rows above"),
 }  # fmt: skip
@@ -465,7 +466,7 @@ def test_unusual_numbers_are_warned_of(old: str, new: str, says: str, tmp_path: 
 
 def test_draws_are_a_strength(load: Load, tmp_path: Path) -> None:
     (tmp_path / "draws.csv").write_text(
-        "distribution,scale_J/kg,shape,bound,tests,diameter [mm]\nlognormal,100,0.5,0,30,20\n"
+        "distribution,scale_J/kg,shape,bound,tests,diameter_mm\nlognormal,100,0.5,0,30,20\n"
         "lognormal,120,0.6,0.2,30,20\nweibull,110,2,0,30,20\n"
     )
     limit = load(
@@ -474,6 +475,8 @@ def test_draws_are_a_strength(load: Load, tmp_path: Path) -> None:
     law = limit.strength
     assert isinstance(law, Law)
     assert len(law.draws) == 3
+    assert limit.tested is not None
+    assert limit.tested.diameter == pytest.approx(20e-3)
     x = np.array([60.0, 100.0, 200.0])
     bounded = stats.norm.cdf((np.log(x / 120) - np.log1p(-0.2 * x / 120)) / 0.6)
     mean = (stats.lognorm(0.5, scale=100).cdf(x) + bounded + stats.weibull_min(2, scale=110).cdf(x)) / 3.0

@@ -200,6 +200,13 @@ def test_noise_ahead_of_a_pulse_is_no_contact(load: Load, tmp_path: Path, noise:
     assert of[0] == pytest.approx(of[1], rel=1e-3)
 
 
+def test_a_record_without_a_pulse_is_refused(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("time [us],gauge [microstrain]\n" + "".join(f"{k},0\n" for k in range(99)))
+    striker = '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    with pytest.raises(StudyError, match=r"pulse\.file: found 0 samples of a pulse, 8 or more are required"):
+        load(BASE.split("[margins]")[0], (striker, ""), (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"'))
+
+
 def test_warnings_of_laws(load: Load) -> None:
     (warning,) = load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05 }')).warnings
     assert warning.startswith("sphere.nu: a share of 0.023 ")
