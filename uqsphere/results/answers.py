@@ -25,6 +25,9 @@ class Answers:
     """Rows of answers, looked up by subject, answer and place."""
 
     rows: list[Row] = field(default_factory=list)
+    #: rows by subject and answer, of the first so many
+    places: dict[tuple[str, str], list[Row]] = field(default_factory=dict, repr=False, compare=False)
+    seen: int = field(default=0, repr=False, compare=False)
 
     def __iadd__(self, other: Answers) -> Answers:
         self.rows += other.rows
@@ -50,11 +53,14 @@ class Answers:
 
     def get(self, subject: str, answer: str, at: float | str = "") -> Row | None:
         """The row of an answer, None where there is none."""
-        return next((r for r in self.rows if (r["subject"], r["answer"], r["at"]) == (subject, answer, at)), None)
+        return next((row for row in self.where(subject, answer) if row["at"] == at), None)
 
     def where(self, subject: str, answer: str) -> list[Row]:
         """All rows of an answer, in the order of their places."""
-        return [row for row in self.rows if row["subject"] == subject and row["answer"] == answer]
+        for row in self.rows[self.seen :]:
+            self.places.setdefault((row["subject"], row["answer"]), []).append(row)
+        self.seen = len(self.rows)
+        return self.places.get((subject, answer), [])
 
     def frame(self) -> pd.DataFrame:
         """The table as pandas has it; empty numbers are nan."""

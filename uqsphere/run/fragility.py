@@ -22,7 +22,7 @@ from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
     from uqsphere.arrays import Array
 
@@ -77,20 +77,21 @@ def planned_value(design: Design) -> float | None:
     return design.study.at_means().get(margins.path)
 
 
-def _along(
-    design: Design, tables: Tables, chance: Callable[[Sample, float], Array], targets: tuple[float, ...]
+def curve_by(
+    design: Design, tables: Tables, chance: Callable[[Sample, float], Array], targets: Sequence[float]
 ) -> Fragility:
-    """The curve of what `chance(sample, value)` (R, n) gives along the free number, each replicate by itself."""
+    """The curve of what `chance` gives (R, n) at points and a value, with the free number at each of the targets."""
     margins = design.study.margins
     assert margins is not None
-    if margins.moves_rows:
-        pairs = list(tables.line.items())
-    else:
-        pairs = [(value, tables.sample) for value in margins.grid(VALUES)]
-    table = np.array([chance(sample, value).mean(axis=1) for value, sample in pairs])
-    counts = [sample.count for _, sample in pairs]
-    return fragility_of(np.array([value for value, _ in pairs]), np.clip(table, 0.0, 1.0), targets,
-                        samples=min(counts), evaluations=table.shape[1] * sum(counts))  # fmt: skip
+    pairs = tables.line if margins.moves_rows else dict.fromkeys(margins.grid(VALUES), tables.sample)
+    return _curve(tables, pairs, [chance(sample, value).mean(axis=1) for value, sample in pairs.items()], targets)
+
+
+def _curve(tables: Tables, pairs: Mapping[float, Sample], rows: Sequence[Array], targets: Sequence[float]) -> Fragility:
+    """The curve of means (R,) at each value of the free number, each replicate by itself."""
+    counts = [sample.count for sample in pairs.values()]
+    return fragility_of(np.array([*pairs]), np.clip(np.array(rows), 0.0, 1.0), targets, samples=min(counts),
+                        evaluations=tables.sample.replicates * sum(counts))  # fmt: skip
 
 
 def curve_of(
@@ -99,16 +100,19 @@ def curve_of(
     """The curve of a limit with its margins; `strength` in place of its own."""
     margins = design.study.margins
     assert margins is not None
-
-    def exceeded(sample: Sample, value: float) -> Array:
-        state = state_of(design, limit, sample, strength)
-        factor = margins.demand_factor(limit, value)
-        if factor != 1.0:
-            state = replace(state, demands=state.demands * factor)
-        return failure_given_inputs(state, "survive")
-
     wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))
-    return _along(design, tables, exceeded, wanted)
+    if margins.moves_rows:
+        # all values at once
+        exceeded = failure_given_inputs(state_of(design, limit, tables.along, strength), "survive")
+        ends = np.cumsum([sample.count for sample in tables.line.values()])[:-1]
+        return _curve(tables, tables.line, [part.mean(axis=1) for part in np.split(exceeded, ends, axis=1)], wanted)
+    state = state_of(design, limit, tables.sample, strength)
+
+    def at(sample: Sample, value: float) -> Array:
+        moved = replace(state, demands=state.demands * margins.demand_factor(limit, value))
+        return failure_given_inputs(moved, "survive")
+
+    return curve_by(design, tables, at, wanted)
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
@@ -117,8 +121,3 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
     low, high = values[0.16].value, values[0.84].value
     return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(high - low)
-
-
-def curve_by(design: Design, tables: Tables, chance: Callable[[Sample, float], Array], target: float) -> Fragility:
-    """The curve of what `chance` gives at points and a value, and the free number at which it takes a probability."""
-    return _along(design, tables, chance, (target,))

@@ -182,7 +182,7 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
     missed = {error.subject for error in tables.inaccurate if error.answer == "margin"}
     values = sorted(tables.line)
     for limit in design.limits:
-        margin, _ = margin_and_scale(design, tables, limit)
+        margin, _ = tables.margins[limit.name]
         if margins is None or f"limits.{limit.name}" not in missed or margin.value is None:
             continue
         at = int(np.searchsorted(values, margin.value))
@@ -260,7 +260,7 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         relative = estimate.half_width / estimate.value
         require(f"limits.{limit.name}", "failure_probability", relative, accuracy.probability)
     for limit in design.limits if tables.line else ():
-        margin, width = margin_and_scale(design, tables, limit)
+        margin, width = tables.margins[limit.name] = margin_and_scale(design, tables, limit)
         if margin.value is not None and width is not None:
             require(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
     return found

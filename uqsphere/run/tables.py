@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from uqsphere.models.model import Model
 from uqsphere.quantities import format_probability
 from uqsphere.run.demands import with_test_forces
 from uqsphere.run.design import Design
-from uqsphere.uq import Sample
+from uqsphere.uq import Estimate, Sample
 
 if TYPE_CHECKING:
     from uqsphere.run.chaos import Expansion
@@ -47,6 +48,7 @@ class Tables:
     descriptions : of quantities, each with the sample that it describes
     reached : (model runs, largest half-width over what was required) at each size
     slow : the rows of a slow model, whose tables are predicted
+    margins : of limits, with the scale of their accuracy, where that was looked at
     """
 
     sample: Sample
@@ -59,6 +61,17 @@ class Tables:
     inaccurate: list[Accuracy] = field(default_factory=list)
     stopped: str = ""
     slow: Slow | None = None
+    margins: dict[str, tuple[Estimate, float | None]] = field(default_factory=dict)
+
+    @cached_property
+    def along(self) -> Sample:
+        """The rows of the line, value by value."""
+        parts = [*self.line.values()]
+        whole, start = parts[0].with_room(sum(part.count for part in parts)), 0
+        for part in parts:
+            whole.fill(start, part)
+            start += part.count
+        return whole
 
 
 def evaluate(

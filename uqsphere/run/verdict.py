@@ -94,7 +94,7 @@ def _joint(
     curve: list[list[float]] = []
     if answers.where(design.subject(limit), "curve"):
         target = target_of(design, limit)
-        along = curve_by(design, tables, along_line(design, modes), target)
+        along = curve_by(design, tables, along_line(design, modes), (target,))
         curve, found["margin"] = along.curve, along.values[target]
     return found, curve
 
