@@ -248,8 +248,9 @@ def failure_probability(
 
         found = rare.failure_probability(rare.Evaluator(function, len(given.names), budget=evaluations), seed=seed,
                                          accuracy=accuracy)  # fmt: skip
+        nearest = [given.physical(one.point[None])[0].tolist() for one in found.points[:1]]
     return Failure(probability=found.estimate, sure=found.sure, warning="" if found.sure else "; ".join(found.checks),
-                   design_point=found.design_point(given.names, given.physical))  # fmt: skip
+                   design_point=dict(zip(given.names, *nearest, strict=True)) if nearest else {})  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

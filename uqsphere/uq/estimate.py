@@ -169,19 +169,6 @@ def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array
         return np.asarray(value), np.asarray((numerators - value * denominators) / scale)
 
 
-def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
-    """Answers (R,) of replicates less what a cheap model errs by at the same points, (R,): their mean and its standard
-    error, with R - 1 degrees of freedom.
-
-    >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
-    >>> value, error = corrected(1.0 + noise, noise)
-    >>> round(value, 12), error < 1e-12
-    (1.0, True)
-    """
-    rest = rows - gaps
-    return float(rest.mean()), spread(rest)
-
-
 # --- probabilities ------------------------------------------------------------------------------------
 
 

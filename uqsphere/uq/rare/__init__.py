@@ -9,7 +9,7 @@ that is said.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -70,13 +70,6 @@ class RareAnswer:
     evaluations: int
     draws: Draws | None = None
     searched: bool = True
-
-    def design_point(self, names: tuple[str, ...], physical: Callable[[Array], Array]) -> Mapping[str, float]:
-        """The nearest design point by variable, through the map (n, d) -> (n, d) to physical values; empty if none."""
-        if not self.points:
-            return {}
-        point = self.points[0].point[None, : len(names)]
-        return dict(zip(names, physical(point)[0].tolist(), strict=True))
 
 
 def failure_probability(

@@ -44,10 +44,6 @@ class Evaluator:
     count: int = field(default=0, init=False)
     failed: int = field(default=0, init=False)
 
-    def __post_init__(self) -> None:
-        if self.dimension < 1:
-            raise ValueError(f"a limit function needs at least one variable, found {self.dimension}")
-
     @property
     def size(self) -> int:
         """Variables of the space in which the limit is hard: one more where one is integrated."""

@@ -8,6 +8,7 @@ small: the interval is that of whole repetitions.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,11 +47,11 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
     count, rng = 10 * seeds, random_generator(seed=seed, task="subset chains")
     method = f"subset simulation, {repetitions} repetitions"
     reached, probability = np.ones(repetitions), np.full(repetitions, np.nan)
-    failures, level, spent = [np.empty((0, size))], 0, False
+    failures, level = [np.empty((0, size))], 0
     going = np.arange(repetitions)
     states = np.stack([special.ndtri(sobol_points(dimension=size, count=count, seed=seed, task="subset", replicate=r))
                        for r in range(repetitions)])  # fmt: skip
-    try:
+    with suppress(Spent):
         values = evaluator.hard(states.reshape(-1, size)).reshape(repetitions, count)
         while going.size:
             order = np.argsort(values, axis=1, kind="stable")
@@ -73,12 +74,25 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
             here = np.array([states[r][rows] for r, rows in zip(on, chosen, strict=True)])
             own = np.array([values[r][rows] for r, rows in zip(on, chosen, strict=True)])
             states, values = _moved(evaluator, here, own, thresholds[on], count, rng)
-    except Spent:
-        spent = True
-    if not evaluator.count > begun:
+    if evaluator.count == begun:
         nothing = absent("the budget does not suffice for the first level", method, 0)
         return SubsetAnswer(estimate=nothing, failures=failures[0], levels=0)
-    estimate = _estimate(probability, reached, count, level, method, evaluator.count - begun, spent)
+    known, spent = probability[~np.isnan(probability)], evaluator.count - begun
+    value, low, high, error, reason = None, 0.0, 1.0, None, None
+    if not known.size:
+        # no failure was seen: the level that was reached bounds the probability from above
+        high = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * repetitions)
+        reason = f"no failure was reached; the probability is below {high:.2g}"
+    elif known.size < repetitions:
+        # some repetitions reached a failure domain that others did not: their answers are worlds apart
+        value, error = float(known.sum()) / repetitions, float(known.max())
+        high = min(10.0 * error, 1.0)
+    else:
+        value = float(known.mean())
+        error = value * max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(repetitions)
+        low, high = factor_ends(value, error, repetitions)
+    estimate = Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=spent,
+                        reason=reason)  # fmt: skip
     return SubsetAnswer(estimate=estimate, levels=level, failures=np.concatenate(failures))
 
 
@@ -96,25 +110,3 @@ def _moved(
         parts.append((states, values))
         scales *= np.exp((accepted.mean(axis=1)[:, None, None] - ACCEPTANCE) / math.sqrt(step))
     return np.concatenate([s for s, _ in parts], axis=1), np.concatenate([v for _, v in parts], axis=1)
-
-
-def _estimate(
-    probability: Array, reached: Array, count: int, level: int, method: str, evaluations: int, spent: bool
-) -> Estimate:
-    known = probability[~np.isnan(probability)]
-    if not known.size:
-        # no failure was seen: the level that was reached bounds the probability from above
-        bound = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * probability.size)
-        reason = ("the budget ended before a failure was reached" if spent
-                  else "no failure domain was reached" if level
-                  else "no failure, and the limit function does not fall anywhere")  # fmt: skip
-        return Estimate(value=None, low=0.0, high=bound, std_error=None, method=method, evaluations=evaluations,
-                        reason=f"{reason}; the probability is below {bound:.2g}")  # fmt: skip
-    value = float(known.sum()) / probability.size
-    if known.size < probability.size:
-        # some repetitions reached a failure domain that others did not: their answers are worlds apart
-        return Estimate(value=value, low=0.0, high=min(10.0 * float(known.max()), 1.0), std_error=float(known.max()),
-                        method=method, evaluations=evaluations)  # fmt: skip
-    error = max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(known.size)
-    low, high = factor_ends(value, value * error, known.size)
-    return Estimate(value=value, low=low, high=high, std_error=value * error, method=method, evaluations=evaluations)
