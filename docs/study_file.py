@@ -70,7 +70,7 @@ def keys(tables: list[str]) -> Rows:
                 usual = "required" if entry.is_required() else "–" if none else f"`{json.dumps(entry.default)}`"
                 rows.setdefault(key, (f"`{key}`", usual, entry.description))
         for key, quantity in numbers_of(name).items() if name in SCENE else ():
-            meaning = re.sub(rf" of the (other sphere|weight|{name})(?![\w'])", "", quantity.meaning)
+            meaning = re.sub(rf" of the (other sphere|weight|{name})(?![\w']| that)", "", quantity.meaning)
             rows.setdefault(key, (f"`{key}`", _needed(tables, key), meaning))
     return list(rows.values())
 

@@ -220,6 +220,7 @@ CASES = [
     gone("bars.insert_E", 'incident_end = "free"', 'insert_E = "190 GPa"', "[insert]"),
     gone("contact.law", "[model]", '[contact]\nlaw = "damage"\n[model]', '"plastic"'),
     gone("contact.dynamics", "[model]", '[contact]\ndynamics = "path"\n[model]', "equations of motion"),
+    gone("contact.hardness", "[model]", '[contact]\nlaw = "plastic"\nhardness = "onset"\n[model]', "pile_up = 1"),
     gone("contact.gamma", "[model]", "[contact]\ngamma = 5\n[model]", "leave it out"),
     gone("pulse.noise", 'rise = "25 us"', 'rise = "25 us"\nnoise = true', "shpb records"),
     gone("limits.crushing.in", "target = 0.01", 'in = "chute"', "a study of its own"),

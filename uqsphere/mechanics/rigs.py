@@ -2,7 +2,7 @@
 
 A partner gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick block, a platen); its
 contact with the sphere has a reduced modulus, a radius and, where it yields, a law of its own.
-A new rig is one entry of `RIGS`, its tables in `RIG_TABLES` and `FORMS` of `study/document.py`.
+A new rig is one entry of `RIGS`; what its tables need stands in `FORMS` of `study/check.py`.
 Numbering (R...) and (C...) of docs/theory.md; SI.
 """
 
