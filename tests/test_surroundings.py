@@ -95,7 +95,14 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
 def shell(place: Path, command: str, study: str, done: Path | None = None) -> tuple[int, str]:
     (place / "s.toml").write_text(study, encoding="utf-8")
     (place / "box.py").write_text(BOX % "3 * x['a'] + 0 * x['b']")
-    env = {**os.environ, "PY": sys.executable, "PYTHONPATH": os.getcwd(), "DONE": str(done)}
+    # no bytecode: under a limit of a file's size it would be cut off, and stay so
+    env = {
+        **os.environ,
+        "PY": sys.executable,
+        "PYTHONPATH": os.getcwd(),
+        "DONE": str(done),
+        "PYTHONDONTWRITEBYTECODE": "x",
+    }
     told = subprocess.run(["bash", "-c", command], cwd=place, env=env, capture_output=True, timeout=300, check=False)
     return told.returncode, (told.stdout + told.stderr).decode()
 

@@ -478,9 +478,9 @@ def again(place: Path, **options: Any) -> Model:
 
 def _flip(path: Path) -> None:
     with contextlib.closing(sqlite3.connect(path)) as database:
-        for key, record in database.execute("SELECT key, record FROM answers").fetchall():
+        for key, record in database.execute("SELECT key, record FROM answers_2").fetchall():
             flipped = record[:-1] + bytes([record[-1] ^ 1])
-            database.execute("UPDATE answers SET record = ? WHERE key = ?", (flipped, key))
+            database.execute("UPDATE answers_2 SET record = ? WHERE key = ?", (flipped, key))
         database.commit()
 
 
@@ -495,7 +495,7 @@ def _view(path: Path) -> None:
     path.unlink()
     with contextlib.closing(sqlite3.connect(path)) as database:
         database.execute(
-            "CREATE VIEW answers AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
+            "CREATE VIEW answers_2 AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
             "SELECT x AS key, x AS record FROM c WHERE x < 0"
         )
 
@@ -579,7 +579,7 @@ with Model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache_file=Path
         process.send_signal(signal.SIGKILL)
         process.wait()
     with contextlib.closing(sqlite3.connect(place / "cache")) as database:
-        kept = database.execute("SELECT count(*) FROM answers").fetchone()[0]
+        kept = database.execute("SELECT count(*) FROM answers_2").fetchone()[0]
     assert 5 <= kept <= calls(place)
     with Model(study(), reference, cache_file=place / "cache", threads=1) as model:
         answers = model.evaluate(["a"], np.arange(40.0)[:, None], ["y"])
@@ -654,7 +654,7 @@ def test_rows_of_a_quick_model_are_not_stored(place: Path) -> None:
         model.evaluate(["a"], np.zeros((100_000, 1)), ["y"])
         assert model.seconds_per_row is not None
     with contextlib.closing(sqlite3.connect(place / "cache")) as database:
-        assert database.execute("SELECT count(*) FROM answers").fetchone()[0] == 0
+        assert database.execute("SELECT count(*) FROM answers_2").fetchone()[0] == 0
 
 
 def test_records_hold_every_bit(place: Path) -> None:
@@ -666,19 +666,16 @@ def test_records_hold_every_bit(place: Path) -> None:
         return Cache(path, digest, inputs, ("y",), notes.append)
 
     cache = opened(place / "cache", "digest")
-    rows = np.array([[1.0, -0.0], [np.inf, 5e-324], [1e308, np.nan]])
-    answers = EvaluatedRows(
-        values=np.array([[5e-324], [-0.0], [np.nan]]), censored=np.zeros((3, 1), bool), status=np.array([0, 0, 8])
-    )
+    rows = np.array([[1.0, -0.0], [np.inf, 5e-324], [1e308, np.nan], [0.0, 0.0]])
+    answers = EvaluatedRows.plain(np.array([[5e-324], [-0.0], [np.nan], [1.0]]), np.array([0, 0, 0, Code.RAISED]))
     cache.write(rows, answers)
     cache.close()
     moved = place / "moved"
     shutil.copy(place / "cache", moved)
     read, stored = opened(moved, "digest").read(rows)
-    assert stored.all()
-    assert read.values.tobytes() == answers.values.tobytes()
-    assert read.status.tolist() == [0, 0, 8]
-    assert opened(moved, "digest", ("a", "b")).read(rows[:, ::-1])[1].all()
+    assert stored.tolist() == [True, True, True, False]
+    assert read.tobytes() == answers.values[:3].tobytes()
+    assert opened(moved, "digest", ("a", "b")).read(rows[:3, ::-1])[1].all()
     assert not opened(moved, "another").read(rows)[1].any()
     assert notes == []
 

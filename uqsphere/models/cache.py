@@ -1,4 +1,4 @@
-"""What a slow black box has answered, in one SQLite file, so that no row is evaluated twice.
+"""What a slow black box has answered, in one SQLite file, so that no answer is computed twice.
 
 A cache may be lost at any time without changing an answer: whatever is wrong with its file, rows are evaluated anew and
 a note says why. SQLite sees to a process that is killed while it writes and to two runs that write at once; each record
@@ -20,10 +20,10 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.models.rows import Code, EvaluatedRows
+from uqsphere.models.rows import EvaluatedRows
 
 #: the one thing in the file; its text is what tells a cache of this version from another database
-_TABLE: Final = "CREATE TABLE answers (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID"
+_TABLE: Final = "CREATE TABLE answers_2 (key BLOB PRIMARY KEY, record BLOB) WITHOUT ROWID"
 #: seconds that another run is waited for
 _WAIT: Final = 30.0
 
@@ -37,11 +37,9 @@ class Cache:
     def __init__(
         self, path: Path, digest: str, inputs: Sequence[str], outputs: Sequence[str], note: Callable[[str], None]
     ) -> None:
-        self.path, self._note = path, note
+        self.path, self._note, self._outputs = path, note, len(outputs)
         self._order = sorted(range(len(inputs)), key=lambda k: inputs[k])
         self._about = hashlib.blake2b(json.dumps([digest, sorted(inputs), list(outputs)]).encode()).digest()
-        #: a record: checksum of what follows and of the key, status, values
-        self._form = np.dtype([("check", "<u4"), ("status", "u1"), ("values", "<f8", (len(outputs),))])
         self._database: sqlite3.Connection | None = None
         try:
             try:
@@ -82,38 +80,34 @@ class Cache:
         ordered = np.ascontiguousarray(rows[:, self._order] + 0.0, dtype="<f8")  # + 0.0: -0 is 0
         return [hashlib.blake2b(row.tobytes(), key=self._about, digest_size=16).digest() for row in ordered]
 
-    def read(self, rows: Array) -> tuple[EvaluatedRows, Flags]:
+    def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is, (n,)."""
         records = [b""] * len(rows)
         try:
-            if self._database is not None and self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():
+            if self._database is not None and self._database.execute("SELECT 1 FROM answers_2 LIMIT 1").fetchone():
                 records = [self._record(self._database, key) for key in self._keys(rows)]
         except sqlite3.Error as error:
             self._give_up(error)
-        known = np.frombuffer(b"".join(records), self._form)
         stored = np.array([record != b"" for record in records], dtype=bool)
-        return EvaluatedRows.plain(known["values"], known["status"].astype(np.int64)), stored
+        return np.frombuffer(b"".join(records), dtype="<f8").reshape(-1, self._outputs), stored
 
     def _record(self, database: sqlite3.Connection, key: bytes) -> bytes:
-        """What is stored by a key, empty where there is nothing or it is damaged."""
-        for (record,) in database.execute("SELECT record FROM answers WHERE key = ?", (key,)):
-            whole = isinstance(record, bytes) and len(record) == self._form.itemsize
-            if whole and record[:4] == _checksum(record, key):
-                return bytes(record)
+        """The values that are stored by a key, empty where there are none or they are damaged."""
+        for (record,) in database.execute("SELECT record FROM answers_2 WHERE key = ?", (key,)):
+            values = record[4:] if isinstance(record, bytes) else b""
+            if len(values) == 8 * self._outputs and record == _signed(values, key):
+                return values
             self._note(f"{self.path} has damaged rows, which are evaluated anew")
         return b""
 
     def write(self, rows: Array, answers: EvaluatedRows) -> None:
-        """Store answers; rows that took too long or ended their process are tried again another time."""
-        kept = ~np.isin(answers.status, (Code.TIME_OVER, Code.DIED))
-        table = np.zeros(int(kept.sum()), self._form)
-        table["status"], table["values"] = answers.status[kept], answers.values[kept]
-        records = [(key, record.tobytes()) for key, record in zip(self._keys(rows[kept]), table, strict=True)]
-        records = [(key, _checksum(record, key) + record[4:]) for key, record in records]
+        """Store answers; rows without one are tried again another time."""
+        keys, values = self._keys(rows[answers.good]), np.asarray(answers.values[answers.good], dtype="<f8")
+        records = [(key, _signed(row.tobytes(), key)) for key, row in zip(keys, values, strict=True)]
         try:
             with self._database or contextlib.nullcontext() as database:
                 if database is not None:
-                    database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", records)
+                    database.executemany("INSERT OR REPLACE INTO answers_2 VALUES (?, ?)", records)
         except sqlite3.Error as error:
             self._give_up(error)
 
@@ -125,5 +119,6 @@ class Cache:
         self._database = None
 
 
-def _checksum(record: bytes, key: bytes) -> bytes:
-    return zlib.crc32(record[4:] + key).to_bytes(4, "little")
+def _signed(values: bytes, key: bytes) -> bytes:
+    """Values behind a checksum of them and of their key."""
+    return zlib.crc32(values + key).to_bytes(4, "little") + values

@@ -258,7 +258,7 @@ class Model:
             if (status != 0).any():
                 found.status[places] = status
                 k = int(np.argmax(status != 0))
-                text = answers.note or TEXTS.get(int(status[k]), "")
+                text = answers.note
                 if status[k] == Code.NOT_FINITE:
                     j = int(np.argmin(np.abs(values[k]) <= _LARGEST))
                     text = f"{columns[j]} = {values[k, j]:g}{', too large' * bool(np.isfinite(values[k, j]))}"
@@ -272,9 +272,9 @@ class Model:
             for start, end in pairwise(starts):
                 places = np.arange(start, end)
                 if cache is not None:
-                    answers, stored = cache.read(whole(places))
-                    self.reused += int(stored.sum())
-                    settle(places[stored], answers)
+                    values, stored = cache.read(whole(places))
+                    self.reused += len(values)
+                    settle(places[stored], EvaluatedRows.plain(values))
                     places = places[~stored]
                 if len(places):
                     yield places

@@ -22,7 +22,6 @@ class Code(IntEnum):
 
 
 TEXTS: Final[dict[int, str]] = {
-    Code.RAISED: "the model raised an exception",
     Code.TIME_OVER: "the model took longer than analysis.time_limit",
     Code.DIED: "the model ended the process it ran in",
 }
