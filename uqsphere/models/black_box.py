@@ -173,11 +173,9 @@ def by_index(value: Any, count: int) -> Any:
 def _column(value: Any, name: str, count: int) -> Array:
     """One output as numbers (n,); what a mask hides, and None, is NaN."""
     given = np.asarray(value)
-    if given.dtype.kind == "c":
-        raise ModelError(f"the model's {name!r} has complex numbers: return the real part, or the absolute value")
-    if given.dtype.kind not in "fiubO":
-        raise ModelError(f"the model's {name!r} is not an array of numbers (its type is {given.dtype})")
     try:
+        if given.dtype.kind not in "fiubO":
+            raise TypeError(f"its type is {given.dtype}; of complex numbers return the real part or the absolute value")
         column = given.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model's {name!r} is not an array of numbers: {as_text(error)}") from error

@@ -23,7 +23,7 @@ from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, ModelRaised, UsageError, as_text
 from uqsphere.models.black_box import BlackBox, answer_rows, model_digest
 from uqsphere.models.cache import Cache
-from uqsphere.models.rows import TEXTS, Code, EvaluatedRows, Interrupted, where_of
+from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, where_of
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.models.workers import Died, Given, Here, Processes, Task, Timed, Workers, result
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
@@ -150,6 +150,8 @@ class Model:
         self._workers: Workers | None = None if self.executor is None or box is None else Given(self.executor)
         #: seconds and rows of the first call, and of all others
         self._times: list[tuple[float, int]] = []
+        #: least seconds per row of any call, which a busy machine does not change
+        self._fastest = math.inf
         self._compared, self._hung = False, 0
         self.cache: Cache | None = None
         means = study.at_means()
@@ -237,7 +239,7 @@ class Model:
             return block
 
         # two sizes, none between: the last digits of a model may depend on the rows of a call, and time does not repeat
-        quick = not is_box or 0.0 < (self.seconds_per_row or 0.0) < _QUICK
+        quick = not is_box or self._fastest < _QUICK
         size = _MOST_ROWS if quick else max(1, min(_MOST_ROWS, total // _BLOCKS))
         # where time is limited, one row tells first what a row takes
         starts = [0, *range(1 if self.study.analysis.time_limit else size, total, size), total]
@@ -320,7 +322,7 @@ class Model:
                         answers, seconds = result(future, self.study.analysis.time_limit is not None)
                         known = self._times.pop() if len(self._times) > 1 else (0.0, 0)
                         self._times.append((known[0] + seconds, known[1] + len(places)))
-                        self._hung = 0
+                        self._fastest, self._hung = min(self._fastest, seconds / len(places)), 0
                     except (ModelRaised, TimeoutError, Died) as error:
                         if isinstance(error, ModelRaised) and self.study.analysis.on_failure == "abort":
                             raise
@@ -367,10 +369,12 @@ class Model:
     def _unanswered(self, error: Exception, row: Array) -> EvaluatedRows:
         """What stands for the answers to a row (d,) that has none. Raises ModelError after `_HUNG` rows without one."""
         code, text = Code.RAISED, str(error)
-        if not isinstance(error, ModelRaised):
-            self._hung += 1
-            code = Code.DIED if isinstance(error, Died) else Code.TIME_OVER
-            text = f"{TEXTS[code]} ({error if code == Code.DIED else f'{self.study.analysis.time_limit:g} s'})"
+        if isinstance(error, TimeoutError):
+            limit = self.study.analysis.time_limit
+            code, text = Code.TIME_OVER, f"the model took longer than analysis.time_limit ({limit:g} s)"
+        elif isinstance(error, Died):
+            code, text = Code.DIED, f"the model ended the process it ran in ({error})"
+        self._hung += code != Code.RAISED
         if self._hung == _HUNG:
             text = f"{text} {where_of([*self._numbers], row)}"
             raise ModelError(f"{_HUNG} rows in a row have no answer, the last: {text}") from error

@@ -1,4 +1,4 @@
-"""Rows of answers, the states that a row can be in, and the words for a row that failed."""
+"""Rows of answers, and the states that a row can be in."""
 
 from __future__ import annotations
 
@@ -21,10 +21,6 @@ class Code(IntEnum):
     DIED = 10
 
 
-TEXTS: Final[dict[int, str]] = {
-    Code.TIME_OVER: "the model took longer than analysis.time_limit",
-    Code.DIED: "the model ended the process it ran in",
-}
 #: inputs that a note names
 _MOST_NAMED: Final = 6
 
