@@ -396,8 +396,10 @@ def test_an_executor_that_answers_something_else(place: Path, answer: Any, error
         model.evaluate(["a"], np.zeros((200, 1)), ["y"])
 
 
-def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
+def test_a_dask_cluster_answers_and_may_be_lost(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All its workers gone after the first answer, then the client closed."""
     distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "ALONE", 3.0)
     reference = box(place, "time.sleep(0.3)", where="True")
     with (
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
@@ -405,12 +407,13 @@ def test_a_dask_cluster_answers_and_may_be_lost(place: Path) -> None:
     ):
         with Model(study(), reference, executor=client) as model:
             assert is_right(evaluated(model))
-        client.close()
-        with (
-            Model(study(), reference, executor=client) as model,
-            pytest.raises(AccessError, match="the executor was lost"),
-        ):
-            evaluated(model)
+        for gone, text in ((lambda *_: cluster.scale(0), "no worker for 3 s"), (None, "")):
+            with (
+                Model(study(), reference, executor=client, progress=gone) as model,
+                pytest.raises(AccessError, match=f"the executor was lost.*{text}"),
+            ):
+                evaluated(model)
+            client.close()
 
 
 @pytest.mark.parametrize(

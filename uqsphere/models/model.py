@@ -315,6 +315,8 @@ class Model:
                 if not running:
                     return
                 ended, _ = wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED)
+                if isinstance(workers, Given):
+                    workers.check(bool(ended))
                 # answers first: what is lost with an executor ends the run
                 for future in sorted(ended, key=lambda f: f.cancelled() or f.exception() is not None):
                     places = running.pop(future)

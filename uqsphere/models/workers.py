@@ -7,6 +7,7 @@ Each has `submit(task, rows, limit)`, which returns a future of `concurrent.futu
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import signal
@@ -30,6 +31,8 @@ from uqsphere.models.rows import EvaluatedRows
 
 #: seconds in which a model's file must have been loaded
 LOADING: Final = 60.0
+#: seconds after which a Dask cluster that has answered and has no worker left is given up
+ALONE: Final = 60.0
 #: exit code in place of 0: pebble would wait for the answer of a process that has ended so
 _ENDED: Final = 256
 
@@ -191,8 +194,11 @@ class Given:
     def __init__(self, executor: Any) -> None:
         if not callable(getattr(executor, "submit", None)):
             raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
+        self._client = executor if hasattr(executor, "get_executor") else None
         # the same call twice is two evaluations, which Dask would not make
-        self._executor = executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
+        self._executor = executor if self._client is None else executor.get_executor(pure=False)
+        #: when a cluster that has answered last had a worker: before its first answer it may wait in a queue
+        self._manned = math.inf
 
     def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
         packed = _packed(task)
@@ -203,6 +209,17 @@ class Given:
         if not isinstance(future, Future):
             raise UsageError(f"submit() of an executor returns a Future of concurrent.futures, not {type(future)}")
         return future
+
+    def check(self, answered: bool) -> None:
+        """Raise AccessError where a Dask cluster has had no worker for `ALONE` seconds: no answer will come."""
+        idle = time.monotonic() - self._manned
+        try:
+            if answered or (self._client is not None and idle > 2.0 and self._client.nthreads()):
+                self._manned = time.monotonic()
+            elif self._client is not None and idle > ALONE:
+                raise TimeoutError(f"it has had no worker for {ALONE:g} s")
+        except Exception as error:
+            raise _lost(error) from error
 
 
 Workers: TypeAlias = Here | Processes | Given
