@@ -9,7 +9,6 @@ import pytest
 
 from tests.campaigns.durations import compare, quadrature, rig_scenes, scenes
 from tests.scenes import ENDLESS, example, scaled_scene
-from uqsphere.mechanics.as_printed import compare as beside_the_paper
 from uqsphere.mechanics.closed_form import loading_approach, solve_blow, solve_closed
 from uqsphere.mechanics.integrator.solve import later_loading, motion, motions, solve
 from uqsphere.mechanics.scene import Scene
@@ -80,13 +79,6 @@ def test_a_free_blow_has_half_of_its_contact() -> None:
     assert found["contact_duration"][0] / found["loaded_time"][0] == pytest.approx(0.5436, abs=5e-5)
     momentum = 2.0 * scene.scales.mass[0] * 3.0 / found["P_max"][0]
     assert found["contact_duration"][0] == pytest.approx(momentum, rel=1e-12)
-
-
-def test_all_three_columns_of_the_paper_s_table_have_it() -> None:
-    rows = {row.quantity: row for row in beside_the_paper(example())}
-    duration, lost = rows["contact_duration"], rows["time_to_first_loss"]
-    assert None not in (duration.as_printed, duration.corrected, duration.full)
-    assert duration.as_printed == pytest.approx(0.5564 * lost.as_printed, rel=1e-4)
 
 
 def test_the_whole_record_counts_what_comes_after_the_first_loss() -> None:

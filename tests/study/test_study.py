@@ -172,6 +172,7 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
     assert study.record is not None
     assert study.record.peak == pytest.approx(150e-6, rel=2e-3)
     assert study.record.duration == pytest.approx(200e-6, rel=0.05)
+    assert study.record.rise == pytest.approx(59e-6, rel=0.02)  # sin² of a tenth and nine tenths
     assert any("compression is taken as positive" in warning for warning in study.warnings)
     assert list(study.random)[-1] == "pulse.gain"
     volts = (edits[1][0], edits[1][1].replace('"p.csv"', '"p.csv"\nunits = ["us", "mV"]'))
