@@ -118,6 +118,11 @@ def _grown(design: Design, model: Model, before: Tables | None, count: int) -> T
     sample = _sampled(design, model, before, count)
     line = along(design, model, before)
     tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
+    if before is not None:
+        # a margin that is accurate is not looked at again
+        missed = {error.subject for error in before.inaccurate if error.answer == "margin"}
+        tables.margins = {name: margin for name, margin in before.margins.items()
+                          if margin[0].value is not None and f"limits.{name}" not in missed}  # fmt: skip
     names = design.study.analysis.quantities if design.inputs else ()
     needed = tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])) if design.inputs else ()
     tables.expansions = expansions(design, sample, needed, {} if before is None else before.expansions)
@@ -260,7 +265,9 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         relative = estimate.half_width / estimate.value
         require(f"limits.{limit.name}", "failure_probability", relative, accuracy.probability)
     for limit in design.limits if tables.line else ():
-        margin, width = tables.margins[limit.name] = margin_and_scale(design, tables, limit)
+        if limit.name not in tables.margins:
+            tables.margins[limit.name] = margin_and_scale(design, tables, limit)
+        margin, width = tables.margins[limit.name]
         if margin.value is not None and width is not None:
             require(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
     return found
