@@ -262,7 +262,7 @@ def test_a_stop_ends_with_what_is_there() -> None:
         return linear(inputs)
 
     tight = study(analysis={"accuracy": {"probability": 1e-6}})
-    run = uqsphere.run(tight, counted, stop=lambda: sum(rows) > 6000)
+    run = uqsphere.run(tight, counted, threads=1, stop=lambda: sum(rows) > 6000)
     assert run.results["accuracy"]["stopped"] == "interrupted"
     assert run.probability("high")["value"] > 0.0
     with pytest.raises(KeyboardInterrupt):  # before there is anything
