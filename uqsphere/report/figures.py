@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 Results = Mapping[str, Any]
 #: colours that people with any colour vision tell apart (Okabe and Ito 2008)
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+#: curves that one drawing has room for
+MOST_CURVES: Final = 12
 #: probabilities that the axis of a fragility curve is marked at
 TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
 STYLE: Final[dict[str, Any]] = {
@@ -55,6 +57,17 @@ def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -
     return re.sub(r'\bd="[^"]*"', lambda found: re.sub(r"(\d+\.\d)\d+", r"\1", found[0]), body)
 
 
+def _likeliest(results: Results, subjects: list[str]) -> list[str]:
+    """Of too many limits and failure modes for a drawing those that are exceeded most often, in their order."""
+
+    def often(subject: str) -> float:
+        row = find(results["answers"], subject, "exceedance_probability")
+        return 0.0 if row is None else row["value"] or 0.0
+
+    kept = sorted(subjects, key=often, reverse=True)[:MOST_CURVES]
+    return [subject for subject in subjects if subject in kept]
+
+
 def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> None:
     """Fracture probability over the free number, on normal paper: all limits and failure modes, target and plan."""
     from scipy.special import ndtri
@@ -67,7 +80,7 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
     unit, factor = display_unit(free["path"], free["planned"] or free["high"])
     least = TICKS[0] / 3.0
     curves = {s: [[float(r["at"]), r["value"], r["low"], r["high"]] for r in of(results["answers"], s, "curve")]
-              for s in subjects}  # fmt: skip
+              for s in _likeliest(results, subjects)}  # fmt: skip
     joint = all_together(results)
     if limit is None and joint is not None and joint.get("curve"):
         curves["all together"] = joint["curve"]
@@ -109,7 +122,8 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
     axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(t) for t in TICKS])
     axes.set(xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"], ylim=(ndtri(least), ndtri(1.0 - least)),
              ylabel=_probability_name(results), xlim=(free["low"] * factor, free["high"] * factor))  # fmt: skip
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8)
+    left = f"the {MOST_CURVES} of {len(subjects)} that are exceeded most often" if len(subjects) > MOST_CURVES else None
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8, title=left, title_fontsize=8)
 
 
 def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
@@ -149,16 +163,19 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     shown = []
     if entry["density"]:
         shown.append(("demand", entry["density"], COLOURS[0], "-"))
-    for k, (name, limit) in enumerate(results["study"]["limits"].items()):
-        if limit["quantity"] == quantity and limit["strength"].get("density"):
+    held = [f"limits.{name}" for name, limit in results["study"]["limits"].items() if limit["quantity"] == quantity]
+    limits = {s.removeprefix("limits."): results["study"]["limits"][s.removeprefix("limits.")]
+              for s in _likeliest(results, held)}  # fmt: skip
+    for k, (name, limit) in enumerate(limits.items()):
+        if limit["strength"].get("density"):
             shown.append((f"strength, {name}", limit["strength"]["density"], COLOURS[1 + k % 5], "--"))
     for text, (places, density), colour, line in shown:
         x, y = np.array(places, dtype=float) * factor, np.array(density, dtype=float) / factor
         axes.plot(x, y, line, color=colour, label=text)
         axes.fill_between(x, 0.0, y, color=colour, alpha=0.15, lw=0)
-    for k, (name, limit) in enumerate(results["study"]["limits"].items()):
+    for k, (name, limit) in enumerate(limits.items()):
         strength = limit["strength"]
-        if limit["quantity"] == quantity and not strength.get("density") and strength["median"] is not None:
+        if not strength.get("density") and strength["median"] is not None:
             axes.axvline(strength["median"] * factor, color=COLOURS[1 + k % 5], ls="--", label=f"strength, {name}")
     if not shown and middle is not None:
         axes.axvline(middle * factor, color=COLOURS[0], label="demand (no scatter)")

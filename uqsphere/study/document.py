@@ -69,6 +69,13 @@ def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
+def _visible(text: str) -> str:
+    """A text without control characters, and without marks that turn the direction of writing."""
+    if sign := re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", text):
+        raise Fault(f"the text holds the control character U+{ord(sign[0]):04X}: leave it out")
+    return text
+
+
 def _several(least: int = 1, most: int = 200) -> Any:
     """The mark of a list with so many entries, each once."""
     return Field(min_length=least, max_length=most, strict=False), AfterValidator(_unique)
@@ -321,7 +328,8 @@ class Outputs(Table):
 class Document(Table):
     """A study file."""
 
-    title: str = key("heading of the report, without it the file's name; not part of the study's hash", "")
+    title: Annotated[str, AfterValidator(_visible)] = key(
+        "heading of the report, without it the file's name; not part of the study's hash", "")  # fmt: skip
     seed: Annotated[int, Field(ge=0, lt=2**63)] = key("the same seed gives the same answers", 0)
     sphere: Body = Body.model_construct()
     bars: Bars = Bars.model_construct()
