@@ -63,7 +63,7 @@ def begin(s, j):
     for face in range(2):
         s.touched[face, j], s.x_first[face, j], s.other[face, j], s.carried[face, j] = 0.0, 0.0, 0.0, 0.0
     s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
-    s.loss_rate[j], s.unloadings[j], s.touches[j], s.chatter[j], s.pushed[j] = 0.0, 0.0, 0.0, 0.0, 0.0
+    s.loss_rate[j], s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @compiled
@@ -423,41 +423,36 @@ def _first_at(s, j, made, level):
     return math.nan
 
 
-#: end of a record, over t_c, below which the impulse is less than a fiftieth of what it is the difference of in (Q2)
-BRIEF = 0.1
-
-
 @compiled
 def note_impulse(s, j, theta):
-    """Add the integral of both forces over a step of a brief record; with t = z² it is smooth from a touch on."""
+    """Add the integral of the mean force over a step.
+
+    The series of the forces err as those of the approaches do, by a share of the largest one.  While the impulse is
+    less than a fiftieth of that it is summed over forces of the approaches, in z with t = z²: smooth from a touch on.
+    """
     apart()
-    for i in range(WAVE):
-        z = 0.5 * (1.0 + _NODES[i])
-        for m in range(j, PAIR, LANES):
-            above = max(searches.value_of(s.x, m, theta * z * z), 0.0)
-            force = above if s.mode == LINEAR else face_force(s, m, above)[0]
-            s.pushed[j] += _WEIGHTS[i] * z * theta * s.h[j] * force
+    if s.touching[j] > 0.0 or 50.0 * s.impulse[j] < max(s.size[0, j], s.size[2, j]):
+        for i in range(WAVE):
+            z = 0.5 * (1.0 + _NODES[i])
+            for m in range(j, PAIR, LANES):
+                above = max(searches.value_of(s.x, m, theta * z * z), 0.0)
+                force = above if s.mode == LINEAR else face_force(s, m, above)[0]
+                s.impulse[j] += 0.5 * _WEIGHTS[i] * z * theta * s.h[j] * force
+        return
+    power, impulse = 0.5 * theta * s.h[j], s.impulse[j]
+    for k in range(TERMS):
+        impulse += (s.force[k, j] + s.force[k, LANES + j]) * power / (k + 1.0)
+        power *= theta
+    s.impulse[j] = impulse
 
 
 @compiled
 def note_duration(s, j, settled):
-    """Impulse over peak of the mean force up to now, (Q2): integral of (f - h) less the mean approach.
-
-    settled: what is still pressed dies out and counts, dents stay.
-    """
+    """Impulse over peak of the mean force up to now, (Q1); settled: the waves are over, and what is still pressed dies
+    out with the impulse that (Q2) says."""
     apart()
-    impulse = 0.5 * s.pushed[j]
-    for m in range(j, PAIR if s.end[j] >= BRIEF else 0, LANES):
-        impulse -= 0.5 * ((0.0 if settled else s.x[0, m]) + s.dent[m])
-    s.duration[j] = impulse / s.peak[MEAN, j]
-
-
-@compiled
-def note_momentum(s, j):
-    """The same of any other rig from the speeds, (Q3): what A has given and the sphere has not kept went to B."""
-    apart()
-    given = (s.start_speed[0, j] - s.free[0, j]) / s.lightness[j] if s.lightness[j] > 0.0 else 0.0
-    s.duration[j] = (given - 0.5 * s.mass[j] * (s.u[0, j] - s.start_speed[1, j])) / s.peak[MEAN, j]
+    left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
+    s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
 
 
 @compiled

@@ -129,12 +129,9 @@ def _leave(s, j, made, out, status, steps):
     if math.isnan(s.ended[j]):
         last = made[j, (s.count[j] - 1) & (s.ring - 1)]
         s.ended[j] = last.began + last.holds
-    if s.wanted & tracked.WANT_DURATION:
-        if s.rigged:
-            events.note_momentum(s, j)
-        elif math.isnan(s.duration[j]):
-            # the tail between infinite bars belongs to the record
-            events.note_duration(s, j, math.isnan(s.lost[j]) and s.end[j] == math.inf)
+    if s.wanted & tracked.WANT_DURATION and math.isnan(s.duration[j]):
+        # the tail between infinite bars belongs to the record
+        events.note_duration(s, j, not s.rigged and math.isnan(s.lost[j]) and s.end[j] == math.inf)
     events.finish(s, j, made, out[r])
 
 
@@ -179,7 +176,7 @@ def _enter(s, j, r, rows):
 def _enter_rig(s, j, given, speed):
     """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face answer a force."""
     quickest, stiffest = s.inverse_mu[j], 0.0
-    s.u[0, j], s.start_speed[0, j], s.start_speed[1, j] = speed, given[tracked.RIG_SPEED, 0], speed
+    s.u[0, j] = speed
     s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     for face in range(2):
         m, lightness = face * LANES + j, given[tracked.RIG_LIGHTNESS, face]
@@ -399,14 +396,8 @@ def _events(s, j):
         events.note_peaks(s, j)
     if s.wanted & tracked.WANT_CARRIED:
         events.note_squared_forces(s, j, ending)
-    if s.wanted & tracked.WANT_DURATION and s.end[j] < events.BRIEF:
+    if s.wanted & tracked.WANT_DURATION:
         events.note_impulse(s, j, ending)
-    elif s.wanted & tracked.WANT_DURATION and not s.rigged:
-        power, pushed = ending * s.h[j], s.pushed[j]
-        for k in range(TERMS):
-            pushed += (s.push[k, j] + s.push[k, LANES + j]) * power / (k + 1.0)
-            power *= ending
-        s.pushed[j] = pushed
     return ending
 
 

@@ -138,9 +138,9 @@ LANE: Final = np.dtype([
     *_fields((5, LANES), "size"),
     # what is followed: largest values; whether a face has touched, its largest approach before the first echo, force of
     # the other at its peak, integral of its squared force; first loss and its rate, end, last parting, unloadings,
-    # touches in all and before the peak, integral of the waves, duration; speeds of A and of the sphere at the start
-    *_fields((KINDS, LANES), "peak"), *_fields((2, LANES), "touched x_first other carried start_speed"),
-    *_fields((LANES,), "lost loss_rate ended parted unloadings touches chatter pushed duration"),
+    # touches in all and before the peak, impulse of the mean force, duration
+    *_fields((KINDS, LANES), "peak"), *_fields((2, LANES), "touched x_first other carried"),
+    *_fields((LANES,), "lost loss_rate ended parted unloadings touches chatter impulse duration"),
     # the law of a face (`faces`), and what stands at its pole: zeta, 1/mu_i, 1 or 0 where nothing does
     *_fields((PAIR,), "dent shift spring by_x by_root by_log constant base largest peak_force onset softening pile_up"),
     *_fields((PAIR,), "stiffness chi unit_force hertz gives lightness there"),
