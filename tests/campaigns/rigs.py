@@ -59,25 +59,13 @@ def errors_of(answers: np.ndarray, row: Row) -> dict[str, float]:
     return {name: abs(value) / TOLERANCE for name, value in found.items()}
 
 
-def _marched(given: dict[str, Any]) -> solve.Scaled:
-    """All rows, and again those whose time of loss is worse than the tolerance."""
-    found = solve.march_rows(given, 0, TOLERANCE, asked=TOLERANCE)
-    shares = solve._repeated_with(found, TOLERANCE, True, 1.0)
-    for share in np.unique(shares[shares < 1.0]):
-        picked = np.flatnonzero(shares == share)
-        some = {name: column[picked] for name, column in given.items()}
-        again = solve.march_rows(some, 0, share * TOLERANCE, asked=TOLERANCE)
-        found.answers[picked], found.status[picked], found.steps[picked] = again.answers, again.status, again.steps
-    return found
-
-
 def main() -> None:
     chosen = options(__doc__, rows=120, seed=1)
     rng = np.random.default_rng(chosen.seed)
     strata = [(kind, yields) for kind in KINDS for yields in (False, True)]
     rows = [(stratum, random_row(rng, *stratum)) for stratum in strata for _ in range(chosen.rows // len(strata))]
     given = arguments([row for _, row in rows])
-    found = _marched(given)
+    found = solve.look_closer(given, 0, TOLERANCE, wanted=tracked.WANT_ALL)
     worst: dict[Any, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     status = Counter(found.status.tolist())
     for i, (stratum, row) in enumerate(rows):

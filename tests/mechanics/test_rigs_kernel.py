@@ -45,7 +45,7 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
 
 
 def kernel(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
-    return march_rows(arguments(rows), 0, tolerance, asked=tolerance)
+    return march_rows(arguments(rows), 0, tolerance, requested=tolerance)
 
 
 def second(row: Row, rtol: float = 1e-12) -> Motion:

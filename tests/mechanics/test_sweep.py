@@ -72,7 +72,7 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert row.quantities["time_to_first_loss"][2] == pytest.approx(10.0, abs=ALLOWED)
     again = Scene(**{**row.inputs, "columns": {n: np.array([v]) for n, v in row.inputs["columns"].items()}})
     assert again.scales.mass_number[0] == pytest.approx(row.mu, rel=1e-12)
-    assert "wrong: 1 rows" in report(found)
+    assert "wrong and silent: 1 rows" in report(found)
 
 
 # ---- the design

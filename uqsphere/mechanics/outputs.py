@@ -435,12 +435,14 @@ class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
     values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of time_to_first_loss, whether the
-    record ended first and the value is a lower bound.  status: 0, or a code of `scene.STATUS`.  record: its end [s], or
-    the time after which nothing that was asked for could change.  steps: of the integrator.
+    record ended first and the value is a lower bound.  grazes: whether contact comes so near to a loss that rounding
+    decides: times that follow from it may be a swing off.  status: 0, or a code of `scene.STATUS`.  record: its end
+    [s], or the time after which nothing that was asked for could change.  steps: of the integrator.
     """
 
     values: Mapping[str, Array]
     censored: Mapping[str, Flags]
+    grazes: Flags
     status: Places
     record: Array
     steps: Places
@@ -450,6 +452,7 @@ class Answers:
         return Answers(
             values={name: column[rows] for name, column in self.values.items()},
             censored={name: column[rows] for name, column in self.censored.items()},
+            grazes=self.grazes[rows],
             status=self.status[rows],
             record=self.record[rows],
             steps=self.steps[rows],
@@ -496,7 +499,8 @@ def answers_from(
         if name in OUTPUTS and OUTPUTS[name].censored
     }
     record = np.asarray(scene.scales.time * columns["ended"])
-    return Answers(values=values, censored=censored, status=status, record=record, steps=steps)
+    grazes = tracked.get("grazed", np.zeros(len(scene))) > 0.0  # a closed form knows no loss that is in doubt
+    return Answers(values=values, censored=censored, grazes=grazes, status=status, record=record, steps=steps)
 
 
 def _wider_than_its_rod(scene: Scene, made: Mapping[str, Known]) -> Flags:
@@ -516,6 +520,7 @@ def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
     whole = Answers(
         values=_joined([part.values for part in found]),
         censored=_joined([part.censored for part in found]),
+        grazes=np.concatenate([part.grazes for part in found]),
         status=np.concatenate([part.status for part in found]),
         record=np.concatenate([part.record for part in found]),
         steps=np.concatenate([part.steps for part in found]),

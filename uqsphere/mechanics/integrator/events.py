@@ -63,7 +63,8 @@ def begin(s, j):
     for face in range(2):
         s.touched[face, j], s.x_first[face, j], s.other[face, j], s.carried[face, j] = 0.0, 0.0, 0.0, 0.0
     s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
-    s.loss_rate[j], s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0, 0.0
+    s.grazed[j], s.blur[j] = math.nan, 0.0
+    s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0
 
 
 @compiled
@@ -97,6 +98,8 @@ def _faces(s, j):
         level, sign = (s.near[j], -1.0) if pressed else (0.0, 1.0)
         if not searches.may_pass(s, face, sign, s.theta[j] / POINTS, level):
             continue
+        if pressed:
+            _note_graze(s, j, face, ends)
         # a face that left at the start of this step is clear of zero a little later
         clear = 1e-3 * ends if start == 0.0 and rate < 0.0 else 0.0
         found = searches.passage(s, face, 0.0, sign, clear, ends)
@@ -104,8 +107,33 @@ def _faces(s, j):
             ends, met = found, face
     if met >= 0 and s.piece[met, 0] > 0.0 and math.isnan(s.lost[j]):
         s.lost[j] = s.time[j] + ends * s.h[j]
-        s.loss_rate[j] = abs(searches.both(s, met, ends)[1]) / s.h[j]
+        _note_loss(s, j, met, ends)
     return ends, met
+
+
+@compiled
+def _note_loss(s, j, face, ends):
+    """How far the error of the approach moves a loss of contact; whether it may undo it."""
+    apart()
+    rate, bow = searches.curve(s, face, True, ends)
+    s.blur[j] = s.faint[j] * s.h[j] / -rate
+    # how deep a gap opens before the approach turns, or the waves jump
+    depth = -rate * ((s.stop[j] - s.time[j]) / s.h[j] - ends)
+    if bow > 0.0:
+        depth = min(depth, 0.5 * rate * rate / bow)
+    if depth < s.faint[j]:
+        s.grazed[j] = 0.0
+    elif s.lost[j] - s.grazed[j] < 2.0 * s.blur[j]:
+        s.grazed[j] = s.lost[j]  # it went straight through
+
+
+@compiled
+def _note_graze(s, j, face, ends):
+    """When the approach of a face first comes so near to zero, before any loss, that its error may decide on one."""
+    apart()
+    if s.wanted & tracked.TO_THE_END and math.isnan(s.lost[j]) and math.isnan(s.grazed[j]):
+        found = searches.passage(s, face, s.faint[j], -1.0, 0.0, ends)
+        s.grazed[j] = s.time[j] + found * s.h[j]
 
 
 @compiled
@@ -146,7 +174,7 @@ def after_step(s, j):
     if ends < s.theta[j]:
         searches.survey(s, ends)
     known = _largest(s, j, ends)
-    least = max(50.0 * s.error[j], 2.0 * s.asked) * s.size[0, j]  # above it a face has touched
+    least = max(50.0 * s.error[j], 2.0 * s.requested) * s.size[0, j]  # above it a face has touched
     for face in range(2):
         if s.grid[face, 0, POINTS] > least:
             s.touched[face, j] = 1.0
@@ -253,8 +281,6 @@ def _span(a, b, slope_a, slope_b, sign, width, reached, left, left_slope):
 _spanned = elementwise(LANES, 3, _span)
 #: functions of both faces whose largest values are searched for
 _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
-#: what the end of the record decides
-_TO_THE_END = tracked.WANT_CONTACT | tracked.WANT_DURATION
 
 
 @compiled
@@ -360,7 +386,7 @@ def decided(s, j):
     """
     apart()
     wanted, level, slack = s.wanted, s.steady[j], 1.0 + 0.1 * s.error[j]
-    if wanted & _TO_THE_END or (level > 0.0 and wanted & _SEARCHED):
+    if wanted & tracked.TO_THE_END or (level > 0.0 and wanted & _SEARCHED):
         return False
     stored, energy = 0.5 * s.mass[j] * (s.u[0, j] - level) ** 2, 0.5 * s.mass[j] * s.u[0, j] ** 2
     least, stiffest, rest, least_phi = math.inf, 0.0, level, 0.5 * level * level
@@ -423,6 +449,27 @@ def _first_at(s, j, made, level):
     return math.nan
 
 
+#: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
+_NODES, _WEIGHTS = (
+    0.5 * (array + shift) for array, shift in zip(np.polynomial.legendre.leggauss(WAVE), (1.0, 0.0), strict=True)
+)
+
+
+@compiled
+def _read(s, series, m):
+    """Values of a column of a series at the places s.work[0], to s.work[1]."""
+    for k in range(TERMS):
+        s.piece[0, k] = series[k, m]
+    values_at(row(s.piece, 0, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
+
+
+_press = elementwise(
+    WAVE,
+    1,
+    lambda x, spring, linear: where(linear > 0.0, larger(x, 0.0), spring * larger(x, 0.0) * root_of(larger(x, 0.0))),
+)
+
+
 @compiled
 def note_impulse(s, j, theta):
     """Add the integral of the mean force over a step.
@@ -431,19 +478,23 @@ def note_impulse(s, j, theta):
     less than a fiftieth of that it is summed over forces of the approaches, in z with t = z²: smooth from a touch on.
     """
     apart()
+    impulse = 0.0
     if s.touching[j] > 0.0 or 50.0 * s.impulse[j] < max(s.size[0, j], s.size[2, j]):
         for i in range(WAVE):
-            z = 0.5 * (1.0 + _NODES[i])
-            for m in range(j, PAIR, LANES):
-                above = max(searches.value_of(s.x, m, theta * z * z), 0.0)
-                force = above if s.mode == LINEAR else face_force(s, m, above)[0]
-                s.impulse[j] += 0.5 * _WEIGHTS[i] * z * theta * s.h[j] * force
-        return
-    power, impulse = 0.5 * theta * s.h[j], s.impulse[j]
-    for k in range(TERMS):
-        impulse += (s.force[k, j] + s.force[k, LANES + j]) * power / (k + 1.0)
-        power *= theta
-    s.impulse[j] = impulse
+            s.work[0, i] = theta * _NODES[i] * _NODES[i]
+        for m in range(j, PAIR, LANES):
+            _read(s, s.x, m)
+            if s.spring[m] > 0.0:
+                _press(row(s.work, 1, 0), row(s.work, 1, 0), s.spring[m], 1.0 * (s.mode == LINEAR))
+            for i in range(WAVE):
+                force = s.work[1, i] if s.spring[m] > 0.0 else face_force(s, m, s.work[1, i])[0]
+                impulse += _WEIGHTS[i] * _NODES[i] * force
+    else:
+        power = 0.5
+        for k in range(TERMS):
+            impulse += (s.force[k, j] + s.force[k, LANES + j]) * power / (k + 1.0)
+            power *= theta
+    s.impulse[j] += impulse * theta * s.h[j]
 
 
 @compiled
@@ -471,7 +522,7 @@ def finish(s, j, made, out):
     out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = s.ended[j], s.duration[j]
     out[tracked.ANSWER_CONTACT] = s.lost[j] if lost else s.ended[j]
     out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
-    out[tracked.ANSWER_LOSS_RATE] = s.loss_rate[j] if lost else math.nan
+    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = s.grazed[j], s.blur[j]
     out[tracked.ANSWER_PARTING] = s.parted[j] if parted else s.ended[j]
     for kind in range(DIFFERENCE, KINDS):
         if s.wanted & (1 << (kind - 1)):
@@ -507,24 +558,18 @@ def note_peaks(s, j):
             s.chatter[j] = s.touches[j]
 
 
-#: Gauss points of a step: exact to the power 23 of the squared force, whose further terms are below the tolerance
-_NODES, _WEIGHTS = (array.copy() for array in np.polynomial.legendre.leggauss(WAVE))
-
-
 @compiled
 def note_squared_forces(s, j, theta):
     """Add the integrals of both squared forces over a step up to theta."""
     apart()
     for i in range(WAVE):
-        s.work[0, i] = 0.5 * theta * (1.0 + _NODES[i])
+        s.work[0, i] = theta * _NODES[i]
     for face in range(2):
-        for k in range(TERMS):
-            s.piece[face, k] = s.force[k, face * LANES + j]
-        values_at(row(s.piece, face, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
+        _read(s, s.force, face * LANES + j)
         total = 0.0
         for i in range(WAVE):
             total += _WEIGHTS[i] * s.work[1, i] * s.work[1, i]
-        s.carried[face, j] += 0.5 * total * theta * s.h[j]
+        s.carried[face, j] += total * theta * s.h[j]
 
 
 @compiled

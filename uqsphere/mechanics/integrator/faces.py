@@ -28,6 +28,7 @@ from uqsphere.mechanics.integrator.tracked import (
     LAW_SHARE,
     LAW_SOFTENING,
     LAW_STIFFNESS,
+    LINEAR,
     PAIR,
     TAIL_SHARE,
 )
@@ -169,6 +170,8 @@ def face_force(s, m, above):
     if s.spring[m] > 0.0:
         if above <= 0.0:
             return 0.0, 0.0
+        if s.mode == LINEAR:
+            return above, 1.0
         side = s.spring[m] * math.sqrt(above)
         return side * above, 1.5 * side
     root = math.sqrt(max(above + s.shift[m], 1e-300))
@@ -214,7 +217,7 @@ def stored_energy(s, m, above):
     """Elastic energy of a face and its derivative by the approach, (C10), in units of P_c alpha_c."""
     force, slope = face_force(s, m, above)
     if s.spring[m] > 0.0:
-        return 0.4 * force * max(above, 0.0), force
+        return (0.5 if s.mode == LINEAR else 0.4) * force * max(above, 0.0), force
     onset, b = s.onset[m], s.softening[m]
     z = max((above + s.shift[m]) / onset, 1.0)
     area = _virgin_area(z, b, s.pile_up[m])

@@ -39,7 +39,18 @@ from uqsphere.mechanics.integrator.faces import (
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.searches import value_of
-from uqsphere.mechanics.integrator.tracked import FACE_A, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
+from uqsphere.mechanics.integrator.tracked import (
+    FACE_A,
+    FACE_B,
+    FULL,
+    LANES,
+    LINEAR,
+    MASSLESS,
+    PAIR,
+    POINTS,
+    TERMS,
+    End,
+)
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
@@ -199,25 +210,34 @@ def _waves(s, made):
     """The steps that are tried, and the waves that run towards the sphere in them, theory (4) and (5)."""
     apart()
     for j in range(LANES):
-        s.busy[j] = 1.0 if s.row[j] >= 0 else 0.0
-        if s.touching[j] > 0.0 and s.row[j] >= 0:
-            # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
-            scale = min(s.size[0, j], s.size[2, j]) if s.rigged else s.size[0, j]
-            brief = (1e2 * s.error[j] * min(1.0, 1.0 / s.quickest[j]) * scale) ** 0.4
-            # the wave that presses has to be followed as well
-            smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
-            s.proposed[j] = min(s.proposed[j], min(brief, smooth))
-    step.try_step(s)
-    for j in range(LANES if s.yielding else 0):
-        if s.own[j] and s.time[j] >= s.fades[j]:
-            s.low[j] = tail_level(s, j)
-        if s.rigged:  # only the first loss of contact is an answer of its own
-            lost = not math.isnan(s.lost[j])
-            s.near[j] = 0.0 if lost else max(100.0 * s.error[j], s.asked) * min(s.size[0, j], s.size[2, j])
+        s.h[j], s.misfit[j] = 0.0, 0.0
+        if s.row[j] >= 0:
+            _try(s, j)
     incoming.incident(s)
     for j in range(LANES):
         if s.row[j] >= 0 and s.time[j] >= s.heard[j]:
             incoming.echoes(s, j, made)
+
+
+@compiled
+def _try(s, j):
+    """The trial step of a lane; the approaches below which a record ends, a contact may be lost or nearly is."""
+    scale = min(s.size[0, j], s.size[2, j]) if s.rigged else s.size[0, j]
+    if s.touching[j] > 0.0:
+        # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
+        brief = (1e2 * s.error[j] * min(1.0, 1.0 / s.quickest[j]) * scale) ** 0.4
+        # the wave that presses has to be followed as well
+        smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
+        s.proposed[j] = min(s.proposed[j], min(brief, smooth))
+    s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
+    # the errors of all steps may go one way: a step's own damps, or drives, every swing alike
+    s.faint[j] = (1.0 + s.count[j]) * s.error[j] * (max(s.size[0, j], s.size[2, j]) if s.rigged else scale)
+    s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
+    if s.rigged and not math.isnan(s.lost[j]):  # only the first loss of contact is an answer of its own
+        s.near[j] = 0.0
+    s.low[j] = -math.inf
+    if s.time[j] >= s.fades[j]:
+        s.low[j] = tail_level(s, j) if s.own[j] else s.share * max(s.peak[FACE_A, j], s.peak[FACE_B, j])
 
 
 # --- expand

@@ -10,18 +10,7 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, stored_energy
-from uqsphere.mechanics.integrator.tracked import (
-    DIFFERENCE,
-    ENERGY,
-    FACE_B,
-    LANES,
-    LINEAR,
-    MEAN,
-    ORDER,
-    POINTS,
-    SHARE,
-    TERMS,
-)
+from uqsphere.mechanics.integrator.tracked import DIFFERENCE, ENERGY, FACE_B, LANES, MEAN, ORDER, POINTS, SHARE, TERMS
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
@@ -71,16 +60,8 @@ def both(s, face, theta):
 @compiled
 def _of_face(s, m, stored, x, d):
     """Force of a face, or what it stores, and its derivative, from the approach and its derivative."""
-    if s.own[m % LANES]:
-        found, slope = stored_energy(s, m, x) if stored else face_force(s, m, x)
-        return found, slope * d
-    if x <= 0.0:
-        return 0.0, 0.0
-    force, slope, share = x, 1.0, 0.5
-    if s.mode != LINEAR:
-        side, share = math.sqrt(x), 0.4
-        force, slope = x * side, 1.5 * side
-    return (share * force * x, force * d) if stored else (force, slope * d)
+    found, slope = stored_energy(s, m, x) if stored else face_force(s, m, x)
+    return found, slope * d
 
 
 @compiled

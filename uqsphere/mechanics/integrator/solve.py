@@ -239,13 +239,13 @@ def march_rows(
     tolerance: float,
     *,
     wanted: int = tracked.WANT_ALL,
-    asked: float = 0.0,
+    requested: float = 0.0,
     stop_at_loss: bool = True,
     keep: bool = False,
 ) -> Scaled:
     """Run the kernel on all rows of `arguments`, with more room for those that run out of it.
 
-    asked: the tolerance of the answers, where `tolerance` is closer; keep: the paths.
+    requested: the tolerance of the answers, where `tolerance` is closer; keep: the paths.
     """
     from uqsphere.mechanics.integrator.kernel import Rows, march
 
@@ -266,7 +266,7 @@ def march_rows(
         given = {
             "mode": mode, "wanted": wanted if yielding else wanted & ~tracked.WANT_SHARE, "yielding": yielding,
             "rigged": rigged, "stop_at_loss": stop_at_loss, "store": store, "keeping": keep, "capacity": capacity,
-            "local": local, "closer": min(1.0, _yielded_share(arguments) / share), "asked": asked,
+            "local": local, "closer": min(1.0, _yielded_share(arguments) / share), "requested": requested,
             # how many steps are read again: all that there is room for, or the last one alone
             "ring": capacity if store or keep or echoing else 1,
             "share": tracked.TAIL_SHARE if mode == MODES["linear"] else tracked.TAIL_SHARE ** (2.0 / 3.0),
@@ -308,22 +308,10 @@ def integrate(
     wanted, mode = wishes(quantities, scene.demands), MODES[fidelity]
     arguments = scaled_arguments(scene, rows)
 
-    timed, yielded = wanted & tracked.WANT_CONTACT != 0, _yielded_share(arguments)
-
     def run(block: slice) -> None:
-        def march(picked: Places, closer: float) -> Scaled:
-            given = {name: column[block][picked] for name, column in arguments.items()}
-            return march_rows(given, mode, closer, wanted=wanted, asked=tolerance, stop_at_loss=not scene.whole_record)
-
         here = rows[block]
-        part = march(np.arange(len(here)), tolerance)
-        if wanted != 0:  # the largest approach needs no second look
-            shares = _repeated_with(part, tolerance, timed, yielded)
-            for share in np.unique(shares[shares < 1.0]):
-                picked = np.flatnonzero(shares == share)
-                again = march(picked, share * tolerance)
-                part.answers[picked], part.status[picked] = again.answers, again.status
-                part.steps[picked] = again.steps
+        given = {name: column[block] for name, column in arguments.items()}
+        part = look_closer(given, mode, tolerance, wanted=wanted, stop_at_loss=not scene.whole_record)
         found.answers[here], found.status[here], found.steps[here] = part.answers, part.status, part.steps
 
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(rows), _BLOCK)]
@@ -451,28 +439,51 @@ def later_loading(
     return np.asarray(np.maximum(peaks[1] / peaks[0], 1.0))
 
 
-# --- rows whose time of loss is worse than the tolerance ------------------------------------------------
+# --- rows that are integrated again ----------------------------------------------------------------------
 
 #: steps after which the errors of single steps may have added up; the largest approach alone they leave within a
 #: twentieth of the tolerance after up to 18,000 steps (`tests/mechanics/test_hard_cases.py`)
 _MANY_STEPS: Final = 1_000
-#: smallest share of the tolerance that a row is repeated with, and the smallest tolerance: 450 roundings of a double
-_CLOSEST, _FINEST = 1e-6, 1e-13
+#: share of its tolerance that a row is integrated again with, and the smallest tolerance: 450 roundings of a double
+_CLOSER, _FINEST = 1e-2, 1e-13
+#: tolerances by which an error of the approach may move the first loss of contact
+_FIRM: Final = 10.0
+#: steps whose errors are taken to move the loss at first (the sweep: none then moves by a tolerance)
+_FEW_STEPS: Final = 30
 
 
-def _repeated_with(found: Scaled, tolerance: float, timed: bool, yielded: float) -> Array:
-    """Share of the tolerance that each row is integrated again with, (n,): 1 where once is enough.
+def look_closer(
+    arguments: Mapping[str, Array], mode: int, tolerance: float, *, wanted: int, stop_at_loss: bool = True
+) -> Scaled:
+    """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse than `tolerance`.
 
-    An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the face leaves.
-    yielded: share of the tolerance that rows have whose faces have yielded.
+    ANSWER_GRAZED is then 1 where the first loss of contact is in doubt at the finest tolerance still, else 0: an
+    error of the approach may decide whether contact is lost, or move the loss by more than `_FIRM` tolerances.
     """
-    answers = found.answers
-    share = np.where(found.steps > _MANY_STEPS, 1e-2, 1.0)
-    if timed:
-        with np.errstate(all="ignore"):
-            lost = answers[:, tracked.ANSWER_LOSS_RATE] * answers[:, tracked.ANSWER_CONTACT]
-            sharpness = lost / answers[:, tracked.ANSWER_X_MAX]
-            sharpness = np.where(answers[:, tracked.ANSWER_UNLOADINGS] > 0.0, sharpness / yielded, sharpness)
-        for most, closer in ((3.0, 1e-2), (1e-2, 1e-4), (1e-4, _CLOSEST)):
-            share = np.where(sharpness < most, np.minimum(share, closer), share)
-    return np.where(found.status == tracked.OK, np.maximum(share, _FINEST / tolerance), 1.0)
+    n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["rigs"].shape[1] == 0
+    timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
+    found = march_rows(arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss)
+    answers, status, steps = found.answers, found.status, found.steps
+    closest, doubt = np.full(n, tolerance), np.zeros(n, dtype=bool)
+    again = (status == tracked.OK) & (steps > _MANY_STEPS) & (wanted != 0)
+    while True:
+        if timed:
+            lost, grazed = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]), answers[:, tracked.ANSWER_GRAZED]
+            # at first the errors of a few steps, later those of all of them
+            blur = answers[:, tracked.ANSWER_BLUR] * np.where(closest < tolerance, 1.0, _FEW_STEPS / (1.0 + steps))
+            doubt = (status == tracked.OK) & (np.fmax(lost - grazed, blur) > _FIRM * tolerance * lost)
+        again = (again | doubt) & (closest > _FINEST)
+        if not again.any():
+            break
+        for each in np.unique(closest[again]):
+            picked, closer = np.flatnonzero(again & (closest == each)), max(_CLOSER * each, _FINEST)
+            some = {name: column[picked] for name, column in arguments.items()}
+            look = march_rows(some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss)
+            closest[picked] = closer
+            # one that has no room for so many steps keeps the answers that it has
+            done = look.status == tracked.OK
+            answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
+            closest[picked[~done]] = _FINEST
+        again[:] = False
+    answers[:, tracked.ANSWER_GRAZED] = doubt
+    return replace(found, answers=answers)

@@ -21,7 +21,7 @@ import math
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, log_start
 from uqsphere.mechanics.integrator.searches import value_of
-from uqsphere.mechanics.integrator.tracked import FACE_A, FACE_B, LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS
+from uqsphere.mechanics.integrator.tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS
 from uqsphere.mechanics.integrator.vectors import (
     apart,
     curves_at,
@@ -253,16 +253,6 @@ def longest(s):
 
 # --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's neighbours.
 
-_tried = elementwise(
-    LANES,
-    4,
-    lambda proposed, stop, time, back, busy, fades, share, face_a, face_b, error, asked, scale: (
-        where(busy > 0.0, smaller(smaller(proposed, stop - time), back), 0.0),
-        where(time >= fades, share * larger(face_a, face_b), -math.inf),
-        larger(100.0 * error, asked) * scale,
-        0.0 * busy,
-    ),
-)
 _cut = elementwise(
     LANES,
     1,
@@ -288,14 +278,6 @@ _doubted = elementwise(
     ),
 )
 _same = elementwise(PAIR, 3, lambda x, rate, bow: (x, rate, bow))
-
-
-@compiled
-def try_step(s):
-    """The steps h that are tried, 0 where a lane has no row; where a record may end, a contact count as lost."""
-    apart()
-    _tried(s.h, s.low, s.near, s.misfit, s.proposed, s.stop, s.time, s.back, s.busy, s.fades, s.share,
-           row(s.peak, FACE_A, 0), row(s.peak, FACE_B, 0), s.error, s.asked, row(s.size, 0, 0))  # fmt: skip
 
 
 @compiled
@@ -365,13 +347,8 @@ def speeds(s):
 def _slopes(s, j, push_a, push_b, state):
     """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
     x1, x2, u, w1, w2 = state
-    k, pressed_a, pressed_b = LANES + j, max(x1, 0.0), max(x2, 0.0)
-    if s.own[j]:
-        force_a, force_b = face_force(s, j, x1)[0], face_force(s, k, x2)[0]
-    elif s.mode == LINEAR:
-        force_a, force_b = pressed_a, pressed_b
-    else:
-        force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
+    k = LANES + j
+    force_a, force_b = face_force(s, j, x1)[0], face_force(s, k, x2)[0]
     if s.mode == MASSLESS:
         rate = 0.5 * (push_a + push_b) - force_a
         return rate, rate, 0.0, 0.0, 0.0
@@ -405,18 +382,6 @@ def _join(series, m, left, left_slope, right, right_slope):
 
 
 @compiled
-def _force_and_rate(s, m, x, rate):
-    """Force of a face that is pressed to x, and its rate."""
-    x, rate = (x, rate) if x > 0.0 else (0.0, 0.0)
-    if s.own[m % LANES]:
-        force, slope = face_force(s, m, x)
-        return force, slope * rate
-    if s.mode == LINEAR:
-        return x, rate
-    return x * math.sqrt(x), 1.5 * math.sqrt(x) * rate
-
-
-@compiled
 def step_from_touch(s, j):
     """Replace the series of a lane over its trial step by cubics that join both ends."""
     apart()
@@ -441,10 +406,9 @@ def step_from_touch(s, j):
     _join(s.free, j, old[3], h * begin[3], state[3], h * last[3])
     _join(s.free, k, old[4], h * begin[4], state[4], h * last[4])
     for m in range(j, PAIR, LANES):
-        left, left_slope = _force_and_rate(s, m, s.x[0, m], s.x[1, m])
-        end, slope = (state[0], last[0]) if m == j else (state[1], last[1])
-        right, right_slope = _force_and_rate(s, m, end, h * slope)
-        _join(s.force, m, left, left_slope, right, right_slope)
+        end, rate = (state[0], last[0]) if m == j else (state[1], last[1])
+        (left, left_slope), (right, right_slope) = face_force(s, m, s.x[0, m]), face_force(s, m, end)
+        _join(s.force, m, left, left_slope * s.x[1, m], right, right_slope * h * rate)
 
 
 # --- Steps along the slow motion: once the fast oscillation has died out, nothing of it needs to be resolved.

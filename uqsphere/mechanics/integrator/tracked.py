@@ -48,6 +48,8 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
 (WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_SHARE, WANT_MEAN, WANT_DURATION, WANT_CONTACT,
  WANT_CARRIED) = (1 << k for k in range(8))  # fmt: skip
 WANT_ALL = (1 << 8) - 1
+#: what the end of the record decides
+TO_THE_END = WANT_DURATION | WANT_CONTACT
 
 # largest values of a row so far: of each face's approach (of both where faces are alike), of the difference of the
 # forces, of the stored energy, of the sphere's share of it and of the mean force
@@ -61,10 +63,10 @@ SOMETHING = 1 << KINDS
 # that yields was unloaded, and how often contact was regained before the largest approach; impulse over peak of the
 # mean force
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
- ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_FACES, _, ANSWER_FIRSTS, _, ANSWER_OTHERS, _,
+ ANSWER_RISE, ANSWER_END, ANSWER_GRAZED, ANSWER_FACES, _, ANSWER_FIRSTS, _, ANSWER_OTHERS, _,
  ANSWER_CARRIED, _, ANSWER_MEAN, ANSWER_SHARE, ANSWER_PARTING, ANSWER_SPEED, ANSWER_SPEEDS, _,
- ANSWER_UNLOADINGS, ANSWER_TOUCHES, ANSWER_DURATION,
- ANSWERS) = range(27)  # fmt: skip
+ ANSWER_UNLOADINGS, ANSWER_TOUCHES, ANSWER_DURATION, ANSWER_BLUR,
+ ANSWERS) = range(28)  # fmt: skip
 #: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be wanted for it
 SCALED = {
     "x_max": (ANSWER_X_MAX, 0),
@@ -92,6 +94,7 @@ SCALED = {
     "unloadings": (ANSWER_UNLOADINGS, 0),
     "touches": (ANSWER_TOUCHES, 0),
     "duration": (ANSWER_DURATION, WANT_DURATION | WANT_MEAN),
+    "grazed": (ANSWER_GRAZED, 0),
 }
 
 # law of a face of its own, for both faces of a row (`faces`): onset x_y, softening b, pile-up C, factor of x^(3/2),
@@ -126,21 +129,22 @@ LANE: Final = np.dtype([
     # mu, 1/mu, mu or inf without mass; how quickly the lightest body answers; error allowed in one step; end of the
     # record, of the pulse where the tail counts; round trip, when an echo can be heard; the wave that stays, or -1
     *_fields((LANES,), "mass inverse_mu inertia quickest error end fades back heard steady"),
-    # time, length of the trial step, share of it that is taken, length to try next, next jump; 1 where there is a row,
-    # where it starts from a touch, is on the slow motion; when that is looked for next
-    *_fields((LANES,), "time h theta proposed stop busy touching on_slow calm"),
-    # approaches below which the record ends, a contact may be lost; bounds and doubts of a step
-    *_fields((LANES,), "low near crest alarm misfit crosses unfit place_of at_u rate_u"),
+    # time, length of the trial step, share of it that is taken, length to try next, next jump; 1 where it
+    # starts from a touch, is on the slow motion; when that is looked for next
+    *_fields((LANES,), "time h theta proposed stop touching on_slow calm"),
+    # approaches below which the record ends, a contact may be lost, its error may decide; bounds and doubts of a step
+    *_fields((LANES,), "low near faint crest alarm misfit crosses unfit place_of at_u rate_u"),
     # pulse: its piece (frequency, offset, cubic); far ends: reflection, round trip; jumps under way; steps of the echo
     *_fields((LANES,), "frequency offset"), *_fields((4, LANES), "cubic"), *_fields((2, LANES), "reflect trips"),
     *_fields((2, LANES, QUEUE), "queue"), *_fields((2, LANES), "head tail first last", "i8"),
     # scales of x_1, u, x_2, U_A, -U_B
     *_fields((5, LANES), "size"),
     # what is followed: largest values; whether a face has touched, its largest approach before the first echo, force of
-    # the other at its peak, integral of its squared force; first loss and its rate, end, last parting, unloadings,
-    # touches in all and before the peak, impulse of the mean force, duration
+    # the other at its peak, integral of its squared force; first loss, end, last parting, unloadings,
+    # touches in all and before the peak, impulse of the mean force, duration; when an approach first is faint,
+    # how far its error moves the loss
     *_fields((KINDS, LANES), "peak"), *_fields((2, LANES), "touched x_first other carried"),
-    *_fields((LANES,), "lost loss_rate ended parted unloadings touches chatter impulse duration"),
+    *_fields((LANES,), "lost ended parted unloadings touches chatter impulse duration grazed blur"),
     # the law of a face (`faces`), and what stands at its pole: zeta, 1/mu_i, 1 or 0 where nothing does
     *_fields((PAIR,), "dent shift spring by_x by_root by_log constant base largest peak_force onset softening pile_up"),
     *_fields((PAIR,), "stiffness chi unit_force hertz gives lightness there"),
@@ -159,7 +163,7 @@ LANE: Final = np.dtype([
     # than bars stand at the poles, the record of bars ends at the first loss, paths are stored, are given out
     *_fields((), "mode wanted ring capacity yielding rigged stop_at_loss store keeping", "i8"),
     # error allowed in one step, share of it once a face has yielded, tolerance of the answers, TAIL_SHARE of approaches
-    *_fields((), "local closer asked share"),
+    *_fields((), "local closer requested share"),
 ])  # fmt: skip
 
 
