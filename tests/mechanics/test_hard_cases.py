@@ -7,9 +7,11 @@ import pytest
 from scenes import example as scene_with
 from scenes import scaled_scene
 
+from tests.campaigns.sweep import design
 from uqsphere.bench import scattered_scene
 from uqsphere.mechanics.integrator.solve import solve
-from uqsphere.mechanics.scene import STATUS
+from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.validity import check_validity
 
 
 @pytest.mark.parametrize(
@@ -81,3 +83,32 @@ def test_the_largest_pressure_of_a_long_motion_alone_keeps_the_tolerance_without
     # a second look at a hundredth of the tolerance would have been kept, and takes more steps
     again = solve(scene, tolerance=1e-8, quantities=("p_max",))
     assert (again.steps > 1.2 * found.steps).all()
+
+
+# ---- contact that grazes zero: a first loss that errors decide is looked at closer, and said
+
+
+def _of_sweep(seed: int, stratum: int, mu: float) -> Scene:
+    scene = design(110, seed)[stratum]
+    return scene.at(np.abs(scene.scales.mass_number / mu - 1.0).argsort()[:1])
+
+
+def test_a_first_loss_that_errors_decide_is_found_by_a_closer_look() -> None:
+    """A light sphere that swings: once at 1e-6 the loss came at 560.98 t_c, at 1e-8 at 559.343."""
+    scene = _of_sweep(2, 6, 6.46e-4)
+    found, closer = (solve(scene, tolerance=tolerance) for tolerance in (1e-6, 1e-9))
+    assert not found.grazes[0]
+    for name in ("time_to_first_loss", "contact_duration"):
+        assert found.values[name][0] == pytest.approx(closer.values[name][0], rel=5e-6)
+    assert found.values["time_to_first_loss"][0] / scene.scales.time[0] == pytest.approx(559.343, abs=1e-3)
+
+
+def test_a_first_loss_that_rounding_decides_is_marked_and_said() -> None:
+    """What is left of the approach between two echoes is 1e-9 of the largest: the error of the finest tolerance."""
+    scene = _of_sweep(5, 4, 2.38e-2)
+    found = solve(scene)
+    assert found.grazes[0]
+    said = {check.check: check for check in check_validity(scene, found)}["grazing_contact"]
+    assert (said.grade, said.share) == (1, 1.0)
+    assert "in all rows contact grazes zero" in said.text
+    assert not solve(scene, quantities=("p_max",)).grazes[0]

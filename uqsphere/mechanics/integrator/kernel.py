@@ -231,7 +231,8 @@ def _try(s, j):
         s.proposed[j] = min(s.proposed[j], min(brief, smooth))
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
     # the errors of all steps may go one way: a step's own damps, or drives, every swing alike
-    s.faint[j] = (1.0 + s.count[j]) * s.error[j] * (max(s.size[0, j], s.size[2, j]) if s.rigged else scale)
+    largest = max(s.size[0, j], s.size[2, j]) if s.rigged else scale
+    s.faint[j] = (1.0 + s.count[j]) * max(s.error[j], tracked.FINEST) * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(s.lost[j]):  # only the first loss of contact is an answer of its own
         s.near[j] = 0.0

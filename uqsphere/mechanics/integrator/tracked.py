@@ -103,6 +103,8 @@ LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
 RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
 
+#: smallest tolerance, and error of a step: 450 roundings of a double
+FINEST: Final = 1e-13
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
 
