@@ -232,7 +232,7 @@ def _try(s, j):
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
     # the errors of all steps may go one way: a step's own damps, or drives, every swing alike
     largest = max(s.size[0, j], s.size[2, j]) if s.rigged else scale
-    s.faint[j] = (1.0 + s.count[j]) * max(s.error[j], tracked.FINEST) * largest
+    s.faint[j] = (1.0 + s.count[j]) * s.tolerance * s.error[j] / s.local * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(s.lost[j]):  # only the first loss of contact is an answer of its own
         s.near[j] = 0.0

@@ -266,6 +266,7 @@ def march_rows(
         given = {
             "mode": mode, "wanted": wanted if yielding else wanted & ~tracked.WANT_SHARE, "yielding": yielding,
             "rigged": rigged, "stop_at_loss": stop_at_loss, "store": store, "keeping": keep, "capacity": capacity,
+            "tolerance": tolerance,
             "local": local, "closer": min(1.0, _yielded_share(arguments) / share), "requested": requested,
             # how many steps are read again: all that there is room for, or the last one alone
             "ring": capacity if store or keep or echoing else 1,
@@ -444,8 +445,8 @@ def later_loading(
 #: steps after which the errors of single steps may have added up; the largest approach alone they leave within a
 #: twentieth of the tolerance after up to 18,000 steps (`tests/mechanics/test_hard_cases.py`)
 _MANY_STEPS: Final = 1_000
-#: share of its tolerance that a row is integrated again with
-_CLOSER: Final = 1e-2
+#: share of its tolerance that a row is integrated again with, and the smallest tolerance: 450 roundings of a double
+_CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact
 _FIRM: Final = 10.0
 #: steps whose errors are taken to move the loss at first (the sweep: none then moves by a tolerance)
@@ -472,18 +473,18 @@ def look_closer(
             # at first the errors of a few steps, later those of all of them
             blur = answers[:, tracked.ANSWER_BLUR] * np.where(closest < tolerance, 1.0, _FEW_STEPS / (1.0 + steps))
             doubt = (status == tracked.OK) & (np.fmax(lost - grazed, blur) > _FIRM * tolerance * lost)
-        again = (again | doubt) & (closest > tracked.FINEST)
+        again = (again | doubt) & (closest > _FINEST)
         if not again.any():
             break
         for each in np.unique(closest[again]):
-            picked, closer = np.flatnonzero(again & (closest == each)), max(_CLOSER * each, tracked.FINEST)
+            picked, closer = np.flatnonzero(again & (closest == each)), max(_CLOSER * each, _FINEST)
             some = {name: column[picked] for name, column in arguments.items()}
             look = march_rows(some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss)
             closest[picked] = closer
             # one that has no room for so many steps keeps the answers that it has
             done = look.status == tracked.OK
             answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
-            closest[picked[~done]] = tracked.FINEST
+            closest[picked[~done]] = _FINEST
         again[:] = False
     answers[:, tracked.ANSWER_GRAZED] = doubt
     return replace(found, answers=answers)

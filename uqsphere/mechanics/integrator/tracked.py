@@ -103,8 +103,6 @@ LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
 RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
 
-#: smallest tolerance, and error of a step: 450 roundings of a double
-FINEST: Final = 1e-13
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
 
@@ -164,8 +162,9 @@ LANE: Final = np.dtype([
     # of all rows: what is integrated and wanted, steps that are read again; whether faces have laws, other partners
     # than bars stand at the poles, the record of bars ends at the first loss, paths are stored, are given out
     *_fields((), "mode wanted ring capacity yielding rigged stop_at_loss store keeping", "i8"),
-    # error allowed in one step, share of it once a face has yielded, tolerance of the answers, TAIL_SHARE of approaches
-    *_fields((), "local closer requested share"),
+    # tolerance, error allowed in one step, share of it once a face has yielded, tolerance of the answers, TAIL_SHARE of
+    # approaches
+    *_fields((), "tolerance local closer requested share"),
 ])  # fmt: skip
 
 
