@@ -77,10 +77,10 @@ def _dip(s, face, level, a, b, slope_b):
     apart()
     # where it turns the slope is zero but for rounding
     a += 1e-3 * (b - a)
-    _, slope_a = searches.both(s, face, a)
+    _, slope_a = searches.both_of(s.piece, face, a)
     if slope_a < 0.0 < slope_b:
         a = searches.extremum(s, 0, face, a, b, slope_a, slope_b, searches.SHARP)
-    return searches.root(s, face, level, a, b) if searches.value(s, face, a) < level else a
+    return searches.root(s, face, level, a, b) if searches.value_of(s.piece, face, a) < level else a
 
 
 @compiled
@@ -123,7 +123,7 @@ def _one_by_one(s, face, m, theta):
     """theta at which a face changes its branch, or NaN; looked at part by part."""
     apart()
     for k in range(TERMS):
-        s.piece[face, k] = s.x[k, m]
+        s.piece[k, face] = s.x[k, m]
     return _spring_end(s, face, m, theta) if s.spring[m] > 0.0 else _virgin_end(s, face, m, theta)
 
 

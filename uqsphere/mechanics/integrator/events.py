@@ -22,6 +22,7 @@ from uqsphere.mechanics.integrator.faces import (
     most_stored,
     on_virgin_loading,
 )
+from uqsphere.mechanics.integrator.incoming import heard
 from uqsphere.mechanics.integrator.tracked import (
     DIFFERENCE,
     ENERGY,
@@ -90,7 +91,7 @@ def _faces(s, j):
     apart()
     ends, met = s.theta[j], -1
     for face in range(2):
-        start, rate = s.piece[face, 0], s.piece[face, 1]
+        start, rate = s.piece[0, face], s.piece[1, face]
         pressed = start > 0.0
         # a face that touches at the start, or is pressed and has not touched before, meets nothing
         if (pressed and s.touched[face, j] == 0.0) or (start == 0.0 and rate >= 0.0):
@@ -105,7 +106,7 @@ def _faces(s, j):
         found = searches.passage(s, face, 0.0, sign, clear, ends)
         if not math.isnan(found):
             ends, met = found, face
-    if met >= 0 and s.piece[met, 0] > 0.0 and math.isnan(s.lost[j]):
+    if met >= 0 and s.piece[0, met] > 0.0 and math.isnan(s.lost[j]):
         s.lost[j] = s.time[j] + ends * s.h[j]
         _note_loss(s, j, met, ends)
     return ends, met
@@ -143,11 +144,11 @@ def _largest(s, j, ends):
     known = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
     if s.flags[j] & (1 << FACE_A):
         for face in range(2):
-            if s.yielding and face_yielded(s, face * LANES + j):
+            if s.has_laws and face_yielded(s, face * LANES + j):
                 s.places[face] = -1.0
                 continue
             # faces that are alike share the largest approach so far
-            least, to = (s.peak[face, j], face) if s.yielding else (known, 0)
+            least, to = (s.peak[face, j], face) if s.has_laws else (known, 0)
             s.peak[to, j], s.places[face] = searches.largest(s, j, face, ends, least)
             known = max(known, s.peak[to, j])
     for kind in range(DIFFERENCE, KINDS):
@@ -169,7 +170,7 @@ def after_step(s, j):
     if s.flags[j] & tracked.SOMETHING:
         ends, met = _faces(s, j)
         if met >= 0:
-            left = s.piece[met, 0] > 0.0 and s.stop_at_loss and not s.rigged
+            left = s.piece[0, met] > 0.0 and s.stop_at_loss and not s.rigged
             s.why[j], s.side[j] = End.RECORD if left else End.CONTACT, met
     if ends < s.theta[j]:
         searches.survey(s, ends)
@@ -178,10 +179,10 @@ def after_step(s, j):
     for face in range(2):
         if s.grid[face, 0, POINTS] > least:
             s.touched[face, j] = 1.0
-        if before < s.heard[j]:
+        if not heard(s, j, s.back[j]):
             s.x_first[face, j] = s.peak[face, j]
     if s.low[j] > 0.0:  # the record ends below a share of the largest approach
-        found = _both_below(s, s.low[j] if s.own[j] else s.share * known, ends)
+        found = _both_below(s, s.low[j] if s.by_law[j] else s.share * known, ends)
         if not math.isnan(found):
             ends, s.why[j] = found, End.RECORD
             if s.lost[j] > before + ends * s.h[j]:  # a loss after the record's end is none
@@ -292,7 +293,7 @@ def _alarmed(s):
         s.flags[j] = tracked.SOMETHING | 1 << FACE_A if s.alarm[j] > 0.0 else 0
         s.known[j] = s.peak[FACE_A, j]
         higher |= s.row[j] >= 0 and s.crest[j] > s.known[j]
-        if s.yielding:
+        if s.has_laws:
             s.known[LANES + j] = s.peak[FACE_B, j]
             higher |= s.row[j] >= 0 and s.top[LANES + j] > s.known[LANES + j]
     return higher
@@ -323,7 +324,7 @@ def look(s):
             if k < 2:
                 _refine(place, place, slope, bend, bent, width)
         for c in range(0, PAIR, LANES):
-            face = part(s.known, c if s.yielding else 0)
+            face = part(s.known, c if s.has_laws else 0)
             _crown(face, s.alarm, face, row(s.room, 0, c), part(top, c), row(s.room, 2, c), part(value, c),
                    part(slope, c), part(bend, c), part(bent, c))  # fmt: skip
             for j in range(LANES):
@@ -343,8 +344,8 @@ def _look_further(s):
             s.reach[kind, j] = 0.0
     for i in range(POINTS + 1):
         _pressed(force, stored, power, rate, row(s.at, i, 0), row(s.rate, i, 0), s.spring, 1.0 * (s.mode == LINEAR))
-        for j in range(LANES if s.yielding else 0):
-            if s.own[j] and on_virgin_loading(s, j):
+        for j in range(LANES if s.has_laws else 0):
+            if s.by_law[j] and on_virgin_loading(s, j):
                 for m in range(j, PAIR, LANES):
                     found, slope = face_force(s, m, s.at[i, m])
                     s.room[0, m], s.room[6, m] = found, slope * s.rate[i, m]
@@ -358,7 +359,7 @@ def _look_further(s):
                 for j in range(LANES):
                     s.reach[kind, j] = 0.0
     for j in range(LANES):
-        energy = most_stored(s, j) if s.own[j] else s.reach[1, j]
+        energy = most_stored(s, j) if s.by_law[j] else s.reach[1, j]
         if s.wanted & tracked.WANT_DIFFERENCE and s.reach[0, j] > s.peak[DIFFERENCE, j]:
             s.flags[j] |= 1 << DIFFERENCE
         if s.wanted & tracked.WANT_ENERGY and energy > s.peak[ENERGY, j]:
@@ -397,7 +398,7 @@ def decided(s, j):
         if level > 0.0 and s.mode != LINEAR:
             rest = (level / spring) ** (2.0 / 3.0)
             least_phi = 0.6 * level * rest
-        top = (largest_approach(s, m) - s.dent[m] if s.yielding else s.peak[FACE_A, j]) * slack
+        top = (largest_approach(s, m) - s.dent[m] if s.has_laws else s.peak[FACE_A, j]) * slack
         if top < rest * slack:
             return False
         held, stiffest = _energy(s, spring, reached), max(stiffest, spring)
@@ -427,8 +428,8 @@ def _first_at(s, j, made, level):
     Where faces have laws of their own `level` is a force: what approach that is follows from the branch of a step.
     """
     apart()
-    virgin_a = approach_at(s, j, level) if s.yielding else level
-    virgin_b = approach_at(s, LANES + j, level) if s.yielding else level
+    virgin_a = approach_at(s, j, level) if s.has_laws else level
+    virgin_b = approach_at(s, LANES + j, level) if s.has_laws else level
     for n in range(s.count[j]):
         kept = made[j, n]
         if kept.crest < level:
@@ -436,11 +437,11 @@ def _first_at(s, j, made, level):
         end, best = min(kept.holds, s.ended[j] - kept.began) / kept.unit, math.nan
         for face in range(2):
             height = virgin_b if face == 1 else virgin_a
-            if s.yielding:
+            if s.has_laws:
                 spring = kept.spring[face]
                 height = (level / spring) ** (2.0 / 3.0) if spring > 0.0 else height - kept.dent[face]
             for k in range(TERMS):
-                s.piece[face, k] = kept.path[face, k]
+                s.piece[k, face] = kept.path[face, k]
             found = searches.passage(s, face, height, 1.0, 0.0, end)
             if math.isnan(best) or found < best:
                 best = found
@@ -459,8 +460,8 @@ _NODES, _WEIGHTS = (
 def _read(s, series, m):
     """Values of a column of a series at the places s.work[0], to s.work[1]."""
     for k in range(TERMS):
-        s.piece[0, k] = series[k, m]
-    values_at(row(s.piece, 0, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
+        s.room[0, k] = series[k, m]
+    values_at(row(s.room, 0, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
 
 
 _press = elementwise(
@@ -513,8 +514,8 @@ def finish(s, j, made, out):
     lost, parted = not math.isnan(s.lost[j]), not math.isnan(s.parted[j])
     for face in range(2):
         # of faces that are alike the larger is followed
-        of, other = (face, s.other[face, j]) if s.yielding else (0, math.nan)
-        out[tracked.ANSWER_FACES + face] = largest_approach(s, face * LANES + j) if s.yielding else s.peak[0, j]
+        of, other = (face, s.other[face, j]) if s.has_laws else (0, math.nan)
+        out[tracked.ANSWER_FACES + face] = largest_approach(s, face * LANES + j) if s.has_laws else s.peak[0, j]
         out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = s.x_first[of, j], other
     out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = s.unloadings[j], s.chatter[j]
     out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
@@ -530,8 +531,8 @@ def finish(s, j, made, out):
     if s.wanted & tracked.WANT_CARRIED:
         out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = s.carried[0, j], s.carried[1, j]
     if s.wanted & tracked.WANT_RISE:
-        top = largest_force(s, j) if s.yielding else out[tracked.ANSWER_X_MAX]
-        power = 1.0 if s.mode == LINEAR or s.yielding else 2.0 / 3.0
+        top = largest_force(s, j) if s.has_laws else out[tracked.ANSWER_X_MAX]
+        power = 1.0 if s.mode == LINEAR or s.has_laws else 2.0 / 3.0
         tenth, nine = _first_at(s, j, made, top * 0.1**power), _first_at(s, j, made, top * 0.9**power)
         out[tracked.ANSWER_RISE] = nine - tenth
     out[tracked.ANSWER_SPEED] = s.u[0, j]

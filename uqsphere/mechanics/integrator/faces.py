@@ -152,7 +152,7 @@ def face_yielded(s, m):
 
 
 @compiled
-def of_its_own(s, lane):
+def follows_law(s, lane):
     """Whether the force of a face of a lane is no longer x^(3/2): it has yielded, or the faces differ."""
     differ = s.stiffness[lane] != 1.0 or s.stiffness[LANES + lane] != 1.0
     return differ or face_yielded(s, lane) or face_yielded(s, LANES + lane)
@@ -263,7 +263,7 @@ def tail_level(s, lane):
 
 @compiled
 def wrong_branch(s, m, length, beyond):
-    """Bring a face whose motion starts against its branch to the other one; whether it was.
+    """Whether the motion of a face starts against its branch.
 
     length: of the trial step, whose series changes its first term with the dent.  A spring that rises from its largest
     approach but turns before it is `beyond` it, as the error of a turn may leave it, stays one.
@@ -271,13 +271,9 @@ def wrong_branch(s, m, length, beyond):
     apart()
     still, x, rate, bow = STILL * length, s.x[0, m], s.x[1, m], s.x[2, m]
     if s.spring[m] == 0.0:
-        wrong = rate < -still or (rate <= still and bow < 0.0)
-    else:
-        rises = bow > 0.0 if rate <= still else rate * rate > -4.0 * bow * beyond
-        wrong = x >= (s.largest[m] - s.dent[m]) * (1.0 - ARMED) and rate >= -still and rises
-    if wrong:
-        s.x[0, m] = switch(s, m, x)
-    return wrong
+        return rate < -still or (rate <= still and bow < 0.0)
+    rises = bow > 0.0 if rate <= still else rate * rate > -4.0 * bow * beyond
+    return x >= (s.largest[m] - s.dent[m]) * (1.0 - ARMED) and rate >= -still and rises
 
 
 @compiled

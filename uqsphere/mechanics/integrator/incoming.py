@@ -143,6 +143,12 @@ def reflect_break(s, j):
 
 
 @compiled
+def heard(s, j, trip):
+    """Whether what left at first touch is back after a round trip."""
+    return s.time[j] >= trip * (1.0 - 1e-12)
+
+
+@compiled
 def _ended(s, j, made, n):
     kept = made[j, n & (s.ring - 1)]
     return kept.began + kept.holds
@@ -156,7 +162,7 @@ def echo_steps(s, j, made):
     near = 1e-13 * (1.0 + time)
     for bar in range(2):
         begin = time - s.trips[bar, j]
-        if begin < -near:
+        if not heard(s, j, s.trips[bar, j]):
             s.first[bar, j] = -1
             continue
         k = max(s.first[bar, j], 0)
@@ -164,7 +170,7 @@ def echo_steps(s, j, made):
             k += 1
         s.first[bar, j] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
-        k = k if s.alone[j] else min(k + 1, newest)
+        k = k if s.single[j] else min(k + 1, newest)
         h = min(h, max(_ended(s, j, made, k) - begin, 0.1 * h))
     for bar in range(2):
         k = s.first[bar, j]
@@ -188,5 +194,5 @@ def echoes(s, j, made):
             power *= shrink
         s.h[j] = trial
     for bar in range(2):
-        if s.trips[bar, j] <= s.time[j] * (1.0 + 1e-12) and s.first[bar, j] >= 0:
+        if s.first[bar, j] >= 0:
             add_echo(s, j, bar, made)

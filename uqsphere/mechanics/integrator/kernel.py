@@ -27,10 +27,10 @@ from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
     face_force,
+    follows_law,
     largest_approach,
     most_force,
     new_faces,
-    of_its_own,
     on_virgin_loading,
     press_deeper,
     switch,
@@ -156,13 +156,12 @@ def _enter(s, j, r, rows):
     s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1.0, GOES_ON
     s.mass[j], s.inverse_mu[j], s.quickest[j] = rows.mass[r], 1.0 / rows.mass[r], 1.0 / rows.mass[r]
     s.inertia[j] = rows.mass[r] if s.mode == FULL else math.inf
-    s.time[j], s.end[j], s.proposed[j], s.error[j], s.alone[j] = 0.0, rows.horizon[r], 1e30, s.local, 0
+    s.time[j], s.end[j], s.proposed[j], s.error[j], s.single[j] = 0.0, rows.horizon[r], 1e30, s.local, 0
     s.x[0, j], s.x[0, LANES + j], s.u[0, j] = 0.0, 0.0, 0.0
     for bar in range(2):
         s.reflect[bar, j], s.trips[bar, j] = rows.ends[r, bar], rows.round_trips[r, bar]
         s.head[bar, j], s.tail[bar, j], s.first[bar, j], s.last[bar, j] = 0, 0, 0, 0
     s.back[j] = min(s.trips[0, j], s.trips[1, j])
-    s.heard[j] = s.back[j] * (1.0 - 1e-12)
     tailed = not s.rigged and s.end[j] == math.inf
     s.fades[j] = rows.pulse_end[r] * (1.0 - 1e-12) if tailed else math.inf
     s.size[0, j], s.size[1, j], s.size[2, j] = rows.level[r], 0.1 * rows.level[r], rows.level[r]
@@ -172,11 +171,11 @@ def _enter(s, j, r, rows):
     s.stop[j] = incoming.next_break(s, j, rows)
     s.on_slow[j], s.calm[j] = 0.0, step.decay_time(s, j)
     s.steady[j] = 1.0 if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf else -1.0
-    s.own[j] = 0
-    if s.yielding:
+    s.by_law[j] = 0
+    if s.has_laws:
         new_faces(s, j, rows.laws[r])
         s.turned_at[j], s.turned_at[LANES + j] = -1.0, -1.0
-        s.own[j] = of_its_own(s, j)
+        s.by_law[j] = follows_law(s, j)
     if s.rigged:
         _enter_rig(s, j, rows.rigs[r], rows.speed[r])
         if not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
@@ -215,7 +214,7 @@ def _waves(s, made):
             _try(s, j)
     incoming.incident(s)
     for j in range(LANES):
-        if s.row[j] >= 0 and s.time[j] >= s.heard[j]:
+        if s.row[j] >= 0 and incoming.heard(s, j, s.back[j]):
             incoming.echoes(s, j, made)
 
 
@@ -238,7 +237,7 @@ def _try(s, j):
         s.near[j] = 0.0
     s.low[j] = -math.inf
     if s.time[j] >= s.fades[j]:
-        s.low[j] = tail_level(s, j) if s.own[j] else s.share * max(s.peak[FACE_A, j], s.peak[FACE_B, j])
+        s.low[j] = tail_level(s, j) if s.by_law[j] else s.share * max(s.peak[FACE_A, j], s.peak[FACE_B, j])
 
 
 # --- expand
@@ -248,23 +247,29 @@ def _try(s, j):
 def _expand(s):
     """The motion over the trial steps as power series, and the shares of them that hold; whether faces yield now."""
     apart()
-    own, virgin = False, False
-    for j in range(LANES if s.yielding else 0):
-        if s.own[j] and s.row[j] >= 0:
-            own = True
+    by_law, virgin = False, False
+    for j in range(LANES if s.has_laws else 0):
+        if s.by_law[j] and s.row[j] >= 0:
+            by_law = True
             virgin |= on_virgin_loading(s, j)
-    step.expand(s, own, virgin)
+    step.expand(s, by_law, virgin)
     step.longest(s)
     for j in range(LANES):
         s.why[j], s.switched[j] = End.SERIES, 0
         if s.row[j] < 0:
             continue
-        if s.own[j] and s.touching[j] == 0.0:
-            s.switched[j] = _on_wrong_branch(s, j)
         if s.touching[j] > 0.0:
             s.theta[j] = 1.0
             step.step_from_touch(s, j)
-        elif _light(s, j) and s.time[j] >= s.calm[j] and not (s.own[j] and on_virgin_loading(s, j)):
+            continue
+        if s.by_law[j]:
+            s.switched[j] = _against_branch(s, j)
+        if (
+            s.switched[j] == 0
+            and _light(s, j)
+            and s.time[j] >= s.calm[j]
+            and not (s.by_law[j] and on_virgin_loading(s, j))
+        ):
             step.follow_slow(s, j)
     step.cut_at_stop(s)
     return virgin
@@ -277,17 +282,28 @@ def _light(s, j):
 
 
 @compiled
-def _on_wrong_branch(s, j):
-    """Whether what jumped has turned a face against its branch: the step is made again on the other one."""
+def _against_branch(s, j):
+    """Faces (bits) that what jumped has turned against their branch, unless they are at rest where both meet."""
     apart()
-    switched = False
-    for m in range(j, PAIR, LANES):
-        if s.turned_at[m] != s.time[j]:
-            s.turned_at[m], s.turns[m] = s.time[j], 0.0
-        if s.turns[m] < MOST_TURNS and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[0, j]):
-            switched, s.error[j] = True, min(s.error[j], s.closer * s.local)
-            s.turns[m] += 1.0
-    return switched
+    wrong = 0
+    for face in range(2):
+        m = face * LANES + j
+        rests = s.turned_at[m] == s.time[j] and s.turns[m] >= MOST_TURNS
+        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[0, j]):
+            wrong |= 1 << face
+    return wrong
+
+
+@compiled
+def _switch(s, j):
+    """Bring those faces to their other branch, on which the step is made again."""
+    apart()
+    s.error[j] = min(s.error[j], s.closer * s.local)
+    for face in range(2):
+        m = face * LANES + j
+        if s.switched[j] & (1 << face):
+            s.turns[m] = s.turns[m] + 1.0 if s.turned_at[m] == s.time[j] else 1.0
+            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), s.time[j]
 
 
 # --- meet
@@ -298,7 +314,7 @@ def _meet(s, virgin):
     """What the steps may meet: branches that end them, doubts, and flags of what has to be searched."""
     apart()
     step.inside(s, virgin)
-    if s.yielding and branch_ends(s):
+    if s.has_laws and branch_ends(s):
         step.inside(s, False)
     step.speeds(s)
     if s.mode != LINEAR:
@@ -309,10 +325,12 @@ def _meet(s, virgin):
 
 @compiled
 def _holds(s, j):
-    """Whether the step of a lane holds; else a shorter one is proposed, or the row given up."""
+    """Whether the step of a lane holds; else it is made again, on the other branch of a face or shorter, or the row
+    given up."""
     apart()
-    if s.yielding:
+    if s.has_laws:
         if s.switched[j]:
+            _switch(s, j)
             return False
         reached = within_spring(s, j) if s.touching[j] > 0.0 else 1.0
         if reached < 1.0:
@@ -325,10 +343,10 @@ def _holds(s, j):
         return True
     s.attempts[j] += 1
     s.proposed[j] = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
-    if not crossed and s.theta[j] > 0.0 and not s.alone[j]:
+    if not crossed and s.theta[j] > 0.0 and not s.single[j]:
         # a wave bends where the step that made it ends: what does not fit is tried again up to there
-        s.alone[j] = max(s.last[0, j] - s.first[0, j], s.last[1, j] - s.first[1, j]) > 0
-        s.proposed[j] = s.h[j] if s.alone[j] else s.proposed[j]
+        s.single[j] = max(s.last[0, j] - s.first[0, j], s.last[1, j] - s.first[1, j]) > 0
+        s.proposed[j] = s.h[j] if s.single[j] else s.proposed[j]
     if s.proposed[j] <= 1e-15 * (1.0 + s.time[j]) or s.attempts[j] > 10 * LIMIT:
         s.fate[j] = tracked.STUCK
     return False
@@ -365,7 +383,7 @@ def _turn(s, j, ending):
             s.proposed[j] = 1.001 * ahead
         elif ahead == math.inf:
             s.proposed[j] = 1e30
-            done = s.back[j] == math.inf or (at_stop and s.time[j] >= s.heard[j])
+            done = s.back[j] == math.inf or (at_stop and incoming.heard(s, j, s.back[j]))
     lost = s.stop_at_loss and not s.rigged and not math.isnan(s.lost[j])
     if lost and s.wanted & tracked.WANT_DURATION and math.isnan(s.duration[j]):
         events.note_duration(s, j, False)
@@ -398,7 +416,7 @@ def _judge(s, j):
 def _events(s, j):
     """Bring what is followed of a row up to date with its step; the share of the trial step at which it ends."""
     ending = s.theta[j]
-    if s.yielding:
+    if s.has_laws:
         for face in range(2):
             m = face * LANES + j
             raised = s.known[m] > s.peak[face, j]
@@ -406,9 +424,9 @@ def _events(s, j):
     if s.flags[j] != 0:
         ending = events.after_step(s, j)
     if s.flags[j] & (1 << FACE_A) == 0:
-        for face in range(2 if s.yielding else 1):
+        for face in range(2 if s.has_laws else 1):
             s.peak[face, j] = s.known[face * LANES + j]
-            if s.time[j] < s.heard[j]:
+            if not incoming.heard(s, j, s.back[j]):
                 s.x_first[face, j] = s.peak[face, j]
     if s.rigged:
         for face in range(2):
@@ -428,11 +446,11 @@ def _keep(s, j, ending, made):
     n = s.count[j]
     one = made[j, n & (s.ring - 1)]
     s.count[j] += 1
-    if s.own[j] and s.count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
+    if s.by_law[j] and s.count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
         s.error[j] *= 1.0 - 1.0 / s.count[j]
     one.began, one.holds, one.unit, one.crest = s.time[j], ending * s.h[j], s.h[j], s.crest[j]
     if s.store:
-        if s.yielding:
+        if s.has_laws:
             one.crest = most_force(s, j)
         for face in range(2):
             m = face * LANES + j
@@ -457,7 +475,7 @@ def _give_out(s, j, ending, path):
         path.series[2, k] = s.u[k, j] * power
         path.series[3, k], path.series[4, k] = s.force[k, j] * power, s.force[k, k_of] * power
         power *= ending
-    for face in range(2 if s.yielding else 0):
+    for face in range(2 if s.has_laws else 0):
         # the series of a force ends a power of the step before that of its approach: what is left out at
         # the end of the step goes to the last term, which errs by a fortieth of it inside
         m = face * LANES + j
@@ -474,7 +492,7 @@ def _move_on(s, j, ending):
         s.at_u[j] = value_of(s.u, j, ending)
         for m in range(j, PAIR, LANES):
             s.at[POINTS, m] = value_of(s.x, m, ending)
-    s.touching[j], s.alone[j] = 0.0, 0
+    s.touching[j], s.single[j] = 0.0, 0
     if why == End.CONTACT:
         if s.x[0, touched] <= 0.0:
             s.touching[j], s.touches[j] = 1.0, s.touches[j] + 1.0
@@ -484,7 +502,7 @@ def _move_on(s, j, ending):
             if m == touched or s.mode == MASSLESS:  # both faces move alike
                 s.at[POINTS, m] = 0.0
     elif why == End.BRANCH:
-        s.own[j], s.error[j] = 1, min(s.error[j], s.closer * s.local)
+        s.by_law[j], s.error[j] = 1, min(s.error[j], s.closer * s.local)
         before = s.at[POINTS, touched]
         s.at[POINTS, touched] = switch(s, touched, before)
         if s.mode == MASSLESS:
@@ -502,9 +520,9 @@ def _move_on(s, j, ending):
     else:
         s.size[0, j] = max(s.size[0, j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
     s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
-    if s.own[j]:
+    if s.by_law[j]:
         press_deeper(s, j)
-        for face in range(2 if s.time[j] < s.heard[j] else 0):
+        for face in range(0 if incoming.heard(s, j, s.back[j]) else 2):
             s.x_first[face, j] = largest_approach(s, face * LANES + j)
 
 
@@ -513,7 +531,7 @@ def _propose(s, j, ending, at_stop):
     """How long the next step may be."""
     # what an echo cut short at a joint of its steps is tried again beyond it
     kept_up = s.proposed[j] if ending == 1.0 and not at_stop else 0.0
-    longer = ending * s.h[j] * (GROWTH if s.time[j] < s.back[j] else GROWTH_ECHO)
+    longer = ending * s.h[j] * (GROWTH_ECHO if incoming.heard(s, j, s.back[j]) else GROWTH)
     s.proposed[j] = max(longer, kept_up)
     if s.why[j] == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         s.proposed[j] = max(s.proposed[j], s.h[j])

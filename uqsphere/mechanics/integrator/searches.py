@@ -1,6 +1,6 @@
 """Places sought in one step of a row: roots, tops and passages of thresholds, on the series of the step.
 
-What is searched is s.piece (2, TERMS): the part of a step's series that belongs to one lane, powers of theta; all
+What is searched is s.piece (TERMS, 2): the part of a step's series that belongs to one lane, powers of theta; all
 quantities are the scaled ones.
 """
 
@@ -24,23 +24,14 @@ def take_piece(s, j):
     for face in range(2):
         m = face * LANES + j
         for k in range(TERMS):
-            s.piece[face, k] = s.x[k, m]
+            s.piece[k, face] = s.x[k, m]
         for i in range(POINTS + 1):
             s.grid[face, 0, i], s.grid[face, 1, i] = s.at[i, m], s.rate[i, m]
 
 
 @compiled
-def value(s, face, theta):
-    """Approach of a face inside a step."""
-    total = s.piece[face, ORDER]
-    for k in range(ORDER - 1, -1, -1):
-        total = total * theta + s.piece[face, k]
-    return total
-
-
-@compiled
 def value_of(series, m, theta):
-    """The same of a column of any series."""
+    """Value of a column of a series inside a step."""
     total = 0.0
     for k in range(ORDER, -1, -1):
         total = total * theta + series[k, m]
@@ -48,12 +39,12 @@ def value_of(series, m, theta):
 
 
 @compiled
-def both(s, face, theta):
-    """Approach of a face inside a step and its derivative by theta."""
-    total, rate = s.piece[face, ORDER], 0.0
+def both_of(series, m, theta):
+    """Value of a column of a series inside a step and its derivative by theta."""
+    total, rate = series[ORDER, m], 0.0
     for k in range(ORDER - 1, -1, -1):
         rate = rate * theta + total
-        total = total * theta + s.piece[face, k]
+        total = total * theta + series[k, m]
     return total, rate
 
 
@@ -85,9 +76,9 @@ def _combined(s, j, kind, x1, x2, d1, d2):
 def _measure(s, j, kind, theta):
     """Value and derivative of one of the searched functions inside a step."""
     if kind <= FACE_B:
-        return both(s, kind, theta)
-    x1, d1 = both(s, 0, theta)
-    x2, d2 = both(s, 1, theta)
+        return both_of(s.piece, kind, theta)
+    x1, d1 = both_of(s.piece, 0, theta)
+    x2, d2 = both_of(s.piece, 1, theta)
     return _combined(s, j, kind, x1, x2, d1, d2)
 
 
@@ -104,7 +95,7 @@ def highest_between(left, left_slope, right, right_slope):
 def root(s, face, level, a, b):
     """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
     apart()
-    at_a, at_b = value(s, face, a) - level, value(s, face, b) - level
+    at_a, at_b = value_of(s.piece, face, a) - level, value_of(s.piece, face, b) - level
     # an end may be the root itself, to the last bit: there is then nothing left to bracket
     if at_a == 0.0:
         return a
@@ -118,7 +109,7 @@ def root(s, face, level, a, b):
             return b
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        at_c = value(s, face, c) - level
+        at_c = value_of(s.piece, face, c) - level
         if abs(c - b) < 1e-15 or at_c == 0.0:
             return c
         if (at_c < 0.0) != (at_b < 0.0):
@@ -152,11 +143,11 @@ def extremum(s, j, kind, a, b, slope_a, slope_b, close):
 def curve(s, face, turns, theta):
     """Approach of a face inside a step and its derivative, or if it `turns` that and the next one.
 
-    The even and the odd powers, of value and derivative, are four sums side by side: half as long a wait as `both`.
+    The even and the odd powers, of value and derivative, are four sums side by side: half as long a wait as `both_of`.
     """
     square, even, odd, even_rate, odd_rate = theta * theta, 0.0, 0.0, 0.0, 0.0
     for n in range(ORDER // 2, 0, -1):
-        two, low, high = 2.0 * n, s.piece[face, 2 * n], s.piece[face, 2 * n + 1] if 2 * n < ORDER else 0.0
+        two, low, high = 2.0 * n, s.piece[2 * n, face], s.piece[2 * n + 1, face] if 2 * n < ORDER else 0.0
         if turns:
             low, high = two * low, (two + 1.0) * high
             even, odd = even * square + high, odd * square + low
@@ -165,9 +156,9 @@ def curve(s, face, turns, theta):
             even, odd = even * square + low, odd * square + high
             even_rate, odd_rate = even_rate * square + (two + 1.0) * high, odd_rate * square + two * low
     if turns:
-        return even * square + s.piece[face, 1] + theta * odd, even_rate + theta * odd_rate
-    even, odd = even * square + s.piece[face, 0], odd * square + s.piece[face, 1]
-    return even + theta * odd, even_rate * square + s.piece[face, 1] + theta * odd_rate
+        return even * square + s.piece[1, face] + theta * odd, even_rate + theta * odd_rate
+    even, odd = even * square + s.piece[0, face], odd * square + s.piece[1, face]
+    return even + theta * odd, even_rate * square + s.piece[1, face] + theta * odd_rate
 
 
 @compiled
@@ -226,13 +217,13 @@ def passage(s, face, level, sign, begin, end):
     apart()
     width = (end - begin) / POINTS
     a = begin
-    at_a, slope_a = both(s, face, a)
+    at_a, slope_a = both_of(s.piece, face, a)
     at_a, slope_a = sign * (at_a - level), sign * slope_a
     if at_a >= 0.0:
         return begin
     for k in range(1, POINTS + 1):
         b = begin + k * width if k < POINTS else end
-        at_b, slope_b = both(s, face, b)
+        at_b, slope_b = both_of(s.piece, face, b)
         at_b, slope_b = sign * (at_b - level), sign * slope_b
         if at_b >= 0.0:
             return root(s, face, level, a, b)
@@ -242,7 +233,7 @@ def passage(s, face, level, sign, begin, end):
         ):
             # the search measures the slopes themselves, without the sign; of one face no lane matters
             peak = extremum(s, 0, face, a, b, sign * slope_a, sign * slope_b, BROAD)
-            if sign * (value(s, face, peak) - level) >= 0.0:
+            if sign * (value_of(s.piece, face, peak) - level) >= 0.0:
                 return root(s, face, level, a, peak)
         a, at_a, slope_a = b, at_b, slope_b
     return math.nan
@@ -254,7 +245,7 @@ def survey(s, end):
     apart()
     for face in range(2):
         for i in range(POINTS + 1):
-            s.grid[face, 0, i], s.grid[face, 1, i] = both(s, face, end * i / POINTS)
+            s.grid[face, 0, i], s.grid[face, 1, i] = both_of(s.piece, face, end * i / POINTS)
 
 
 @compiled

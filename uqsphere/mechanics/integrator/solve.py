@@ -213,12 +213,6 @@ def _rigs(scene: Scene, rows: Places) -> Array:
     return rigs
 
 
-def _yielded_share(arguments: Mapping[str, Array]) -> float:
-    """Error allowed in one step over the tolerance once a face has yielded, for the end of contact between bars."""
-    bars_end = arguments["rigs"].shape[1] == 0 and bool(np.isfinite(arguments["horizon"]).all())
-    return _LOCAL_YIELDED if bars_end else _LOCAL
-
-
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
     """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps (n,) of n rows.
@@ -251,9 +245,10 @@ def march_rows(
 
     share = _LOCAL_DIFFERENCE if wanted & tracked.WANT_DIFFERENCE else _LOCAL
     finite = bool(np.isfinite(arguments["horizon"]).all())
-    rigged, yielding = arguments["rigs"].shape[1] > 0, arguments["laws"].shape[1] > 0
+    rigged, has_laws = arguments["rigs"].shape[1] > 0, arguments["laws"].shape[1] > 0
     if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
+    yielded = _LOCAL_YIELDED if finite and not rigged else _LOCAL
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     store = wanted & tracked.WANT_RISE != 0
@@ -264,10 +259,10 @@ def march_rows(
     for capacity in _CAPACITIES:
         lanes = tracked.empty_lanes()
         given = {
-            "mode": mode, "wanted": wanted if yielding else wanted & ~tracked.WANT_SHARE, "yielding": yielding,
+            "mode": mode, "wanted": wanted if has_laws else wanted & ~tracked.WANT_SHARE, "has_laws": has_laws,
             "rigged": rigged, "stop_at_loss": stop_at_loss, "store": store, "keeping": keep, "capacity": capacity,
             "tolerance": tolerance,
-            "local": local, "closer": min(1.0, _yielded_share(arguments) / share), "requested": requested,
+            "local": local, "closer": min(1.0, yielded / share), "requested": requested,
             # how many steps are read again: all that there is room for, or the last one alone
             "ring": capacity if store or keep or echoing else 1,
             "share": tracked.TAIL_SHARE if mode == MODES["linear"] else tracked.TAIL_SHARE ** (2.0 / 3.0),

@@ -20,7 +20,7 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, log_start
-from uqsphere.mechanics.integrator.searches import value_of
+from uqsphere.mechanics.integrator.searches import both_of, value_of
 from uqsphere.mechanics.integrator.tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS
 from uqsphere.mechanics.integrator.vectors import (
     apart,
@@ -132,15 +132,15 @@ def _branches(s, k):
 
 
 @compiled
-def expand(s, own, virgin):
+def expand(s, by_law, virgin):
     """Fill the series of x, u, root = sqrt(x) and force = q(x) from their first terms, theory (9) and (R3).
 
-    s.push: 2 f and -2 h_B.  A face whose approach is not positive carries no force.  own: whether faces have laws of
-    their own, virgin: whether one is on virgin loading; s.log is then k times the k-th term of l there, else of x.
+    s.push: 2 f and -2 h_B.  A face whose approach is not positive carries no force.  by_law: whether forces follow laws
+    of faces, virgin: whether one is on virgin loading; s.log is then k times the k-th term of l there, else of x.
     """
     apart()
     x, u, root, force, free = s.x, s.u, s.root, s.force, s.free
-    if own:
+    if by_law:
         _shifted_root(row(root, 0, 0), s.half, s.inverse, row(x, 0, 0), s.shift, s.by_log, s.base)
     else:
         _first_root(row(root, 0, 0), s.half, row(x, 0, 0))
@@ -159,7 +159,7 @@ def expand(s, own, virgin):
                 _branches(s, k)
             else:
                 products(x, root, k, 0, k + 1, force_k)
-                if own:
+                if by_law:
                     _stiffer(force_k, force_k, s.spring)
         if k == ORDER:
             break
@@ -430,17 +430,8 @@ SMALL_MU = 0.02
 _ROUNDS = 5
 #: terms that stay good after the rounds
 _GOOD = 10
-#: rows of s.slow (SLOW_ROOM, TERMS): m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2, the change of z
+#: columns of s.slow (TERMS, SLOW_ROOM): m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2, the change of z
 _M, _Z, _U, _X, _Y, _Q, _CHANGE = 0, 1, 2, 3, 5, 7, 9
-
-
-@compiled
-def _value_and_slope(s, k_row, theta):
-    total, rate = 0.0, 0.0
-    for k in range(TERMS - 1, -1, -1):
-        rate = rate * theta + total
-        total = total * theta + s.slow[k_row, k]
-    return total, rate
 
 
 @compiled
@@ -450,26 +441,26 @@ def _slow_mean(s, j, tilt):
     d, push, h = s.slow, s.push, s.h[j]
     for k in range(TERMS):
         if tilt != 0.0:
-            d[_Z, k] = tilt * d[_M, k]
+            d[k, _Z] = tilt * d[k, _M]
         for face in range(2):
             x, y, q = _X + face, _Y + face, _Q + face
-            d[x, k] = d[_M, k] + (0.5 - face) * d[_Z, k]
+            d[k, x] = d[k, _M] + (0.5 - face) * d[k, _Z]
             if k == 0:
-                if not d[x, 0] > 0.0:
+                if not d[0, x] > 0.0:
                     return False
-                d[y, 0] = math.sqrt(d[x, 0])
+                d[0, y] = math.sqrt(d[0, x])
             else:
                 total = 0.0
                 for i in range(1, k):
-                    total += d[y, i] * d[y, k - i]
-                d[y, k] = 0.5 * (d[x, k] - total) / d[y, 0]
+                    total += d[i, y] * d[k - i, y]
+                d[k, y] = 0.5 * (d[k, x] - total) / d[0, y]
             total = 0.0
             for i in range(k + 1):
-                total += d[x, i] * d[y, k - i]
-            d[q, k] = s.spring[face * LANES + j] * total
+                total += d[i, x] * d[k - i, y]
+            d[k, q] = s.spring[face * LANES + j] * total
         if k < TERMS - 1:
-            rate = 0.5 * (push[k, j] + push[k, LANES + j] - d[_Q, k] - d[_Q + 1, k])
-            d[_M, k + 1] = h * rate / (k + 1.0)
+            rate = 0.5 * (push[k, j] + push[k, LANES + j] - d[k, _Q] - d[k, _Q + 1])
+            d[k + 1, _M] = h * rate / (k + 1.0)
     return True
 
 
@@ -480,18 +471,18 @@ def _correct(s, j):
     d, push, h, mu = s.slow, s.push, s.h[j], s.mass[j]
     stiff_1, stiff_2 = s.spring[j], s.spring[LANES + j]
     for k in range(TERMS):
-        swing = (k + 1.0) * d[_Z, k + 1] / h if k + 1 < TERMS else 0.0
-        d[_U, k] = 0.5 * (push[k, j] - push[k, LANES + j] - (d[_Q, k] - d[_Q + 1, k]) - swing)
-    lead, change = stiff_1 * d[_Y, 0] + stiff_2 * d[_Y + 1, 0], 0.0
+        swing = (k + 1.0) * d[k + 1, _Z] / h if k + 1 < TERMS else 0.0
+        d[k, _U] = 0.5 * (push[k, j] - push[k, LANES + j] - (d[k, _Q] - d[k, _Q + 1]) - swing)
+    lead, change = stiff_1 * d[0, _Y] + stiff_2 * d[0, _Y + 1], 0.0
     for k in range(TERMS):
-        wanted = mu * (k + 1.0) * d[_U, k + 1] / h if k + 1 < TERMS else 0.0
-        total = (wanted - (d[_Q, k] - d[_Q + 1, k])) / 0.75
+        wanted = mu * (k + 1.0) * d[k + 1, _U] / h if k + 1 < TERMS else 0.0
+        total = (wanted - (d[k, _Q] - d[k, _Q + 1])) / 0.75
         for i in range(1, k + 1):
-            total -= (stiff_1 * d[_Y, i] + stiff_2 * d[_Y + 1, i]) * d[_CHANGE, k - i]
-        d[_CHANGE, k] = total / lead
-        d[_Z, k] += d[_CHANGE, k]
+            total -= (stiff_1 * d[i, _Y] + stiff_2 * d[i, _Y + 1]) * d[k - i, _CHANGE]
+        d[k, _CHANGE] = total / lead
+        d[k, _Z] += d[k, _CHANGE]
         if k <= _GOOD:
-            change += abs(d[_CHANGE, k])
+            change += abs(d[k, _CHANGE])
     return change
 
 
@@ -499,8 +490,8 @@ def _correct(s, j):
 def _residual(s, j, theta):
     """Largest error with which the series satisfies the equations at theta, as an error of an approach."""
     apart()
-    (a, rate_a), (b, rate_b) = _value_and_slope(s, _X, theta), _value_and_slope(s, _X + 1, theta)
-    w, rate_w = _value_and_slope(s, _U, theta)
+    (a, rate_a), (b, rate_b) = both_of(s.slow, _X, theta), both_of(s.slow, _X + 1, theta)
+    w, rate_w = both_of(s.slow, _U, theta)
     if not (a > 0.0 and b > 0.0):
         return math.inf
     h, push_a, push_b = s.h[j], value_of(s.push, j, theta), value_of(s.push, LANES + j, theta)
@@ -529,8 +520,8 @@ def _slow_step(s, j):
     d, k = s.slow, LANES + j
     mean, swing, speed = 0.5 * (s.x[0, j] + s.x[0, k]), s.x[0, j] - s.x[0, k], s.u[0, j]
     for i in range(TERMS):
-        d[_Z, i] = 0.0
-    d[_M, 0] = mean
+        d[i, _Z] = 0.0
+    d[0, _M] = mean
     allowed, tilt = s.error[j] * s.size[0, j], 0.0
     if s.spring[j] != s.spring[k]:
         ratio = (s.spring[k] / s.spring[j]) ** (2.0 / 3.0)
@@ -545,8 +536,8 @@ def _slow_step(s, j):
             break
     if not _slow_mean(s, j, 0.0):
         return 0.0, math.inf
-    fast = math.sqrt(s.mass[j] / (3.0 * s.spring[j] * d[_Y, 0]))
-    amplitude = max(abs(swing - d[_Z, 0]), 2.0 * abs(speed - d[_U, 0]) * fast)
+    fast = math.sqrt(s.mass[j] / (3.0 * s.spring[j] * d[0, _Y]))
+    amplitude = max(abs(swing - d[0, _Z]), 2.0 * abs(speed - d[0, _U]) * fast)
     if not amplitude <= (2.0 if s.on_slow[j] > 0.0 else 0.5) * allowed:
         return 0.0, amplitude
     theta = 1.0
@@ -557,9 +548,9 @@ def _slow_step(s, j):
     else:
         return 0.0, amplitude
     for i in range(TERMS):
-        s.x[i, j], s.x[i, k], s.u[i, j] = d[_X, i], d[_X + 1, i], d[_U, i]
-        s.root[i, j], s.root[i, k] = d[_Y, i], d[_Y + 1, i]
-        s.force[i, j], s.force[i, k] = d[_Q, i], d[_Q + 1, i]
+        s.x[i, j], s.x[i, k], s.u[i, j] = d[i, _X], d[i, _X + 1], d[i, _U]
+        s.root[i, j], s.root[i, k] = d[i, _Y], d[i, _Y + 1]
+        s.force[i, j], s.force[i, k] = d[i, _Q], d[i, _Q + 1]
     return theta, amplitude
 
 

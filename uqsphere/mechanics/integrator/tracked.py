@@ -123,12 +123,12 @@ PATH: Final = np.dtype([("start", "f8"), ("length", "f8"), ("series", "f8", (5, 
 #: not a multiple of a vector stands last
 LANE: Final = np.dtype([
     # the row (-1: none) and its place in the order; steps taken and tried, what becomes of it; what its step may have
-    # met (bits), what ended it (End), at which face; whether an echo is read from one step alone, faces have laws of
-    # their own, the step is made again on another branch
-    *_fields((LANES,), "row place_in_order count attempts fate flags why side alone own switched", "i8"),
+    # met (bits), what ended it (End), at which face; whether an echo is read from a single step, the forces
+    # follow laws of the faces; faces (bits) on the wrong branch
+    *_fields((LANES,), "row place_in_order count attempts fate flags why side single by_law switched", "i8"),
     # mu, 1/mu, mu or inf without mass; how quickly the lightest body answers; error allowed in one step; end of the
-    # record, of the pulse where the tail counts; round trip, when an echo can be heard; the wave that stays, or -1
-    *_fields((LANES,), "mass inverse_mu inertia quickest error end fades back heard steady"),
+    # record, of the pulse where the tail counts; round trip; the wave that stays, or -1
+    *_fields((LANES,), "mass inverse_mu inertia quickest error end fades back steady"),
     # time, length of the trial step, share of it that is taken, length to try next, next jump; 1 where it
     # starts from a touch, is on the slow motion; when that is looked for next
     *_fields((LANES,), "time h theta proposed stop touching on_slow calm"),
@@ -156,12 +156,12 @@ LANE: Final = np.dtype([
     *_fields((PAIR,), "known top place bent width value slope bend wrong turned_at turns half inverse start"),
     # room
     *_fields((9, PAIR), "room"), *_fields((3, LANES), "reach left left_slope"), *_fields((4, WAVE), "work"),
-    *_fields((SLOW_ROOM, TERMS), "slow"),
+    *_fields((TERMS, SLOW_ROOM), "slow"),
     # the step of one lane that is searched: its series, values and slopes, where its faces are pressed deepest
-    *_fields((2, TERMS), "piece"), *_fields((2, 2, POINTS + 1), "grid"), *_fields((2,), "places"),
+    *_fields((TERMS, 2), "piece"), *_fields((2, 2, POINTS + 1), "grid"), *_fields((2,), "places"),
     # of all rows: what is integrated and wanted, steps that are read again; whether faces have laws, other partners
     # than bars stand at the poles, the record of bars ends at the first loss, paths are stored, are given out
-    *_fields((), "mode wanted ring capacity yielding rigged stop_at_loss store keeping", "i8"),
+    *_fields((), "mode wanted ring capacity has_laws rigged stop_at_loss store keeping", "i8"),
     # tolerance, error allowed in one step, share of it once a face has yielded, tolerance of the answers, TAIL_SHARE of
     # approaches
     *_fields((), "tolerance local closer requested share"),
