@@ -65,7 +65,6 @@ def _closer(place, change, value, slope, bend, spring, room, start, width):
 
 
 _begin = elementwise(PAIR, 2, lambda largest, dent: (largest - dent, 0.0 * dent))
-_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
 _look = elementwise(PAIR, 6, _first)
 _guess = elementwise(PAIR, 2, _guessed)
 _refine = elementwise(PAIR, 2, _closer)
@@ -141,12 +140,10 @@ def _settle(s):
     """Rows of s.room: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
     apart()
     top, kind, start, place = row(s.room, 0, 0), row(s.room, 1, 0), row(s.room, 2, 0), row(s.room, 7, 0)
-    width, change, spring = row(s.room, 8, 0), row(s.room, 3, 0), s.spring
+    width, change, spring = s.width, row(s.room, 3, 0), s.spring
     left, right = row(s.room, 3, 0), row(s.room, 4, 0)
     left_slope, right_slope = row(s.room, 5, 0), row(s.room, 6, 0)
     _begin(top, kind, s.largest, s.dent)
-    for c in range(0, PAIR, LANES):
-        _part(row(s.room, 8, c), s.theta)
     for i in range(POINTS):
         _look(kind, start, left, right, left_slope, right_slope, row(s.at, i, 0), row(s.at, i + 1, 0),
               row(s.rate, i, 0), row(s.rate, i + 1, 0), row(s.bow, i, 0), row(s.bow, i + 1, 0), width, spring, top,

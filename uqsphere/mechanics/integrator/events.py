@@ -21,6 +21,7 @@ from uqsphere.mechanics.integrator.faces import (
     largest_force,
     most_stored,
     on_virgin_loading,
+    stored_energy,
 )
 from uqsphere.mechanics.integrator.incoming import heard
 from uqsphere.mechanics.integrator.tracked import (
@@ -250,7 +251,6 @@ def _signs(top_a, top_b, floor_a, floor_b, a, b, low, near, touched_a, touched_b
 
 
 _begin = elementwise(PAIR, 6, lambda at: (at, at - math.inf, at - math.inf, 0.0 * at, 0.0 * at, at))
-_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
 _bound = elementwise(PAIR, 6, _bounds)
 _refine = elementwise(PAIR, 1, _closer)
 _crown = elementwise(LANES, 2, _crowned)
@@ -310,8 +310,6 @@ def look(s):
     best, second, floor, width, value = row(s.room, 0, 0), row(s.room, 2, 0), row(s.room, 5, 0), s.width, s.value
     slope, bend, place, bent, top = s.slope, s.bend, s.place, s.bent, s.top
     _begin(best, top, second, place, bent, floor, row(s.at, 0, 0))
-    for c in range(0, PAIR, LANES):
-        _part(part(width, c), s.theta)
     for i in range(POINTS):
         _bound(best, top, second, place, bent, floor, row(s.at, i, 0), row(s.at, i + 1, 0), row(s.rate, i, 0),
                row(s.rate, i + 1, 0), width, 1.0 * i, best, top, second, place, bent, floor)  # fmt: skip
@@ -371,12 +369,6 @@ def _look_further(s):
 
 
 @compiled
-def _energy(s, spring, x):
-    """Elastic energy of a spring of Hertz at x, or of one that is linear."""
-    return 0.5 * x * x if s.mode == LINEAR else 0.4 * spring * x * x * math.sqrt(x)
-
-
-@compiled
 def decided(s, j):
     """Whether nothing that is wanted can change any more while the incoming wave stays as it is.
 
@@ -401,8 +393,8 @@ def decided(s, j):
         top = (largest_approach(s, m) - s.dent[m] if s.has_laws else s.peak[FACE_A, j]) * slack
         if top < rest * slack:
             return False
-        held, stiffest = _energy(s, spring, reached), max(stiffest, spring)
-        least = min(least, _energy(s, spring, top) - level * top + least_phi)
+        held, stiffest = stored_energy(s, m, reached)[0], max(stiffest, spring)
+        least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
         stored += held - level * reached + least_phi
         energy += held
     if least < stored:
@@ -464,11 +456,7 @@ def _read(s, series, m):
     values_at(row(s.room, 0, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
 
 
-_press = elementwise(
-    WAVE,
-    1,
-    lambda x, spring, linear: where(linear > 0.0, larger(x, 0.0), spring * larger(x, 0.0) * root_of(larger(x, 0.0))),
-)
+_press = elementwise(WAVE, 1, lambda x, spring: spring * (pressed := larger(x, 0.0)) * root_of(pressed))
 
 
 @compiled
@@ -485,10 +473,11 @@ def note_impulse(s, j, theta):
             s.work[0, i] = theta * _NODES[i] * _NODES[i]
         for m in range(j, PAIR, LANES):
             _read(s, s.x, m)
-            if s.spring[m] > 0.0:
-                _press(row(s.work, 1, 0), row(s.work, 1, 0), s.spring[m], 1.0 * (s.mode == LINEAR))
+            hertz = s.spring[m] > 0.0 and s.mode != LINEAR
+            if hertz:
+                _press(row(s.work, 1, 0), row(s.work, 1, 0), s.spring[m])
             for i in range(WAVE):
-                force = s.work[1, i] if s.spring[m] > 0.0 else face_force(s, m, s.work[1, i])[0]
+                force = s.work[1, i] if hertz else face_force(s, m, s.work[1, i])[0]
                 impulse += _WEIGHTS[i] * _NODES[i] * force
     else:
         power = 0.5

@@ -247,7 +247,7 @@ def _try(s, j):
 def _expand(s):
     """The motion over the trial steps as power series, and the shares of them that hold; whether faces yield now."""
     apart()
-    by_law, virgin = False, False
+    by_law, virgin, light = False, False, s.mode == FULL and not s.rigged
     for j in range(LANES if s.has_laws else 0):
         if s.by_law[j] and s.row[j] >= 0:
             by_law = True
@@ -264,21 +264,13 @@ def _expand(s):
             continue
         if s.by_law[j]:
             s.switched[j] = _against_branch(s, j)
-        if (
-            s.switched[j] == 0
-            and _light(s, j)
-            and s.time[j] >= s.calm[j]
-            and not (s.by_law[j] and on_virgin_loading(s, j))
-        ):
+            if s.switched[j]:
+                continue
+        yields = s.by_law[j] and on_virgin_loading(s, j)
+        if light and s.inverse_mu[j] * step.SMALL_MU > 1.0 and s.time[j] >= s.calm[j] and not yields:
             step.follow_slow(s, j)
     step.cut_at_stop(s)
     return virgin
-
-
-@compiled
-def _light(s, j):
-    """Whether the sphere of a lane is so light that it may follow the slow motion."""
-    return s.mode == FULL and not s.rigged and s.inverse_mu[j] * step.SMALL_MU > 1.0
 
 
 @compiled

@@ -298,6 +298,8 @@ def doubt(s):
 def inside(s, bent):
     """Values, derivatives and, if `bent`, half the second ones of the approaches at equal distances over the step."""
     apart()
+    for j in range(LANES):
+        s.width[j] = s.width[LANES + j] = s.theta[j] * (1.0 / POINTS)
     _same(row(s.at, 0, 0), row(s.rate, 0, 0), row(s.bow, 0, 0), row(s.x, 0, 0), row(s.x, 1, 0), row(s.x, 2, 0))
     for i in range(1, POINTS + 1):
         for j in range(LANES):
