@@ -435,9 +435,9 @@ class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
     values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of time_to_first_loss, whether the
-    record ended first and the value is a lower bound.  grazes: whether contact comes so near to a loss that rounding
-    decides: times that follow from it may be a swing off.  status: 0, or a code of `scene.STATUS`.  record: its end
-    [s], or the time after which nothing that was asked for could change.  steps: of the integrator.
+    record ended first and the value is a lower bound.  grazes: rounding decides on the first loss, which may be a swing off.
+    status: 0, or a code of `scene.STATUS`.  record: its end [s], or the time after which nothing that was asked for
+    could change.  steps: of the integrator.
     """
 
     values: Mapping[str, Array]

@@ -436,8 +436,7 @@ RULES: Final[tuple[Rule, ...]] = (
          words="waves come back along the rod while the sphere is pressed: {worst} round trips"),
     Rule(name="grazing_contact", meaning="contact that comes so near to a loss that rounding decides (1 or 0)",
          measure=lambda s, a: np.where(a.grazes, 1.0, 0.0), information=0.0,
-         words="contact grazes zero: `time_to_first_loss` may be a swing off, and `contact_duration` with it where a "
-               "later echo loads the sphere again"),
+         words="contact grazes zero: the first loss and the duration of those rows may be a swing off"),
     Rule(name="chatter", meaning="contacts lost and found again before the largest force",
          measure=lambda s, a: a.values["retouches"], information=0.0, rigs=_WEIGHTS,
          words="contacts are lost and found again before the largest force, up to {worst} times"),

@@ -444,7 +444,7 @@ _MANY_STEPS: Final = 1_000
 _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact
 _FIRM: Final = 10.0
-#: steps whose errors are taken to move the loss at first (the sweep: none then moves by a tolerance)
+#: steps whose errors are taken to move the loss at first; at a closer look all of them are
 _FEW_STEPS: Final = 30
 
 
@@ -465,7 +465,6 @@ def look_closer(
     while True:
         if timed:
             lost, grazed = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]), answers[:, tracked.ANSWER_GRAZED]
-            # at first the errors of a few steps, later those of all of them
             blur = answers[:, tracked.ANSWER_BLUR] * np.where(closest < tolerance, 1.0, _FEW_STEPS / (1.0 + steps))
             doubt = (status == tracked.OK) & (np.fmax(lost - grazed, blur) > _FIRM * tolerance * lost)
         again = (again | doubt) & (closest > _FINEST)

@@ -162,8 +162,7 @@ LANE: Final = np.dtype([
     # of all rows: what is integrated and wanted, steps that are read again; whether faces have laws, other partners
     # than bars stand at the poles, the record of bars ends at the first loss, paths are stored, are given out
     *_fields((), "mode wanted ring capacity has_laws rigged stop_at_loss store keeping", "i8"),
-    # tolerance, error allowed in one step, share of it once a face has yielded, tolerance of the answers, TAIL_SHARE of
-    # approaches
+    # tolerance, error allowed in one step, share of it once a face has yielded, tolerance of the answers, tail's share
     *_fields((), "tolerance local closer requested share"),
 ])  # fmt: skip
 
