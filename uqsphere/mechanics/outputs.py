@@ -435,7 +435,7 @@ class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
     values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of time_to_first_loss, whether the
-    record ended first and the value is a lower bound.  grazes: rounding decides on the first loss, which may be a swing off.
+    record ended first and the value is a lower bound.  grazes: whether rounding decides on the first loss.
     status: 0, or a code of `scene.STATUS`.  record: its end [s], or the time after which nothing that was asked for
     could change.  steps: of the integrator.
     """

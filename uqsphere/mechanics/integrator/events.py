@@ -134,8 +134,7 @@ def _note_graze(s, j, face, ends):
     """When the approach of a face first comes so near to zero, before any loss, that its error may decide on one."""
     apart()
     if s.wanted & tracked.TO_THE_END and math.isnan(s.lost[j]) and math.isnan(s.grazed[j]):
-        found = searches.passage(s, face, s.faint[j], -1.0, 0.0, ends)
-        s.grazed[j] = s.time[j] + found * s.h[j]
+        s.grazed[j] = s.time[j] + s.h[j] * searches.passage(s, face, s.faint[j], -1.0, 0.0, ends)
 
 
 @compiled
