@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
-from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse, noise_names
+from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
 from uqsphere.mechanics.rigs import RIGS, Partner, closing_speed, needed, outside, partners_of, speeds_at_touch
 from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
@@ -213,9 +213,6 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              plausible=(1.0, 1e7), meaning="rate of the force at its end, in place of the speed"),
     Quantity(name="platens.machine_stiffness", symbol="k", dimension="stiffness", display="kN/mm",
              plausible=(1e5, 1e10), meaning="stiffness of the machine (absent: rigid)"),
-    *(Quantity(name=name, symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
-               meaning=f"noise of a measured pulse, mode {j}, over its standard deviation")
-      for j, name in enumerate(noise_names(), start=1)),
 )}  # fmt: skip
 
 #: Laws of the contact: elastic, with yield of the softer body.
@@ -292,7 +289,7 @@ class Scene:
     of bars goes on after the first loss of contact, to the horizon, contacts regained included.  horizon: its end
     [s]; None: the rule of docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
     hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of `measured`,
-    the same in every row but for noise and gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of
+    the same in every row but for its gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of
     `rigs.RIGS`; shape, infinite, first_loading_only and record belong to `bars`.  options: words of the study,
     ``target.kind``, ``anvil.kind``, ``hammer.shape``.  ValueError for a missing or misshapen column, an unknown word,
     or a record without an end.
@@ -362,7 +359,7 @@ class Scene:
             return Pulse(breaks=np.zeros((len(self), 2)), coefficients=np.zeros((len(self), 1, 4)), frequency=none,
                          valid=none == 0.0)  # fmt: skip
         if self.record is not None:
-            return self.record.pulse(len(self), self.columns)
+            return self.record.pulse(len(self))
         numbers = {
             name.removeprefix("pulse."): column
             for name, column in self.columns.items()

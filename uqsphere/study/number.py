@@ -50,7 +50,7 @@ def numbers_of(table: str) -> dict[str, Quantity]:
     """The numbers that a table of a scene can have, by their keys; those of inserts stand among those of the bars."""
     start = "bars.insert_" if table == "insert" else f"{table}."
     numbers = {name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)}
-    return {key: entry for key, entry in numbers.items() if not key.startswith(("insert_", "noise_"))}
+    return {key: entry for key, entry in numbers.items() if not key.startswith("insert_")}
 
 
 def bounds_in_words(quantity: Quantity) -> str:
