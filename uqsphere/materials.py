@@ -40,12 +40,14 @@ FURTHER: Final[dict[str, dict[str, str]]] = {
 class Property:
     """One value of a material.
 
-    `value` is in SI (fracture toughness: Pa m^0.5), `cov` the coefficient of variation between specimens,
-    `seen` whether the value was read in the document that `source` names.  `range` are the two ends between which
-    the value of a rock of that name lies with 95 %, None where that is not given; `further` what `FURTHER` names.
+    `value` is in SI (fracture toughness: Pa m^0.5), `text` as the library writes it, `cov` the coefficient of variation
+    between specimens, `seen` whether the value was read in the document that `source` names.  `range` are the two ends
+    between which the value of a rock of that name lies with 95 %, None where that is not given; `further` what
+    `FURTHER` names.
     """
 
     value: float
+    text: str
     cov: float
     source: str
     seen: bool
@@ -91,9 +93,12 @@ def _material(name: str, kind: str, table: Mapping[str, Json]) -> Material:
         # the toughness is a plain number of MPa m^0.5 in the file
         tough = entry.pop("unit_note", "") == "MPa m^0.5"
         dimension, factor = ("number", 1e6) if tough else (PROPERTIES[key], 1.0)
+        text = f"{entry['value']}{' MPa.sqrt(m)' * tough}"
         value, *ends = (factor * parse_value(entry.pop(p), dimension) for p in ("value", "low", "high") if p in entry)
         further = {
             part: parse_value(entry.pop(part), due) for part, due in FURTHER.get(key, {}).items() if part in entry
         }
-        properties[key] = Property(value=value, range=(ends[0], ends[1]) if ends else None, further=further, **entry)
+        properties[key] = Property(
+            value=value, text=text, range=(ends[0], ends[1]) if ends else None, further=further, **entry
+        )
     return Material(name=name, kind=kind, title=table["title"], properties=properties, rock=table.get("rock", False))

@@ -23,8 +23,6 @@ from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, sof
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
-#: kinds of partners that a study may choose for a target or an anvil, and those that a rig chooses itself
-PARTNER_KINDS: Final = ("thick", "plate", "bar", "mass")
 #: the three numbers of the law of a face, by their keys
 LAW: Final = ("onset_pressure", "hardness", "pile_up")
 

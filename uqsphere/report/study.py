@@ -115,9 +115,7 @@ def listing(what: str) -> str:
         for kind, entries in library().items():
             for name, material in entries.items():
                 lines.append(f"{name} ({kind}): {material.title}")
-                for key, entry in material.properties.items():
-                    path = f"{'sphere' if kind == 'sphere' else 'bars'}.{key}"
-                    lines.append(f"    {key} {_value(entry.value, path, key)}  [{entry.source}]")
+                lines += [f"    {key} {entry.text}  [{entry.source}]" for key, entry in material.properties.items()]
         return "\n".join(lines)
     if what == "quantities":
         from uqsphere.mechanics.outputs import OUTPUTS
@@ -128,29 +126,9 @@ def listing(what: str) -> str:
     if what == "criteria":
         from uqsphere.mechanics.criteria import CRITERIA
 
-        return table([("criterion", "meaning"), *((name, _meaning(c)) for name, c in CRITERIA.items())])
+        return table([("criterion", "meaning"), *((name, c.meaning) for name, c in CRITERIA.items())])
     from uqsphere.uq.families import FAMILIES
 
     return table(
         [("distribution", "keys"), *((name, ", ".join(getattr(f, "keys", ()))) for name, f in FAMILIES.items())]
     )
-
-
-def _meaning(criterion: object) -> str:
-    return str(getattr(criterion, "meaning", "") or getattr(criterion, "text", ""))
-
-
-def _value(value: float, path: str, key: str) -> str:
-    units = {
-        "fracture_toughness": (1e-6, "MPa.sqrt(m)"),
-        "tensile_strength": (1e-6, "MPa"),
-        "contact_strength": (1e-9, "GPa"),
-        "fracture_energy": (1.0, "J/kg"),
-        "yield_strength": (1e-6, "MPa"),
-        "E": (1e-9, "GPa"),
-        "density": (1.0, "kg/m3"),
-        "onset_pressure": (1e-9, "GPa"),
-        "hardness": (1e-9, "GPa"),
-    }
-    factor, unit = units.get(key, (1.0, ""))
-    return f"{value * factor:.4g} {unit}".rstrip()

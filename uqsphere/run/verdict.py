@@ -33,11 +33,10 @@ WORDS = {True: "met", False: "not met", None: "undecided"}
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a verdict is not established: `decides` names what would turn it, `remedy` what would settle it."""
+    """Why a verdict is not established, and what would settle it."""
 
     code: str
     text: str
-    decides: str
     remedy: str
 
 
@@ -138,7 +137,7 @@ def _reasons(
         value = _clipped(whole + float(other.mean()))
         if turned(value):
             text = f"where contacts yield, the failure probability is {format_probability(value)}"
-            found.append(Reason("contact law", text, "the contact law", 'set [contact] law = "plastic"'))
+            found.append(Reason("contact law", text, 'set [contact] law = "plastic"'))
     if means_fracture(limit) and limit.aim == "survive":
         found += _assumed_modes(design, tables, judged, whole, turned)
     for one in judged:
@@ -148,22 +147,21 @@ def _reasons(
             if (low < target) is not (high < target) or turned(low):
                 n = count_tests(law) if isinstance(law, Law) else 0
                 text = f"the {n} tests of {one.name} leave {format_probability(low)} to {format_probability(high)} open"
-                found.append(Reason("tests", text, f"the {n} tests of {one.name}", _more_tests(n, (low, high), target)))
+                found.append(Reason("tests", text, _more_tests(n, (low, high), target)))
         for row in answers.where(design.subject(one), "failure_probability"):
             name = str(row["at"]).removeprefix("assumed: ")
             if name in OTHER_DISTRIBUTIONS and turned(value := _clipped(rest + row["value"])):
                 text = f"with a {name} of the same mean and scatter, {format_probability(value)} fail"
-                found.append(Reason("distribution", text, f"the distribution of the strength of {one.name}",
-                                    f"test the strength of {one.name} in its lower tail"))  # fmt: skip
+                found.append(Reason("distribution", text, f"test the strength of {one.name} in its lower tail"))
     for check in checks:
         share = check.failures.get(limit.name)
         if share is not None and share > target and check.grade == "failure":
             text = f"the model does not hold in {format_probability(share)} of the failures: {check.text}"
-            found.append(Reason("model", text, check.text, check.remedy))
+            found.append(Reason("model", text, check.remedy))
     synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
     if synthetic & set(design.study.made_up):
-        found.append(Reason("synthetic", "the tests are synthetic data", "synthetic data",
-                            "replace the synthetic tests by measured ones"))  # fmt: skip
+        remedy = "replace the synthetic tests by measured ones"
+        found.append(Reason("synthetic", "the tests are synthetic data", remedy))
     return found
 
 
@@ -201,7 +199,7 @@ def _assumed_modes(
             return []
         names, plural = _listed([mode.called for mode in design.modes]), "s"
         text = f"the assumed strengths for {names} together allow up to {format_probability(value)}"
-    return [Reason("assumed strength", text, names, f"measure the strength{plural} for {names} on this rock")]
+    return [Reason("assumed strength", text, f"measure the strength{plural} for {names} on this rock")]
 
 
 def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
