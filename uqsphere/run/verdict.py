@@ -319,8 +319,8 @@ def _headline(
         value = format_conservative(number["value"], path, least=not most)
         first = [f"Use at {'most' if most else 'least'} {value} ({lookup(path).meaning})."]
         if planned is not None:
-            factor, safe = number["factor"], (number["value"] >= planned) is most
-            margin = "no margin" if not safe else "a margin" if factor is None else f"safety factor {factor:.3g}"
+            factor, inside = number["factor"], (number["value"] >= planned) is most
+            margin = "no margin" if not inside else "a margin" if factor is None else f"safety factor {factor:.3g}"
             first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
         if number["best"] is not None:
             best = format_value(number["best"], path, 3)

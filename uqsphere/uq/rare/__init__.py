@@ -107,7 +107,8 @@ def failure_probability(
         # failure is the rule: the probability of survival is looked for
         survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=max(evaluator.left, FEW))
         other = failure_probability(survival, seed=seed, accuracy=accuracy)
-        return _after(evaluator, replace(other, estimate=complement(other.estimate)))
+        reason = other.estimate.reason and other.estimate.reason.replace("failure", "survival")
+        return _after(evaluator, replace(other, estimate=replace(complement(other.estimate), reason=reason)))
     checks = [] if points else ["no search for a design point converged"]
     mixture = _first_mixture(evaluator, pool, points, subset, seed)
     estimate, sure, draws = _bound(subset.estimate), False, None

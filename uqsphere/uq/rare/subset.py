@@ -82,7 +82,7 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
     if not known.size:
         # no failure was seen: the level that was reached bounds the probability from above
         high = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * repetitions)
-        reason = f"no failure was reached; the probability is below {high:.2g}"
+        reason = f"no failure was reached; its probability is below {high:.2g}"
     elif known.size < repetitions:
         # some repetitions reached a failure domain that others did not: their answers are worlds apart
         value, error = float(known.sum()) / repetitions, float(known.max())
