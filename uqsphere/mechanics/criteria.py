@@ -253,11 +253,6 @@ def truncated_energy(energy: Values, largest: Values) -> Array:
         return np.where(e < top, np.minimum(top * e / (top - e), _CERTAIN * top), _CERTAIN * top)
 
 
-def fracture_energy(force: Values, beta: Values) -> Array:
-    """E_f = (4/5) P_f^(5/3) beta^(-2/3) [J]: what both contacts hold when the force reaches P_f."""
-    return np.asarray(2.0 * contact.contact_energy(contact.approach_at_force(force, beta), beta))
-
-
 def equivalent_tension(
     pressure: Values, contact_ratio: Values, nu: Values, modulus: Values, size_ratio: Values, *, over: str = "volume"
 ) -> Array:

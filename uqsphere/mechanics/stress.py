@@ -325,20 +325,6 @@ POISSON: Final = (0.0, 0.5)
 #: of those of the weakest link: above 0.4 a ring of hoop tension around the contact comes up, and the integrals bend
 POISSON_WEIBULL: Final = (0.0, 0.4)
 MODULUS: Final = (2.0, 50.0)
-#: name of a table -> what its values are
-NAMES: Final[dict[str, str]] = {
-    "core": "largest hoop tension on the axis over p_0, continued through the centre",
-    "core_depth": "depth of that tension: (1 - u)/(a/r), u the square of its distance from the centre over r",
-    "equator": "hoop tension on the equator over p_0 (a/r)²",
-    "shear": "largest shear stress on the axis over p_0",
-    "shear_depth": "depth of that shear: (1 - u)/(a/r)",
-    "volume": "I_V^(1/m), hoop tension over p_0",
-    "surface": "I_S^(1/m), hoop tension over p_0",
-    "core_one": "largest hoop tension on the axis over p_0 where only one pole is pressed",
-    "volume_one": "I_V^(1/m) where only one pole is pressed",
-    "surface_one": "I_S^(1/m) where only one pole is pressed",
-    "rim": "I_rim^(1/m), radial tension around the contacts, over that of the half space",
-}
 #: rows evaluated at a time, so that the polynomials stay in the cache
 _CHUNK: Final = 256
 
@@ -425,7 +411,8 @@ def _polynomials(x: Array, count: int) -> Array:
 
 @cache
 def load_table(name: str) -> Table:
-    """The table of that name, one of `NAMES`.
+    """A table over p_0: core, shear (largest on the axis), equator (over (a/r)²), volume, surface (I^(1/m)), rim (over
+    that of the half space); with `_one` where one pole is pressed, with `_depth` where it lies, (1 - u)/(a/r).
 
     >>> load_table("shear").coefficients.ndim
     2

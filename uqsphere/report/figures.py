@@ -59,12 +59,9 @@ def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -
 
 def _likeliest(results: Results, subjects: list[str]) -> list[str]:
     """Of too many limits and failure modes for a drawing those that are exceeded most often, in their order."""
-
-    def often(subject: str) -> float:
-        row = find(results["answers"], subject, "exceedance_probability")
-        return 0.0 if row is None else row["value"] or 0.0
-
-    kept = sorted(subjects, key=often, reverse=True)[:MOST_CURVES]
+    rows = (row for row in results["answers"] if row["answer"] == "exceedance_probability")
+    often = {row["subject"]: row["value"] or 0.0 for row in rows}
+    kept = sorted(subjects, key=lambda subject: -often.get(subject, 0.0))[:MOST_CURVES]
     return [subject for subject in subjects if subject in kept]
 
 

@@ -46,22 +46,15 @@ def _strengths(study: Study) -> str:
         law, name = limit.strength, limit.quantity
         against = short(lookup(name).meaning)
         if not isinstance(law, Law):
-            rows.append(
-                (limit.name, "-", "-", "fixed", format_value(float(law), name), "-", short(lookup(name).meaning))
-            )
+            rows.append((limit.name, "-", "-", "fixed", format_value(float(law), name), "-", against))
             continue
         span = " to ".join(format_value(float(x), name) for x in law.ppf(np.array([0.05, 0.95])))
-        tests, ends = "-", "-"
-        if is_fitted(law):
-            tests = str(count_tests(law))
-        if law.data:
-            ends = f"{format_value(min(law.data), name)} to {format_value(max(law.data), name)}"
+        tests = str(count_tests(law)) if is_fitted(law) else "-"
+        ends = f"{format_value(min(law.data), name)} to {format_value(max(law.data), name)}" if law.data else "-"
         if limit.tested is not None and limit.tested.forces:
-            tested = limit.tested
-            ends = (
-                f"{format_value(min(tested.forces), 'P_max')} to {format_value(max(tested.forces), 'P_max')} on "
-                f"{2e3 * 0.5 * min(tested.diameters):.3g} to {2e3 * 0.5 * max(tested.diameters):.3g} mm"
-            )
+            forces, sizes = limit.tested.forces, limit.tested.diameters
+            ends = " to ".join(format_value(end, "P_max") for end in (min(forces), max(forces)))
+            ends += f" on {1e3 * min(sizes):.3g} to {1e3 * max(sizes):.3g} mm"
         mean = law.mean()
         text = law.family.name.replace("_", " ")
         for key, said in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
@@ -81,22 +74,18 @@ def cost(study: Study) -> str:
     from uqsphere.run.design import Design
     from uqsphere.run.grow import first_rows
 
+    first, price = first_rows(study), study.analysis.cost
     if study.black_box:
-        first = first_rows(study)
-        text = f"a run begins with {first:,} model runs"
-        if study.analysis.cost is not None:
-            text += f", {first * study.analysis.cost:,.0f} s by analysis.cost"
-        return f"{text}; a model too slow for its budget is answered by one design of fewer runs"
+        long = "" if price is None else f", {first * price:,.0f} s by analysis.cost"
+        return f"a run begins with {first:,} model runs{long}; one too slow for its budget has one design of fewer runs"
     design = Design.of(study)
     with Model(design.study, threads=1) as model:
         names = design.inputs
         rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names)) if names else np.zeros((1, 0))
         model.evaluate(names, rows, design.columns)
         each = model.seconds_per_row or 0.0
-    first = first_rows(design.study)
-    return (
-        f"a run begins with {first:,} model runs, about {max(first * each, 0.1):.1f} s, and doubles them until accurate"
-    )
+    took = max(first * each, 0.1)
+    return f"a run begins with {first:,} model runs, about {took:.1f} s, and doubles them until accurate"
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

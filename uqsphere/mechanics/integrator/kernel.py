@@ -39,18 +39,7 @@ from uqsphere.mechanics.integrator.faces import (
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.searches import value_of
-from uqsphere.mechanics.integrator.tracked import (
-    FACE_A,
-    FACE_B,
-    FULL,
-    LANES,
-    LINEAR,
-    MASSLESS,
-    PAIR,
-    POINTS,
-    TERMS,
-    End,
-)
+from uqsphere.mechanics.integrator.tracked import FACE_A, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
@@ -229,15 +218,17 @@ def _try(s, j):
         smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
         s.proposed[j] = min(s.proposed[j], min(brief, smooth))
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
-    # the errors of all steps may go one way: a step's own damps, or drives, every swing alike
+    # an approach errs by less than the tolerance; in a row that is looked at again the errors of all steps may go one
+    # way, since a step's own damps, or drives, every swing alike
     largest = max(s.size[0, j], s.size[2, j]) if s.rigged else scale
-    s.faint[j] = (1.0 + s.count[j]) * s.tolerance * s.error[j] / s.local * largest
+    steps = 0 if s.tolerance == s.requested else s.count[j]
+    s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(s.lost[j]):  # only the first loss of contact is an answer of its own
         s.near[j] = 0.0
     s.low[j] = -math.inf
     if s.time[j] >= s.fades[j]:
-        s.low[j] = tail_level(s, j) if s.by_law[j] else s.share * max(s.peak[FACE_A, j], s.peak[FACE_B, j])
+        s.low[j] = tail_level(s, j) if s.by_law[j] else s.share * max(s.peak[FACE_A, j], s.peak[tracked.FACE_B, j])
 
 
 # --- expand

@@ -444,8 +444,6 @@ _MANY_STEPS: Final = 1_000
 _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact
 _FIRM: Final = 10.0
-#: steps whose errors are taken to move the loss at first; at a closer look all of them are
-_FEW_STEPS: Final = 30
 
 
 def look_closer(
@@ -465,8 +463,8 @@ def look_closer(
     while True:
         if timed:
             lost, grazed = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]), answers[:, tracked.ANSWER_GRAZED]
-            blur = answers[:, tracked.ANSWER_BLUR] * np.where(closest < tolerance, 1.0, _FEW_STEPS / (1.0 + steps))
-            doubt = (status == tracked.OK) & (np.fmax(lost - grazed, blur) > _FIRM * tolerance * lost)
+            moved = np.fmax(lost - grazed, answers[:, tracked.ANSWER_BLUR])
+            doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
         again = (again | doubt) & (closest > _FINEST)
         if not again.any():
             break
