@@ -160,8 +160,7 @@ def _reasons(
             found.append(Reason("model", text, check.remedy))
     synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
     if synthetic & set(design.study.made_up):
-        remedy = "replace the synthetic tests by measured ones"
-        found.append(Reason("synthetic", "the tests are synthetic data", remedy))
+        found.append(Reason("synthetic", "the tests are synthetic data", "replace synthetic tests by measured ones"))
     return found
 
 
