@@ -351,7 +351,7 @@ def _list(given: argparse.Namespace) -> int:
 def _schema(given: argparse.Namespace) -> int:
     from uqsphere.study import json_schema
 
-    print(json.dumps(json_schema(), indent=1, ensure_ascii=False))
+    print(json.dumps(json_schema(), ensure_ascii=False))
     return 0
 
 
