@@ -13,7 +13,7 @@ import numpy as np
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
-from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
+from uqsphere.units import UNITS, Quantity, UnitError, parse_value
 from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 
@@ -146,7 +146,7 @@ def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, draft: 
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
     cov = max(law.sd() / abs(middle) if middle else 0.0, given.get("cov", 0.0))
     if cov > 1.0:
-        share = f'; {bare_number(cov)} % is written "{bare_number(cov)} %" or {cov / 100:g}' * ("cov" in given)
+        share = ' 15 % is written "15 %" or 0.15' * ("cov" in given)
         draft.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
     if (mean := given.get("mean")) is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")

@@ -42,8 +42,6 @@ from uqsphere.mechanics.integrator.searches import value_of
 from uqsphere.mechanics.integrator.tracked import FACE_A, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
 from uqsphere.mechanics.integrator.vectors import apart
 
-#: tolerances by which the approach of a blow errs whose faces yield (`tests/mechanics/test_rigs_kernel.py`)
-YIELDED = 30
 #: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
 #: reading of the waves anew
 GROWTH, GROWTH_ECHO = 4.0, 1.3
@@ -222,7 +220,7 @@ def _try(s, j):
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
     # an approach errs by less than the tolerance; in a row that is looked at again all steps may err one way
     largest = max(s.size[0, j], s.size[2, j]) if s.rigged else scale
-    steps = s.count[j] if s.tolerance < s.requested else YIELDED if s.rigged and s.by_law[j] else 0
+    steps = s.count[j] if s.tolerance < s.requested else 0
     s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(s.lost[j]):  # only the first loss of contact is an answer of its own

@@ -442,8 +442,9 @@ def later_loading(
 _MANY_STEPS: Final = 1_000
 #: share of its tolerance that a row is integrated again with, and the smallest tolerance: 450 roundings of a double
 _CLOSER, _FINEST = 1e-2, 1e-13
-#: tolerances by which an error of the approach may move the first loss of contact
-_FIRM: Final = 10.0
+#: tolerances by which an error of the approach may move the first loss of contact; where its time is asked for, a first
+#: look leaves a third of one
+_FIRM, _FIRST_LOOK = 10.0, 30.0
 
 
 def look_closer(
@@ -458,12 +459,13 @@ def look_closer(
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
     found = march_rows(arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss)
     answers, status, steps = found.answers, found.status, found.steps
-    closest, doubt = np.full(n, tolerance), np.zeros(n, dtype=bool)
+    closest, doubt, strict = np.full(n, tolerance), np.zeros(n, dtype=bool), wanted & tracked.WANT_CONTACT != 0
     again = (status == tracked.OK) & (steps > _MANY_STEPS) & (wanted != 0)
     while True:
         if timed:
             lost, grazed = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]), answers[:, tracked.ANSWER_GRAZED]
-            moved = np.fmax(lost - grazed, answers[:, tracked.ANSWER_BLUR])
+            blur = answers[:, tracked.ANSWER_BLUR] * np.where((closest == tolerance) & strict, _FIRST_LOOK, 1.0)
+            moved = np.fmax(lost - grazed, blur)
             doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
         again = (again | doubt) & (closest > _FINEST)
         if not again.any():
