@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.crushing import Demand, force_at, value_at
 from uqsphere.models.model import Model
 from uqsphere.report.study import described
 from uqsphere.run.demands import column_of, demands_of, strength_of
@@ -21,7 +22,6 @@ from uqsphere.run.design import Design
 from uqsphere.run.tables import evaluate
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.study.observed import modulus_of
-from uqsphere.study.strength import equivalent_force, reached
 from uqsphere.uq import Law, Sample
 
 SCENE = """
@@ -135,7 +135,7 @@ def _closed() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("quantity", _closed())
 def test_the_equivalent_force_is_the_closed_form(quantity: str) -> None:
     value = _closed()[quantity]
-    found = equivalent_force(Limit(name="a", quantity=quantity, strength=math.nan), value, SPHERE, RADIUS, STEEL)
+    found = force_at(value, quantity, SPHERE, RADIUS, STEEL)
     assert found == pytest.approx(FORCE, rel=1e-11)
 
 
@@ -143,25 +143,15 @@ def test_the_equivalent_force_is_the_closed_form(quantity: str) -> None:
     "pole", [{}, {"onset_pressure": 1e9, "hardness": 2.5e9, "pile_up": 2.0, "takes": 1.0}], ids=["elastic", "yielding"]
 )
 @pytest.mark.parametrize(
-    ("quantity", "criterion", "parameters"),
-    [
-        ("core_tension", None, {}),
-        ("subsurface_shear", None, {}),
-        ("equatorial_tension", None, {}),
-        ("p_hertz", None, {}),
-        ("specific_energy_sphere", None, {}),
-        ("w", "weakest_link_volume", {"modulus": 9.0, "reference_volume": 1e-6}),
-        ("w", "weakest_link_rim", {"modulus": 9.0, "reference_area": 1e-4}),
-    ],
-)
-def test_it_gives_back_the_value(
-    quantity: str, criterion: str | None, parameters: dict[str, float], pole: dict[str, float]
-) -> None:
-    demand = Limit(name="a", quantity=quantity, criterion=criterion, parameters=parameters, strength=math.nan)
+    "demand",
+    ["core_tension", "subsurface_shear", "equatorial_tension", "p_hertz", "specific_energy_sphere",
+     ("weakest_link_volume", {"modulus": 9.0, "reference_volume": 1e-6}),
+     ("weakest_link_rim", {"modulus": 9.0, "reference_area": 1e-4})],
+)  # fmt: skip
+def test_it_gives_back_the_value(demand: Demand, pole: dict[str, float]) -> None:
     force = np.array([500.0, 3e3, 20e3])
-    value = reached(demand, force, {**SPHERE, **pole}, RADIUS, STEEL)
-    found = equivalent_force(demand, value, {**SPHERE, **pole}, RADIUS, STEEL)
-    assert found == pytest.approx(force, rel=1e-8)
+    value = value_at(force, demand, {**SPHERE, **pole}, RADIUS, STEEL)
+    assert force_at(value, demand, {**SPHERE, **pole}, RADIUS, STEEL) == pytest.approx(force, rel=1e-8)
 
 
 BASALT = """

@@ -24,7 +24,8 @@ import uqsphere
 from tests.campaigns.fuzz import fuzz
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
-from uqsphere.study import Limit, Study, failure_modes_of, json_schema, load_study, shipped_studies, with_number
+from uqsphere.run.failure_modes import failure_modes_of
+from uqsphere.study import Limit, Study, json_schema, load_study, shipped_studies, with_number
 from uqsphere.study.document import Document
 
 Load = Callable[..., Study]

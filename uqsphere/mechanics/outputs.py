@@ -205,31 +205,7 @@ def follows_force(quantity: str) -> bool:
     return quantity in OUTPUTS and OUTPUTS[quantity].follows != ""
 
 
-def at_force(force: Values, known: Mapping[str, Values]) -> Columns:
-    """Columns of n spheres that are loaded slowly up to a force (n,) [N] at both faces.
-
-    known: `modulus`, `effective_radius`, `hertz_constant`, `mass`, and what the criteria read of the sphere; `face`,
-    the law of a pole that yields, and whether the sphere `takes` the plastic work.
-    """
-    state, takes = (
-        {key: value for key, value in known.items() if key != "face"} | {"P_max": force},
-        known.get("takes", 1.0),
-    )
-    if (face := known.get("face")) is not None:
-        press = face.pressed(face.depth_at(force))
-        state |= {**_pressures(press, known["modulus"], known["effective_radius"], takes), "alpha_max": press.approach}
-        stored, lost = 2.0 * press.stored, 2.0 * press.plastic
-        chi = known["modulus"] * (1.0 - np.square(known["sphere.nu"])) / known["sphere.E"]
-        state["energy_sphere"] = chi * stored + takes * lost
-    else:
-        state["alpha_max"] = contact.approach_at_force(force, known["hertz_constant"])
-        stored = 2.0 * contact.contact_energy(state["alpha_max"], known["hertz_constant"])
-        lost = np.zeros(np.shape(force))
-    columns = Columns({**state, "energy": stored, "dissipated": lost})
-    return Columns({**columns, "first_peak": columns["p_max"]})
-
-
-def _pressures(press: Press, modulus: Values, radius: Values, takes: Values) -> dict[str, Array]:
+def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -> dict[str, Array]:
     """Pressures and circle of a face that has a law.
 
     `p_field` is the Hertz pressure of the same force on the same circle: the stress inside an elastic sphere follows
@@ -247,7 +223,7 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
         return {}
     face = scene.faces.at(rows)
     state = face.pressed(face.depth_at(force))
-    pressures = _pressures(state, face.modulus, face.effective_radius, scene.struck.takes[rows])
+    pressures = pressures_of(state, face.modulus, face.effective_radius, scene.struck.takes[rows])
     return {"alpha_max": state.approach, **pressures}
 
 
@@ -274,7 +250,7 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
         }  # fmt: skip
     state = face.pressed(approach / face.onset_approach)
     return {
-        **_pressures(state, modulus, radius, partner.takes), "P_max": state.force, "alpha_max": state.approach,
+        **pressures_of(state, modulus, radius, partner.takes), "P_max": state.force, "alpha_max": state.approach,
         "p_hertz": contact.pressure_at_force(state.force, modulus, radius), "dent_left": state.dent,
         "dissipated": state.plastic,
         "stored": state.stored,

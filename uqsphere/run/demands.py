@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.study import Limit
-from uqsphere.study.strength import test_force
 from uqsphere.uq import Law, Sample
 
 if TYPE_CHECKING:
@@ -61,6 +61,19 @@ def _law(limit: Limit, moving: Mapping[str, Array], sample: Sample) -> list[str]
     return [name for name in names if name in moving or name in sample.names]
 
 
+def _test_force(limit: Limit, value: Array, sphere: Mapping[str, Array], radius: Array) -> Array:
+    """The force (n,) [N] in the limit's tests that is worth a row's value, carried to their size by the size law.
+
+    Of draws it is the value itself, in the size that they hold for.  So one law of size serves rows, curves and the
+    free number: `Tested.exponent`.
+    """
+    tested = limit.tested
+    assert tested is not None
+    if tested.law is not None:
+        value = force_at(value, limit.demand, {**tested.sphere, **sphere}, radius, tested.platens)
+    return value * (tested.diameter / (2.0 * radius)) ** tested.exponent
+
+
 def with_test_forces(
     design: Design, sample: Sample, moving: Mapping[str, Array], limits: Sequence[Limit] | None = None
 ) -> Sample:
@@ -84,7 +97,7 @@ def with_test_forces(
             name.partition(".")[2]: number(name)[known.ravel()] for name in (*SPHERE, *_law(limit, moving, sample))
         }
         force = np.full(shape, np.nan)
-        force[known] = test_force(limit, value[known], sphere, number("sphere.radius")[known.ravel()])
+        force[known] = _test_force(limit, value[known], sphere, number("sphere.radius")[known.ravel()])
         late = sample.late(limit.quantity)
         sample = replace(sample, quantities=(*sample.quantities, column_of(limit)),
                          answers=np.concatenate([sample.answers, force[:, :, None]], axis=2),

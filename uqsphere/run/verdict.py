@@ -17,10 +17,11 @@ from uqsphere.run.assumptions import MOST, OTHER_DISTRIBUTIONS, Assumptions, alo
 from uqsphere.run.checks import Check
 from uqsphere.run.demands import strength_of
 from uqsphere.run.design import Design
+from uqsphere.run.failure_modes import means_fracture
 from uqsphere.run.fragility import allowable_probability, curve_by, planned_value, target_of
 from uqsphere.run.limits import failure, failure_given_inputs, state_of
 from uqsphere.run.tables import Tables
-from uqsphere.study import Limit, means_fracture, strength_name
+from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, Sample, absent, complement, from_replicates, target_met
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.limit_state import reliability_index

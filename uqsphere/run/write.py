@@ -20,11 +20,12 @@ from uqsphere.results.folder import write_files
 from uqsphere.run.checks import Check
 from uqsphere.run.design import Design
 from uqsphere.run.distributions import MOST_MANY, density, many_values
+from uqsphere.run.failure_modes import breaks_by, means_fracture
 from uqsphere.run.fragility import planned_value
 from uqsphere.run.indices import method_of
 from uqsphere.run.limits import state_of
 from uqsphere.run.tables import Tables
-from uqsphere.study import Limit, Study, breaks_by, means_fracture
+from uqsphere.study import Limit, Study
 from uqsphere.uq import Law, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from uqsphere.study.document import json_schema
-from uqsphere.study.failure_modes import FailureMode, breaks_by, failure_modes_of, means_fracture
 from uqsphere.study.load import load_study
 from uqsphere.study.study import Limit, Margins, Study, limit_of, strength_name, with_number
 
 __all__ = [
-    "FailureMode", "Limit", "Margins", "Study", "breaks_by", "failure_modes_of", "json_schema", "limit_of",
-    "load_study", "means_fracture", "shipped_studies", "strength_name", "with_number",
+    "Limit", "Margins", "Study", "json_schema", "limit_of", "load_study", "shipped_studies", "strength_name",
+    "with_number",
 ]  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, lookup
@@ -19,7 +20,6 @@ from uqsphere.study.document import Draft, LimitTable, Observations, declared
 from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.study.number import Number, number_of, plain_quantity, value_of, warn_unusual
 from uqsphere.study.observed import fit, is_tests, modulus_of, observations, warn_of_rows, warn_of_tests
-from uqsphere.study.strength import reached
 from uqsphere.study.study import Limit, Tested
 from uqsphere.uq import Law
 
@@ -160,7 +160,8 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
 
     def value(modulus: float, factor: float = 1.0) -> Array:
         own = {"modulus": modulus, **limit.parameters} if limit.needs_modulus else limit.parameters
-        return reached(replace(limit, parameters=own), factor * force, sphere, 0.5 * diameter, platens, rate)
+        of = replace(limit, parameters=own).demand
+        return value_at(factor * force, of, sphere, 0.5 * diameter, platens, rate)
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     if not np.isfinite(value(8.0)).all():
@@ -234,7 +235,7 @@ def _radii(draft: Draft) -> tuple[float, ...]:
 
 
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
-    """The sphere of the tests at its means, as `equivalent_force` takes it: what is elastic, and what yields."""
+    """The sphere of the tests at its means, as `uqsphere.mechanics.crushing` takes it."""
     assert draft.scene is not None
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
     # what stores energy beside the sphere in the contacts of the study's rig

@@ -18,6 +18,7 @@ from uqsphere.arrays import Array, special
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.quantities import INPUTS
 from uqsphere.study.document import Analysis, Document, Gauge, ModelChoice
@@ -38,7 +39,7 @@ class Tested:
     """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
 
     diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.  platens: E [Pa],
-    infinite if rigid, and nu.  sphere: E, nu, density and what else `equivalent_force` takes.  law: of the force at
+    infinite if rigid, and nu.  sphere: as `uqsphere.mechanics.crushing` takes it.  law: of the force at
     failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power.  The draws of a lab
     have a diameter and an exponent alone.
     """
@@ -58,7 +59,7 @@ class Limit:
 
     With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.  `fracture`:
     whether exceeding it breaks the sphere; None leaves that to the quantity.  `tested`: the crushing tests behind the
-    strength, if it has such; `uqsphere.study.strength` makes their forces comparable with those of a row.
+    strength, if it has such; `uqsphere.run.demands` makes their forces comparable with those of a row.
     """
 
     name: str
@@ -71,6 +72,11 @@ class Limit:
     parameters: Mapping[str, float] = field(default_factory=dict)
     fracture: bool | None = None
     tested: Tested | None = None
+
+    @property
+    def demand(self) -> Demand:
+        """What is held against the strength: a quantity, or a criterion with its parameters."""
+        return self.quantity if self.criterion is None else (self.criterion, self.parameters)
 
     @property
     def needs_modulus(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Final
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.quantities import lookup
-from uqsphere.study.study import Limit, Study
+from uqsphere.study import Limit, Study
 from uqsphere.uq import Law, make_law
 
 #: by the place in the sphere where each begins: what it is called, the criterion that is assumed for it, and the
