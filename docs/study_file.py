@@ -10,8 +10,9 @@ import re
 from pathlib import Path
 from typing import Final
 
+from uqsphere.documents import Table, table_in
 from uqsphere.study.check import FORMS
-from uqsphere.study.document import RIG_TABLES, SCENE, Document, Observations, Table, table_in
+from uqsphere.study.document import RIG_TABLES, SCENE, Document, Observations
 from uqsphere.study.number import numbers_of
 from uqsphere.units import UNITS, typed_units
 from uqsphere.uq.families import FAMILIES
@@ -65,13 +66,14 @@ def keys(tables: list[str]) -> Rows:
         kind = {"study": Document, "file": Observations, **Document.model_fields}[name]
         kind = table_in(getattr(kind, "annotation", kind))
         for key, entry in kind.model_fields.items():
-            if entry.description:
+            quantity = numbers_of(name).get(key) if name in SCENE else None
+            if quantity is not None:
+                meaning = re.sub(rf" of the (other sphere|weight|{name})(?![\w']| that)", "", quantity.meaning)
+                rows.setdefault(key, (f"`{key}`", _needed(tables, key), meaning))
+            elif entry.description:
                 none = entry.default in (None, (), "") or isinstance(entry.default, Table)
                 usual = "required" if entry.is_required() else "–" if none else f"`{json.dumps(entry.default)}`"
                 rows.setdefault(key, (f"`{key}`", usual, entry.description))
-        for key, quantity in numbers_of(name).items() if name in SCENE else ():
-            meaning = re.sub(rf" of the (other sphere|weight|{name})(?![\w']| that)", "", quantity.meaning)
-            rows.setdefault(key, (f"`{key}`", _needed(tables, key), meaning))
     return list(rows.values())
 
 

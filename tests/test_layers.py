@@ -6,8 +6,8 @@ from pathlib import Path
 import uqsphere
 
 LAYERS = (
-    "arrays errors", "units files tables materials", "mechanics uq", "quantities", "study", "models", "results", "run",
-    "report", "bench analysis labs", "cli", "__init__ __main__",
+    "arrays errors", "units files documents tables materials", "mechanics uq", "quantities", "study", "models",
+    "results", "run", "report", "bench analysis labs", "cli", "__init__ __main__",
 )  # fmt: skip
 #: a run draws its own page, and an opened run its plots; a study hands rows that were answered elsewhere to a run
 LATE = {("results", "report"), ("run", "report"), ("study", "results"), ("study", "run")}

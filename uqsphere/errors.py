@@ -46,7 +46,7 @@ class UsageError(UqsphereError):
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Problem:
-    """One fault of a study file, with the line where it stands, from 1."""
+    """One fault of an input file, with the line where it stands, from 1."""
 
     line: int
     path: str
@@ -58,10 +58,8 @@ class Problem:
         return place + (f"{self.path}: " if self.path else "") + self.message
 
 
-class StudyError(UqsphereError):
-    """A study file cannot be used; carries the faults that were found."""
-
-    exit_code = 2
+class StudyError(UsageError):
+    """A study or another input file cannot be used; carries the faults that were found."""
 
     def __init__(self, file: str, problems: list[Problem]) -> None:
         self.file = file

@@ -7,37 +7,16 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO
 
 from uqsphere.errors import AccessError, UsageError
 
 #: what a JSON document holds
 Json = Any
-#: names that some system takes for a device
-_DEVICES: Final = frozenset(
-    (
-        "con",
-        "prn",
-        "aux",
-        "nul",
-        "conin$",
-        "conout$",
-        *(f"{port}{k}" for port in ("com", "lpt") for k in "123456789¹²³"),
-    )
-)
 
 
 class TooLarge(UsageError):
     """A file is larger than what is read of its kind."""
-
-
-def is_device_name(name: str) -> bool:
-    """Whether some system takes this file name for a device, or drops its end: the same answer on every system.
-
-    >>> is_device_name("nul.csv"), is_device_name("tests."), is_device_name("null.csv")
-    (True, True, False)
-    """
-    return name.partition(".")[0].rstrip(" ").lower() in _DEVICES or name.endswith((".", " "))
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ HOUSE = Path(__file__).parents[2] / "uqsphere"
 LAB_FILES = sorted((HOUSE / "labs").rglob("*.py"))
 #: modules of the product that labs may use, and names where only some of a module are public
 ALLOWED = {
-    "uqsphere", "uqsphere.arrays", "uqsphere.errors", "uqsphere.materials", "uqsphere.mechanics.contact",
+    "uqsphere", "uqsphere.arrays", "uqsphere.documents", "uqsphere.errors", "uqsphere.materials", "uqsphere.mechanics.contact",
     "uqsphere.mechanics.bars", "uqsphere.mechanics.yielding", "uqsphere.quantities", "uqsphere.study",
     "uqsphere.tables", "uqsphere.units", "uqsphere.uq", "uqsphere.uq.curve",
 }  # fmt: skip

@@ -268,7 +268,7 @@ def test_python_dict_and_text_are_one_study(tmp_path: Path) -> None:
     tables = load_study(tomllib.loads(python.text))
     assert python.hash == text.hash == tables.hash
     assert python.outputs == ("y",)
-    with pytest.raises(StudyError, match=r"study.toml:2: inputs.x: .* did you mean 'dist'"):
+    with pytest.raises(StudyError, match=r"study.toml:1: inputs.x: .* did you mean 'dist'"):
         Study(inputs={"x": {"dits": "normal"}}, outputs="y")
     with pytest.raises(UsageError, match=r"inputs\.x .*found object"):
         Study(inputs={"x": object()}, outputs="y")

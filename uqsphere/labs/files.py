@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field
 
-from uqsphere.errors import AccessError, UqsphereError, UsageError
+from uqsphere.documents import Table
+from uqsphere.errors import AccessError, UqsphereError
 from uqsphere.materials import library
 from uqsphere.units import parse_value
 
@@ -30,10 +30,10 @@ Speed = Annotated[float, in_unit("speed"), Field(gt=0.0)]
 Time = Annotated[float, in_unit("time")]
 
 
-class Section(BaseModel):
-    """A table of the file: no key that is not known, nothing changes after reading."""
+class Section(Table):
+    """A table of the file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(strict=False, allow_inf_nan=True)
 
 
 def from_library(table: Any, *kinds: str) -> Any:
@@ -46,27 +46,6 @@ def from_library(table: Any, *kinds: str) -> Any:
     own, units = known[table["material"]].properties, {"E": "Pa", "density": "kg/m3"}
     taken = {key: f"{own[key].value!r} {unit}" for key, unit in units.items() if key in own}
     return {**taken, **({"nu": own["nu"].value} if "nu" in own else {}), **table}
-
-
-Document = TypeVar("Document", bound=BaseModel)
-
-
-def load_document(path: Path, kind: Callable[..., Document]) -> Document:
-    """An input file as its document; UsageError with every fault, AccessError where it cannot be read."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise AccessError(f"{path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise UsageError(f"{path}: {error}") from None
-    try:
-        return kind(**data)
-    except ValidationError as error:
-        faults = []
-        for one in error.errors():
-            place = ".".join(str(part) for part in one["loc"]) or "file"
-            faults.append(f"{path}: {place}: {one['msg'].removeprefix('Value error, ')}")
-        raise UsageError("\n".join(faults)) from None
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

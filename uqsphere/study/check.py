@@ -16,17 +16,17 @@ from typing import Final
 import numpy as np
 from pydantic import ValidationError
 
+from uqsphere.documents import Fault, Place, faults_of, one_of, shown, suggestion, unknown, within
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import format_value, lookup
-from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge, faults_of
-from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
+from uqsphere.study.data import measured_pulse
+from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
-from uqsphere.study.record import measured_pulse
 from uqsphere.study.study import Margins, Study, strength_name
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
@@ -86,24 +86,21 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
 
 
 def tables(draft: Draft) -> Faults:
-    """Numbers of the scene or the black box, then the words of every table."""
-    words = dict(draft.data)
-    for table, keys in draft.data.items():
-        if table not in (*SCENE, "inputs") or not isinstance(keys, Mapping):
-            continue
-        known = {key: plain_quantity(key) for key in keys} if table == "inputs" else numbers_of(table)
-        words[table] = {key: raw for key, raw in keys.items() if table == "inputs" or key not in known}
-        for key, raw in keys.items():
-            if key not in known or (key, raw) == ("face_radius", "flat"):
-                continue
-            try:
-                draft.numbers[known[key].name] = number_of(raw, known[key], draft, (table, key))
-            except Fault as fault:
-                yield Fault(str(fault), table, key, *fault.at)
+    """Words of every table, and numbers in the order of the file."""
+    for name, raw in inputs.items() if isinstance(inputs := draft.data.get("inputs"), Mapping) else ():
+        try:
+            draft.numbers[name] = number_of(raw, plain_quantity(name), draft, ("inputs", name))
+        except Fault as fault:
+            yield Fault(str(fault), "inputs", name, *fault.at)
     try:
-        draft.document = Document.model_validate(words)
+        draft.document = Document.model_validate(draft.data, context=draft)
     except ValidationError as error:
         yield from faults_of(Document, error)
+    else:
+        for table in [name for name in draft.data if name in SCENE]:
+            for key in draft.data[table]:
+                if isinstance(number := getattr(getattr(draft.document, table), key), Number):
+                    draft.numbers[numbers_of(table)[key].name] = number
 
 
 # --- 2: which tables and numbers there are -------------------------------------------------------------------------

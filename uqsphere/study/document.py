@@ -1,29 +1,28 @@
-"""The tables of a study file as pydantic models: their words, and the numbers that belong to no scene.
+"""The tables of a study file as pydantic models: words, and numbers with their units or distributions.
 
-The numbers of a scene are declared in `uqsphere.quantities.INPUTS` and read by `uqsphere.study.number`; what the tables
-say of each other is checked in `uqsphere.study.check`.  The JSON schema and docs/study-file.md follow from all three.
+The numbers of a scene are declared in `uqsphere.quantities.INPUTS`; what the tables say of each other is checked in
+`uqsphere.study.check`.  The JSON schema and docs/study-file.md follow from all three.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, WithJsonSchema, create_model
 from pydantic import model_validator as checked
 
+from uqsphere.documents import Fault, Place, Table, one_of, path_of, shown, table_in
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.study.fault import Fault, Place, one_of, path_of, shown, suggestion
-from uqsphere.study.number import Number, numbers_of, plain_quantity, value_of
+from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 
@@ -97,14 +96,11 @@ Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
 _Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
-Methods = Annotated[tuple[_Method, ...], *_several(), BeforeValidator(lambda raw: [raw] if raw == "auto" else raw)]
-
-
-class Table(BaseModel):
-    """A table of a study: no key beyond those declared."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True,
-                              protected_namespaces=())  # fmt: skip
+Methods = Annotated[
+    tuple[_Method, ...], *_several(),
+    BeforeValidator(lambda raw: [raw] if raw == "auto" else raw,
+                    json_schema_input_type=Literal["auto"] | Annotated[tuple[_Method, ...], Field(min_length=1)])
+]  # fmt: skip
 
 
 # --- the scene -----------------------------------------------------------------------------------------------------
@@ -249,6 +245,34 @@ class Observations(Table):
     upper: Any = None
 
 
+_KEYS: Final = {"lower", "upper"}.union(*(family.keys for family in FAMILIES.values()))
+_of_laws: dict[str, Any] = {
+    "dist": (Literal[*FAMILIES] | Annotated[str, Field(pattern=r"^scipy\.\w+$")], None),
+    **dict.fromkeys(("values", "weights"), (tuple[float | str, ...], None)),
+    **dict.fromkeys(sorted(_KEYS), (float | str, None)),
+}
+#: what the schema says of a distribution in a table
+Distribution: Any = create_model("Distribution", __base__=Observations, **_of_laws)
+
+
+def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -> Number | None:
+    """A number of the scene; a flat face has no radius."""
+    flat = place[-1] == "face_radius" and raw == "flat"
+    return None if flat else number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
+
+
+def _with_numbers(table: str, words: type[Table]) -> type[Table]:
+    """A table with the numbers of the scene that it can have: a word where one stands for it, fixed, or a law."""
+    numbers: dict[str, Any] = {}
+    for name, quantity in numbers_of(table).items():
+        known = [*END_COEFFICIENTS] * name.endswith("end") + ["flat"] * name.endswith("face_radius")
+        fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
+        kinds = Distribution | fixed | Literal[*known] if known else Distribution | fixed
+        mark = BeforeValidator(partial(_read, quantity=quantity, place=(table, name)), json_schema_input_type=kinds)
+        numbers[name] = Annotated[Any, mark], key(quantity.meaning)
+    return create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
+
+
 class Dependence(Table):
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
@@ -325,8 +349,8 @@ class Outputs(Table):
     names: Annotated[tuple[Name, ...], *_several()] = key('names of the outputs, `["y"]`; required', ())
 
 
-class Document(Table):
-    """A study file."""
+class _Words(Table):
+    """A study file, without the numbers of the scene."""
 
     title: Annotated[str, AfterValidator(_visible)] = key(
         "heading of the report, without it the file's name; not part of the study's hash", "")  # fmt: skip
@@ -345,13 +369,21 @@ class Document(Table):
     platens: Body = Body.model_construct()
     insert: Body = Body.model_construct()
     model: ModelChoice = ModelChoice.model_construct()
-    inputs: Annotated[dict[Name, Num], Field(max_length=1000)] = {}
+    inputs: dict[Name, Num] = Field(default={}, max_length=1000)
     outputs: Outputs = Outputs.model_construct()
-    limits: Annotated[dict[Name, LimitTable], Field(max_length=200)] = {}
+    limits: dict[Name, LimitTable] = Field(default={}, max_length=200)
     dependence: Annotated[tuple[Dependence, ...], Field(max_length=100, strict=False)] = ()
     gauges: Annotated[tuple[Gauge, ...], Field(max_length=20, strict=False)] = ()
     analysis: Analysis = Analysis.model_construct()
     margins: MarginsTable | None = None
+
+
+_scene: dict[str, Any] = {
+    name: (kind, kind.model_construct())
+    for name in SCENE
+    if (kind := _with_numbers(name, table_in(_Words.model_fields[name].annotation)))
+}
+Document: Final = create_model("Document", __base__=_Words, __doc__="A study file.", **_scene)
 
 
 # --- a study while it is read ---------------------------------------------------------------------------------------
@@ -369,7 +401,7 @@ class Draft:
 
     folder: Path = Path()
     data: dict[str, Any] = field(default_factory=dict)
-    document: Document = field(default_factory=Document.model_construct)
+    document: _Words = field(default_factory=Document.model_construct)
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
@@ -417,61 +449,6 @@ class Draft:
         return list(self.document.outputs.names if self.box else OUTPUTS)
 
 
-# --- what pydantic finds, in the words of a study ------------------------------------------------------------------
-
-_WORDS: Final = {
-    r"\w+ should ": "it must ", "a valid tuple": "an array", "a valid dictionary.*": "a table",
-    "a valid boolean": "true or false", "a valid string": "a text in quotes", " after validation.*": "",
-    "it must match pattern.*": "a name takes up to 64 letters, digits, _ and -, and begins with a letter",
-}  # fmt: skip
-Kind = TypeVar("Kind", bound=Table)
-
-
-def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
-    """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
-    found: dict[Place, Fault] = {}
-    for fault in error.errors(include_url=False):
-        # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys, "[key]"
-        place = tuple(part for part in fault["loc"] if "[" not in str(part))
-        if not any(other[: len(place)] == place for other in found):
-            at = getattr(fault.get("ctx", {}).get("error"), "at", ())
-            found[place] = Fault(_text(kind, fault, place), *place, *at)
-    return list(found.values())
-
-
-def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
-    """A table inside another one; raises Fault for the first that is wrong with it."""
-    try:
-        return kind.model_validate(dict(raw))
-    except ValidationError as error:
-        raise faults_of(kind, error)[0] from None
-
-
-def _text(kind: Any, fault: Any, place: Place) -> str:
-    name = str(place[-1]) if place else ""
-    for part in place[:-1]:
-        kind = table_in(kind.model_fields[part].annotation) or kind if part in kind.model_fields else kind
-    if fault["type"] == "value_error":
-        return str(fault["ctx"]["error"])
-    if fault["type"] == "missing":
-        return f"{name} is missing: {kind.model_fields[name].description.replace('`', '')}"
-    if fault["type"] == "extra_forbidden":
-        known = [*kind.model_fields, *(numbers_of(str(place[0])) if len(place) == 2 else ())]
-        return f"unknown key {shown(name)}{suggestion(name, known) or f'; known here: {one_of(known)}'}"
-    message = fault["msg"]
-    for words, ours in _WORDS.items():
-        message = re.sub(words, ours, message)
-    near = suggestion(fault["input"], re.findall("'([^']*)'", message))
-    return f"found {shown(fault['input'])}, {message}{near}"
-
-
-def table_in(annotation: Any) -> Any:
-    """The table that a key holds, one or several; None for a value."""
-    if isinstance(annotation, type) and issubclass(annotation, Table):
-        return annotation
-    return next((found for part in get_args(annotation) if (found := table_in(part))), None)
-
-
 # --- the schema ----------------------------------------------------------------------------------------------------
 
 
@@ -480,27 +457,6 @@ def json_schema() -> dict[str, Any]:
 
     It says less than the reader: how numbers go together, only `load_study` knows.
     """
-    schema = Document.model_json_schema()
-    parts, tables, law = schema["$defs"], schema["properties"], {"$ref": "#/$defs/distribution"}
-    for table in SCENE:
-        words = parts[tables[table]["$ref"].rpartition("/")[2]]
-        numbers = {key: _number(quantity, law) for key, quantity in numbers_of(table).items()}
-        tables[table] = {**words, "properties": words["properties"] | numbers}
-    methods = parts["Analysis"]["properties"]
-    methods["methods"] = {"anyOf": [{"const": "auto"}, methods["methods"]]}
-    keys = {key for family in FAMILIES.values() for key in family.keys} | {"lower", "upper"}
-    laws = Observations.model_json_schema()["properties"] | {
-        key: {"type": ["number", "string"]} for key in sorted(keys)
-    }
-    laws |= {key: {"type": "array", "items": {"type": ["number", "string"]}} for key in ("values", "weights")}
-    laws["dist"] = {"anyOf": [{"enum": list(FAMILIES)}, {"type": "string", "pattern": r"^scipy\.\w+$"}]}
-    parts["distribution"] = {"type": "object", "properties": laws}
     kinds = [{"required": ["sphere"]}, {"required": ["inputs", "outputs"]}]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "anyOf": kinds}
-
-
-def _number(quantity: Quantity, law: dict[str, Any]) -> dict[str, Any]:
-    """A number of the scene: a word where one stands for it, a fixed value, or a distribution."""
-    words = list(END_COEFFICIENTS) * quantity.name.endswith("end") + ["flat"] * quantity.name.endswith("face_radius")
-    choices = [_fixed_schema(quantity.dimension), law, *([{"enum": words}] if words else [])]
-    return {"anyOf": choices, "description": quantity.meaning}
+    draft = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": draft, **Document.model_json_schema(), "anyOf": kinds}

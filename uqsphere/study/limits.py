@@ -10,18 +10,20 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.documents import Fault, Place, declared, one_of, shown, suggestion, unknown, within
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, lookup
-from uqsphere.study.document import Draft, LimitTable, Observations, declared
-from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
+from uqsphere.study.data import fit, is_tests, observations, warn_of_rows
+from uqsphere.study.document import Draft, LimitTable, Observations
 from uqsphere.study.number import Number, number_of, plain_quantity, value_of, warn_unusual
-from uqsphere.study.observed import fit, is_tests, modulus_of, observations, warn_of_rows, warn_of_tests
 from uqsphere.study.study import Limit, Tested
+from uqsphere.units import UNITS
 from uqsphere.uq import Law
+from uqsphere.uq.observed import WEIBULL
 
 #: which energy a strength in J/kg means, and the quantity that is held against it
 _ENERGIES: Final = {
@@ -41,6 +43,9 @@ _POWERS: Final = {"ring_crack": 1.0, "ring_crack_toughness": 1.0, "energy": 0.2,
 #: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
 _USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT: Final = (3e7, 1e11)
+#: usual 0.9 P/D² of brittle spheres [Pa], and units that a file of tests may have been in
+_TENSION: Final = (2e5, 5e8)
+_UNITS: Final = ("um", "mm", "cm", "m", "N", "kN", "MN")
 _FACTOR: Final = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
 
 
@@ -207,6 +212,33 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
     if ratios[0] > _SIZES_TOLD:
         by = "its size_exponent" if tested.law is None and tested.exponent else "nothing"
         draft.warn(place, f"{sizes}: {'the weakest link' if linked else by} carries the strength")
+
+
+def warn_of_tests(
+    table: Observations, force: Array, diameter: Array, radius: float, draft: Draft, place: Place
+) -> None:
+    """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them usual."""
+    size, tension = np.median(diameter) / (2.0 * radius), np.median(0.9 * force / np.square(diameter))
+    for key, typical, (low, high), units, given, said in (
+        ("diameter", size, (1.0 / 3.0, 3.0), UNITS["length"], table.diameter_unit,
+         f"the diameters are more than three times off the sphere's, the first {1e3 * diameter[0]:.4g} mm"),
+        ("force", tension, _TENSION, UNITS["force"], table.force_unit,
+         f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to {1e-6 * _TENSION[1]:g} MPa"),
+    ):  # fmt: skip
+        if not low <= typical <= high:
+            scale = typical / units.get(given or "", math.nan)
+            likely = [unit for unit in _UNITS if low < scale * units.get(unit, 0.0) < high]
+            hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
+            draft.warn((*place, key), f"{table.file}: {said}: {hint}")
+            return
+
+
+def modulus_of(law: object) -> float | None:
+    """The Weibull modulus of a strength, fitted or known beforehand; None where it has none."""
+    if not isinstance(law, Law):
+        return None
+    kinds = {(draw[0], draw[3]) for draw in law.draws}
+    return kinds.pop()[1] if len(kinds) == 1 and law.draws[0][0] == WEIBULL else law.parameters.get("modulus")
 
 
 # --- the sphere in the tests ---------------------------------------------------------------------------------------

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.documents import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.units import UNITS, Quantity, UnitError, parse_value
 from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
@@ -87,11 +87,11 @@ def _likely_unit(raw: Any, quantity: Quantity) -> str:
 
 
 def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Number:
-    """Value or law of what a file has; raises Fault."""
+    """Value or law of what a file has; warns of what is unusual, and raises Fault."""
     if not isinstance(raw, Mapping):
         found = Number(value=value_of(raw, quantity))
     elif "file" in raw or "draws" in raw or raw.get("dist") in ("empirical", "discrete"):
-        from uqsphere.study.observed import law_of_data
+        from uqsphere.study.data import law_of_data
 
         found = law_of_data(raw, quantity, draft, place)
     else:
@@ -111,22 +111,23 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
-    kind, ends = raw.get("dist"), ("mean", "mode", "lower", "upper")
+    kind = raw.get("dist")
     if (family := family_named(kind) if isinstance(kind, str) else None) is None:
         near = suggestion(kind, FAMILIES) or suggestion(next(iter(raw), ""), ["dist"])
         said = f'a distribution is required, such as {{ dist = "normal", … }}, known: {one_of(FAMILIES)}{near}'
         raise Fault(said, *["dist"] * ("dist" in raw))
     keys = (*family.keys, "lower", "upper")
-    if (strange := next((key for key in raw if key not in ("dist", *keys)), None)) is not None:
-        said = f"{shown(strange)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
-        raise Fault(said + suggestion(strange, keys), strange)
     given: dict[str, float] = {}
-    for key in (key for key in keys if key in raw):
+    for key in (key for key in raw if key != "dist"):
+        if key not in keys:
+            said = f"{shown(key)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
+            raise Fault(said + suggestion(key, keys), key)
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
-        if key not in ends and entry.dimension != "number":
+        if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
             entry = replace(entry, plausible=(0.0, math.inf))
         with within(key):
             given[key] = value_of(raw[key], entry, bounded=False)
+    given = {key: given[key] for key in keys if key in given}
     bounds = given.pop("lower", None), given.pop("upper", None)
     try:
         return Number(value=make_law(family.name, given, *bounds), given=given)
@@ -137,14 +138,13 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
 
 def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, draft: Draft, place: Place) -> None:
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
-    name, centre, middle = quantity.name, law.nominal_mean(), law.mean()
+    name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
         raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
-    ends = {"lower": law.lower, "upper": law.upper}
     for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
-    cov = max(law.sd() / abs(middle) if middle else 0.0, given.get("cov", 0.0))
+    cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, given.get("cov", 0.0))
     if cov > 1.0:
         share = ' 15 % is written "15 %" or 0.15' * ("cov" in given)
         draft.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from uqsphere.documents import load_document
 from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.files import csv_text, load_document, run_command, show, table, write_files
+from uqsphere.labs.files import csv_text, run_command, show, table, write_files
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from uqsphere.documents import load_document
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import csv_text, load_document, run_command, show, table, write_files
+from uqsphere.labs.files import csv_text, run_command, show, table, write_files
 from uqsphere.labs.shpb.document import RecordDocument
 
 

@@ -1,21 +1,21 @@
-"""Distributions of data: weighted values, a column of a file, draws of a fit; and whether the file is plausible."""
+"""What a study takes from files beside it: distributions of columns and draws, and a measured pulse."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
+from uqsphere.documents import Fault, Place, declared, one_of, shown, suggestion, within
 from uqsphere.errors import AccessError, UsageError
-from uqsphere.files import is_device_name
+from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import Discrete, Draft, Observations, declared
-from uqsphere.study.fault import Fault, Place, one_of, shown, suggestion, within
+from uqsphere.study.document import Discrete, Draft, Observations, Pulse
 from uqsphere.study.number import Number, value_of
 from uqsphere.study.study import Tested
 from uqsphere.tables import Table, TableError, read_table, unit_in_heading
@@ -28,12 +28,43 @@ from uqsphere.uq.observed import LOGNORMAL, WEIBULL
 _FEW: Final = 10
 #: keys that a column or tests need, with an example
 _EXAMPLES: Final = {"file": "tests.csv", "column": "strength", "force": "F", "diameter": "D"}
-#: usual 0.9 P/D² of brittle spheres [Pa]
-_TENSION: Final = (2e5, 5e8)
-#: units that a file may have been in
-_UNITS: Final = ("um", "mm", "cm", "m", "N", "kN", "MN")
 #: a row as many robust deviations from the rest of the logarithms is told, and a fit less likely than this
 _APART, _UNLIKELY = 5.0, 0.01
+
+
+@contextmanager
+def opened(name: str, draft: Draft, key: str = "file", decimal: str | None = None) -> Iterator[Table]:
+    """The table of a file in the study's folder; at the end all faults that were noted of it are one Fault."""
+    home = draft.folder.resolve()
+    try:
+        path = (home / name).resolve()
+        if not path.is_relative_to(home):
+            raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
+        if not path.exists():
+            near = suggestion(name, [item.name for item in home.iterdir()])
+            raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
+        draft.files[Path(name).as_posix()] = path
+        found = read_table(path, decimal=decimal or "")
+        yield found
+        found.finish()
+    except TableError as fault:
+        raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
+    except Fault:
+        raise
+    except (AccessError, UsageError, OSError, RuntimeError, ValueError):
+        raise Fault(f"{shown(name)} cannot be read as a file", key) from None
+
+
+@contextmanager
+def _blamed(*keys: str, otherwise: str) -> Iterator[None]:
+    """Turns the fault of a law into one at the key that is to blame, if it is one of these."""
+    try:
+        yield
+    except LawError as error:
+        raise Fault(error.message, error.key if error.key in keys else otherwise) from None
+
+
+# --- distributions -------------------------------------------------------------------------------------------------
 
 
 def is_tests(raw: Any) -> bool:
@@ -83,44 +114,6 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
     return Number(value=law_of_draws(draws.tolist(), int(tests[0])), synthetic=table.synthetic, tested=tested)
 
 
-# --- files ---------------------------------------------------------------------------------------------------------
-
-
-def inside_folder(name: str, draft: Draft, key: str) -> Path:
-    """The file as a real path, links followed; raises Fault at `key` unless it lies in the study's folder."""
-    posix = PurePosixPath(name.replace("\\", "/"))
-    if ":" in name or posix.is_absolute() or ".." in posix.parts:
-        raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
-    if any(is_device_name(part) for part in posix.parts):
-        raise Fault(f"found {shown(name)}: some system takes that for a device; rename the file", key)
-    try:
-        home = draft.folder.resolve()
-        path = (home / name).resolve()
-        there, beside = path.exists(), [item.name for item in home.iterdir()] if home.is_dir() else []
-    except (OSError, RuntimeError, ValueError):
-        raise Fault(f"found {shown(name)}, which cannot be read", key) from None
-    if not path.is_relative_to(home):
-        raise Fault(f"{shown(name)} is a link that leaves the study's folder", key)
-    if not there:
-        raise Fault(f"there is no file {shown(name)} beside the study{suggestion(name, beside)}", key)
-    draft.files[posix.as_posix()] = path
-    return path
-
-
-@contextmanager
-def opened(name: str, draft: Draft, key: str = "file", decimal: str | None = None) -> Iterator[Table]:
-    """The table of a file of the study; at the end all faults that were noted of it are raised as one Fault."""
-    path = inside_folder(name, draft, key)
-    try:
-        found = read_table(path, decimal=decimal or "")
-        yield found
-        found.finish()
-    except TableError as fault:
-        raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
-    except (AccessError, UsageError):
-        raise Fault(f"{shown(name)} cannot be read as a file", key) from None
-
-
 def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[Table, Places, dict[str, Array], Flags]:
     """Tests of a file by the keys that name its columns: the table, the row of each test, columns and stops (n,).
 
@@ -143,7 +136,7 @@ def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[
         many = np.ones(len(found)) if table.count is None else found.numbers(table.count, key="count")
         found.refuse("count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0))
         found.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
-        for key in [key for key in ("force", "diameter") if key in columns]:
+        for key in columns.keys() & {"force", "diameter"}:
             found.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
     rows = np.repeat(np.arange(len(found)), many.astype(int))
     return found, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
@@ -161,26 +154,6 @@ def fit(data: Array, stopped: Flags, table: Observations, kind: str | None, lowe
                           unbiased=table.unbiased, modulus=modulus)  # fmt: skip
 
 
-@contextmanager
-def _blamed(*keys: str, otherwise: str) -> Iterator[None]:
-    """Turns the fault of a law into one at the key that is to blame, if it is one of these."""
-    try:
-        yield
-    except LawError as error:
-        raise Fault(error.message, error.key if error.key in keys else otherwise) from None
-
-
-def modulus_of(law: object) -> float | None:
-    """The Weibull modulus of a strength, fitted or known beforehand; None where it has none."""
-    if not isinstance(law, Law):
-        return None
-    kinds = {(draw[0], draw[3]) for draw in law.draws}
-    return kinds.pop()[1] if len(kinds) == 1 and law.draws[0][0] == WEIBULL else law.parameters.get("modulus")
-
-
-# --- whether the numbers of a file are plausible -------------------------------------------------------------------
-
-
 def warn_of_rows(found: Table, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place) -> None:
     """Warn of what a file and the scatter of its observations (n,) say, which stand in `rows`.
 
@@ -194,9 +167,8 @@ def warn_of_rows(found: Table, rows: Places, x: Array, stopped: Flags, draft: Dr
         reach = 1.4826 * np.median(np.abs(away)) * max(_APART, math.log(len(x)))
         apart = np.flatnonzero(np.abs(away) > reach)
         if reach > 0.0 and 0 < len(apart) <= max(1, len(x) // 10):
-            lines = [found.lines[row] for row in rows[failed][apart]]
-            far = ", ".join(f"line {line} ({math.exp(a):.3g} times the median)"
-                            for line, a in zip(lines[:5], away[apart], strict=False))  # fmt: skip
+            far = ", ".join(f"line {found.lines[rows[failed][k]]} ({math.exp(away[k]):.3g} times the median)"
+                            for k in apart[:5])  # fmt: skip
             said.append(f"{found.name}: {far}: far from the other rows; a slip of the decimal point?")
         with suppress(ValueError):
             tests = make_tests(x, stopped)
@@ -209,25 +181,67 @@ def warn_of_rows(found: Table, rows: Places, x: Array, stopped: Flags, draft: Dr
         draft.warn((*place, "file"), text)
 
 
-def warn_of_tests(
-    table: Observations, force: Array, diameter: Array, radius: float, draft: Draft, place: Place
-) -> None:
-    """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them usual."""
+# --- the pulse of a clean record ------------------------------------------------------------------------------------
 
-    def hint(value: float, units: dict[str, float], given: str | None, low: float, high: float) -> str:
-        scale = value / units.get(given or "", math.nan)
-        likely = [unit for unit in _UNITS if low < scale * units.get(unit, 0.0) < high]
-        return f": is the unit {one_of(likely)}?" if likely else ": are the units right?"
+#: root mean square over the peak that the cubics may leave, and pieces at most
+_FINE, _PIECES = 5e-4, 64
+#: share of the peak that both ends may have, and from which on the pulse counts
+_ENDS, _COUNTS = 0.1, 0.003
+_MENDED: Final = "uqsphere shpb records cuts, mends and writes such a file"
 
-    off = diameter / (2.0 * radius)
-    far = (off > 3.0) | (off < 1.0 / 3.0)
-    typical, (low, high) = float(np.median(0.9 * force / np.square(diameter))), _TENSION
-    if far.any():
-        unit = hint(float(np.median(off)), UNITS["length"], table.diameter_unit, 0.5, 2.0)
-        draft.warn((*place, "diameter"), f"{table.file}: {far.sum()} of {len(off)} diameters are more than three times "
-                   f"off the sphere's, the first {1e3 * diameter[int(np.argmax(far))]:.4g} mm{unit}")  # fmt: skip
-    elif not low <= typical <= high:
-        unit = hint(typical, UNITS["force"], table.force_unit, low, high)
-        value = f"{typical / 1e9:.3g} GPa" if typical > 1e9 else f"{typical / 1e6:.3g} MPa"
-        draft.warn((*place, "force"), f"0.9 P/D² of {table.file} is {value}, usual are {low / 1e6:g} to {high / 1e6:g} "
-                   f"MPa{unit}")  # fmt: skip
+
+def measured_pulse(table: Pulse, draft: Draft) -> MeasuredPulse:
+    """The pulse of a file of time and strain, or volts with a factor, as smooth cubics; raises Fault.
+
+    Least-squares cubics, their joints by Dierckx.  Mending (offsets, spikes, dispersion) is the lab's.
+    """
+    from scipy.interpolate import PPoly, generate_knots, make_lsq_spline
+
+    with opened(str(table.file), draft) as found:
+        columns = table.columns or tuple(found.headings[:2])
+        if len(columns) != 2:
+            raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
+        time_unit, unit = table.units or (None, None)
+        volts = unit in UNITS["voltage"] or (unit is None and found.unit_of(columns[1], "voltage") is not None)
+        time = found.numbers(columns[0], "time", time_unit)
+        strain = (table.factor or 1.0) * found.numbers(columns[1], "voltage" if volts else "strain", unit)
+        found.refuse("", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0)
+    if volts and table.factor is None:
+        raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
+    notes = list(found.notes)
+    if -strain.min() > strain.max():
+        strain = -strain
+        notes.append("the largest strain is negative: compression is taken as positive")
+    peak = float(strain.max())
+    # noise swings to both sides: what lies below zero ahead of the pulse says how far it goes above
+    noise = -1.5 * strain[: int(np.argmax(strain > _ENDS * peak))].min(initial=0.0)
+    inside = np.flatnonzero(np.abs(strain) > max(_COUNTS * peak, noise))
+    if len(inside) < 8:
+        raise Fault(f"found {len(inside)} samples of a pulse, 8 or more are required", "file")
+    first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
+    for level, said in (
+        (-strain.min(), "the strain turns to tension, -{:.0%} of its peak: cut the reflected wave off"),
+        (abs(strain[first]), "the pulse begins at {:.0%} of its peak: cut it out at rest"),
+        (abs(strain[last]), "the pulse ends at {:.0%} of its peak: cut it out at rest"),
+    ):
+        if level > _ENDS * peak:
+            raise Fault(f"{shown(table.file)}: {said.format(level / peak)}; {_MENDED}", "file")
+    time, curve = time[first : last + 1] - time[first], strain[first : last + 1] / peak
+    # from 0 to 0
+    curve[[0, -1]], weight = 0.0, np.ones(len(curve))
+    weight[[0, -1]] = 1e3
+    *_, knots = generate_knots(time, curve, w=weight, k=3, s=len(curve) * _FINE**2, nest=_PIECES + 7)
+    spline = make_lsq_spline(time, curve, knots, 3, weight)
+    if (misfit := float(np.abs(curve - spline(time)).max())) > 0.02:
+        said = f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy"
+        notes.append(f"{said}; {_MENDED}")
+    for note in notes:
+        draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
+    fine = np.linspace(0.0, time[-1], 2000)
+    smooth = spline(fine)
+    top = float(smooth.max())
+    rise = fine[int(np.argmax(smooth >= 0.9 * top))] - fine[int(np.argmax(smooth >= 0.1 * top))]
+    cubics = PPoly.from_spline((spline.t, spline.c, 3)).c[::-1, 3:-3].T / top
+    cubics[0, 0] = 0.0
+    return MeasuredPulse(breaks=tuple(knots[3:-3].tolist()), coefficients=tuple(map(tuple, cubics.tolist())),
+                         peak=peak * top, rise=float(rise))  # fmt: skip

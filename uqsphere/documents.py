@@ -1,0 +1,242 @@
+"""Input files: TOML that pydantic validates, every fault with its line, what was found, and the way out."""
+
+from __future__ import annotations
+
+import codecs
+import json
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from uqsphere.errors import Problem, StudyError, as_text
+from uqsphere.files import read_given
+from uqsphere.units import bare_number
+
+Place = tuple[str | int, ...]
+
+
+class Table(BaseModel):
+    """A table of an input file: no key beyond those declared."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True,
+                              protected_namespaces=())  # fmt: skip
+
+
+Kind = TypeVar("Kind", bound=Table)
+
+
+class Fault(ValueError):
+    """A fault of one part of a value: `at` is the way to it."""
+
+    def __init__(self, message: str, *at: str | int) -> None:
+        super().__init__(message)
+        self.at: Place = tuple(part for part in at if part != "")
+
+
+@contextmanager
+def within(*at: str | int) -> Iterator[None]:
+    """A fault inside lies on the way `at`."""
+    try:
+        yield
+    except Fault as error:
+        raise Fault(str(error), *at, *error.at) from None
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def path_of(place: Place) -> str:
+    """A place as users write it.
+
+    >>> path_of(("dependence", 0, "of"))
+    'dependence[0].of'
+    """
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+
+
+def shown(value: object, longest: int = 60) -> str:
+    """A value of a file as its message shows it."""
+    if isinstance(value, Mapping | list | tuple):
+        return "a table" if isinstance(value, Mapping) else "an array"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return bare_number(value)
+    if isinstance(value, str):
+        return json.dumps(as_text(value, longest), ensure_ascii=False)
+    return f"a {type(value).__name__}"
+
+
+def one_of(words: Iterable[str]) -> str:
+    """Words as a list in a sentence.
+
+    >>> one_of(["a", "b", "c"])
+    'a, b or c'
+    """
+    *first, last = list(words) or ["none"]
+    return f"{', '.join(first)} or {last}" if first else last
+
+
+def suggestion(word: object, known: Iterable[str]) -> str:
+    """A hint at the known word that was likely meant."""
+    near = get_close_matches(str(word)[:80], list(known), n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def unknown(what: str, word: object, known: Iterable[str]) -> str:
+    """The message for a word that is none of those known."""
+    names = list(known)
+    return f"unknown {what} {shown(word)}, known: {one_of(names[:40])}{suggestion(word, names)}"
+
+
+# --- text, syntax, lines ---------------------------------------------------------------------------------------------
+
+#: what a message of tomllib with the faulty line may have, and the way out
+_HINTS: Final = {
+    r"(?:declare|mutate) .*(?:twice|immutable)|overwrite a value": "this is written twice",
+    r"character '\\n'|Unterminated": "a text in quotes does not end on its line",
+    "\x00": "found a NUL byte, and a study is a text file",
+    "[“”„‘’]": 'quotes are straight: "…"',
+    r"=\s*([+-]?\d+),(\d+)\s*(?=[,}#]|$)": r"a decimal point is required: \1.\2",
+    r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)": r'a value with a unit stands in quotes: "\1"',
+    r"=\s*([Tt]rue|[Ff]alse|TRUE|FALSE)\s*(?:#.*)?$": "write true or false",
+    r"=\s*([A-Za-z_][\w.-]*)\s*(?:#.*)?$": r'a word stands in quotes: "\1"',
+    r"\\": "a backslash stands in single quotes: 'a\\\\b', or write / in its place",
+}
+
+
+def read_text(path: Path) -> str:
+    """The text of an input file: at most 1 MiB of UTF-8; a byte order mark is dropped."""
+    try:
+        return read_given(path, 1 << 20).removeprefix(codecs.BOM_UTF8).decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        said = f"byte 0x{error.object[error.start]:02x} is not UTF-8 text: save the file as UTF-8"
+        raise StudyError(str(path), [Problem(line=line, path="", message=said)]) from None
+
+
+def parse_text(text: str, path: Path) -> dict[str, Any]:
+    """TOML text → plain values; raises StudyError for a fault of syntax with its line."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        line, said = 1, "brackets are nested deeper than any study needs"
+    except ValueError as error:  # a fault of syntax, or a number that Python does not read
+        message, *place = re.split(r" \(at | for integer", str(error))
+        where = re.match(r"line (\d+)", place[-1])
+        line = int(where[1]) if where else text.rstrip("\n").count("\n") + 1
+        seen = f"{message}\n{[*text.split(chr(10)), ''][line - 1]}"
+        hint = next((f"; {found.expand(way)}" for p, way in _HINTS.items() if (found := re.search(p, seen))), "")
+        said = f"this is not valid TOML: {message[:160]}{hint}"
+    raise StudyError(str(path), [Problem(line=line, path="", message=said)])
+
+
+def lines_of(text: str) -> dict[Place, int]:
+    """Line of every table header and every key; a key of an inline table stands in the line of its table.
+
+    >>> lines_of('[sphere]\\nE = { sd = 1 }\\n[[dependence]]\\nof = []')[("dependence", 0, "of")]
+    4
+    """
+    found: dict[Place, int] = {}
+    table: Place = ()
+    seen: Counter[Place] = Counter()
+    for number, line in enumerate(text.splitlines(), 1):
+        header = re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line)
+        key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
+        if key is None:
+            continue
+        parts: Place = parts_of(key[2]) if header else (*table, *parts_of(key[2]))
+        if header:
+            table = (*parts, seen[parts]) if key[1] == "[[" else parts
+            seen[parts] += 1
+            found[table] = number
+        for n in range(1, len(parts) + 1):
+            found.setdefault(parts[:n], number)
+    return found
+
+
+def parts_of(text: str) -> tuple[str, ...]:
+    """The parts of a dotted key."""
+    return tuple(part[1] or part[2] or part[3] for part in re.finditer(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text))
+
+
+def refusal(path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()) -> StudyError:
+    """The error of an input file: every fault with the line of its place, or of the nearest table above it."""
+    lines, problems = lines_of(text), set()
+    for fault in faults:
+        line = next((lines[fault.at[:n]] for n in range(len(fault.at), 0, -1) if fault.at[:n] in lines), 1)
+        note = " (set by --set)" if any(fault.at[: len(one)] == one for one in overridden) else ""
+        problems.add(Problem(line=line, path=path_of(fault.at), message=f"{fault}{note}"))
+    return StudyError(str(path), list(problems))
+
+
+# --- what pydantic finds, in these words -----------------------------------------------------------------------------
+
+_WORDS: Final = {
+    r"\w+ should ": "it must ", "a valid tuple": "an array", "a valid dictionary.*": "a table",
+    "a valid boolean": "true or false", "a valid string": "a text in quotes", " after validation.*": "",
+    "it must match pattern.*": "a name takes up to 64 letters, digits, _ and -, and begins with a letter",
+}  # fmt: skip
+
+
+def load_document(path: Path, kind: type[Kind]) -> Kind:
+    """An input file as its document; StudyError with every fault, AccessError where it cannot be read."""
+    text = read_text(path)
+    data = parse_text(text, path)
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise refusal(path, text, faults_of(kind, error)) from None
+
+
+def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
+    """A table inside another one; raises Fault for the first that is wrong with it."""
+    try:
+        return kind.model_validate(dict(raw))
+    except ValidationError as error:
+        raise faults_of(kind, error)[0] from None
+
+
+def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
+    """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
+    found: dict[Place, Fault] = {}
+    for fault in error.errors(include_url=False):
+        # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys, "[key]"
+        place = tuple(part for part in fault["loc"] if "[" not in str(part))
+        if not any(other[: len(place)] == place for other in found):
+            at = getattr(fault.get("ctx", {}).get("error"), "at", ())
+            found[place] = Fault(_text(kind, fault, place), *place, *at)
+    return list(found.values())
+
+
+def _text(kind: Any, fault: Any, place: Place) -> str:
+    name = str(place[-1]) if place else ""
+    for part in place[:-1]:
+        kind = table_in(kind.model_fields[part].annotation) or kind if part in kind.model_fields else kind
+    if fault["type"] == "value_error":
+        return str(fault["ctx"]["error"])
+    if fault["type"] == "missing":
+        meaning = kind.model_fields[name].description
+        return f"{name} is missing{f': {meaning}' if meaning else ''}".replace("`", "")
+    if fault["type"] == "extra_forbidden":
+        near = suggestion(name, kind.model_fields) or f"; known here: {one_of(kind.model_fields)}"
+        return f"unknown key {shown(name)}{near}"
+    message = fault["msg"]
+    for words, ours in _WORDS.items():
+        message = re.sub(words, ours, message)
+    near = suggestion(fault["input"], re.findall("'([^']*)'", message))
+    return f"found {shown(fault['input'])}, {message}{near}"
+
+
+def table_in(annotation: Any) -> Any:
+    """The table that a key holds, one or several; None for a value."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := table_in(part))), None)
