@@ -159,8 +159,11 @@ def student_t(dof: float) -> Form:
     constant = math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
 
     def ppf(p: Array) -> Array:
-        # stdtrit of SciPy 1.17 answers +inf for a probability of 0, and for the very smallest ones
-        return np.where(p == 0.0, -math.inf, special.stdtrit(dof, np.maximum(p, 1e-250)))
+        # stdtrit of SciPy 1.17 answers inf in far tails; below 1e-290 a square of y would overflow
+        far = np.maximum(special.betaincinv(0.5 * dof, 0.5, 2.0 * p), 1e-290)
+        inside = special.betaincinv(0.5, 0.5 * dof, 1.0 - 2.0 * np.maximum(p, 0.3))
+        ratio = np.where(p < 0.3, 1.0 / far - 1.0, inside / (1.0 - inside))
+        return np.where(p == 0.0, -math.inf, -np.sqrt(dof * ratio))
 
     def pdf(y: Array) -> Array:
         return np.exp(constant - 0.5 * (dof + 1.0) * np.log1p(y * y / dof))
