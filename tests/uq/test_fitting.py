@@ -246,7 +246,7 @@ def test_the_bootstrap_covers_nearly_so(
         found = [float(one.cdf(at)[0]) for one in possible_laws(law, 100, rng)]
         low, high = np.quantile(found, [0.025, 0.975])
         covered += bool(low <= 0.05 <= high)
-    assert covered >= 18
+    assert covered >= 21
 
 
 @pytest.mark.parametrize("fit", ["normal", "kde", "steps"])
@@ -277,6 +277,5 @@ def test_a_law_of_draws_is_the_mean_of_its_laws_and_gives_them_back() -> None:
     assert law.cdf(x) == pytest.approx(np.mean(parts, axis=0), abs=1e-7)
     assert law.cdf(law.ppf(np.array([1e-4, 0.5, 0.99]))) == pytest.approx([1e-4, 0.5, 0.99], rel=1e-6)
     assert count_tests(law) == 12
-    single = possible_laws(law, 4, np.random.default_rng(1))
-    found = np.mean([one.cdf(x) for one in single], axis=0)
+    found = np.mean([one.cdf(x) for one in possible_laws(law, 4, np.random.default_rng(1))], axis=0)
     assert found == pytest.approx(np.mean(parts, axis=0), abs=1e-9)

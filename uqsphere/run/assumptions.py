@@ -6,7 +6,7 @@ Each is one more failure probability, with something taken otherwise: epistemic 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -61,14 +61,14 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
         return p
 
     for limit in design.study.limits:
-        laws = _possible_strengths(design, limit, LAWS)
-        if laws is None:
+        law, laws = strength_of(limit), _possible_strengths(design, limit, LAWS)
+        if not isinstance(law, Law) or laws is None:
             continue
         few = head.head(min(head.count, 64))
-        found = np.array([_mean(limit, state_of(design, limit, few, law)) for law in laws])
+        found = np.array([_mean(limit, state_of(design, limit, few, one)) for one in laws])
         low, high = (float(x) for x in np.quantile(found, [0.025, 0.975]))
         ranges[limit.name] = low, high
-        note = f"95 % range over the strengths that {count_tests(laws[0])} tests allow"
+        note = f"95 % range over the strengths that {count_tests(law)} tests allow"
         answers.row(design.subject(limit), "failure_probability", "tests", float(found.mean()), low, high, unit="1",
                     runs=few.size, method="epistemic", note=note)  # fmt: skip
         _margin_by_tests(design, tables, limit, answers)
@@ -98,8 +98,8 @@ def _mean(limit: Limit, state: LimitState) -> float:
     return float(failure_given_inputs(state, limit.aim).mean())
 
 
-def _possible_strengths(design: Design, limit: Limit, count: int) -> list[Law] | None:
-    """Strengths that the tests behind a limit allow, each as likely as the other; None where no tests tell."""
+def _possible_strengths(design: Design, limit: Limit, count: int) -> Iterator[Law] | None:
+    """Strengths that the tests behind a limit allow, one by one, all equally likely; None where no tests tell."""
     law = strength_of(limit)
     if not isinstance(law, Law) or not is_fitted(law):
         return None
@@ -119,8 +119,8 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
     values = [curve_of(design, tables, limit, law, (wanted,)).values[wanted].value for law in laws]
     known = np.array([value for value in values if value is not None])
     # where a law has none in the range, it lies beyond an end of it, which is no number to promise
-    if len(known) < 0.95 * len(laws):
-        note = f"{len(laws) - len(known)} of {len(laws)} strengths that the tests allow leave none in the range"
+    if len(known) < 0.95 * len(values):
+        note = f"{len(values) - len(known)} of {len(values)} strengths that the tests allow leave none in the range"
         answers.row(design.subject(limit), "margin", "tests", None, unit=lookup(margins.path).unit,
                     method="epistemic", note=note)  # fmt: skip
         return

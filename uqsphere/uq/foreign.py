@@ -132,7 +132,7 @@ def _of_scipy(given: Any, kind: str) -> Law:
     if kind == "gaussian_kde" and given.d == 1:
         width = float(np.sqrt(given.covariance[0, 0]))
         return checked(replace(fitted_law(given.dataset[0].tolist()), parameters={"bandwidth": width}))
-    if any(base.__name__ == "DiscreteDistribution" for base in type(given).__mro__) or hasattr(frozen, "pmf"):
+    if any("discrete" in base.__name__.lower() for base in type(given).__mro__):
         return _steps(f"{getattr(frozen, 'name', kind)} of SciPy", given.support(), given.pmf)
     if "rv_histogram" in (kind, type(frozen).__name__):
         return _wrapped("scipy histogram", (given.cdf, given.sf, given.ppf, given.isf, given.pdf),
@@ -156,8 +156,26 @@ def _of_chaospy(given: Any, kind: str) -> Law:
         raise LawError(f"a joint distribution of chaospy: {EACH}")
     if given.interpret_as_integer:
         return _steps(f"{kind} of chaospy", (given.lower, given.upper), given.pdf)
-    if (law := _unrolled(given)) is not None:
-        return law
+    if kind == "Trunc":
+        law, own = as_law(given._dist), given._parameters
+        if law.family.bounded or not law.family.keys:
+            raise LawError(f"{given}: give the law that is truncated by its table, with lower and upper")
+        # chaospy's own end of the law, some 8 standard deviations out, truncates nothing
+        return as_law(law_table(law) | {key: _number(own[key]) for key in own if own[key] != getattr(given._dist, key)})
+    shift, scale, standard = 0.0, 1.0, given
+    while hasattr(standard, "_dist"):
+        first, second = map(_number, standard._parameters.values())  # lower and upper, or shift and scale
+        shift += scale * first
+        scale *= second - first if "lower" in standard._parameters else second
+        standard = standard._dist
+    if (name := CHAOSPY.get(type(standard).__name__)) is not None:
+        shapes = list(map(_number, standard._parameters.values()))
+        if name == "loguniform":
+            shapes = np.exp(shapes).tolist()
+        if name == "truncnorm":
+            low, high, mean, sd = shapes
+            shapes, shift, scale = [(low - mean) / sd, (high - mean) / sd], shift + scale * mean, scale * sd
+        return _by_name(name, *shapes, shift, scale)
 
     def shaped(function: Callable[[Array], Any]) -> Callable[[Array], Array]:
         # chaospy takes values (n,) or (1, n)
@@ -168,34 +186,7 @@ def _of_chaospy(given: Any, kind: str) -> Law:
     # chaospy cuts tails off; between these a tail without variance grows by more than 1e3^(1/2)
     if max(far[1] / far[0], far[3] / far[2]) > 30.0:
         raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
-    try:
-        return _wrapped("chaospy", (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - q), shaped(given.pdf)))
-    except LawError as error:
-        raise LawError(f"{error}: give the distribution of scipy.stats, or observations") from None
-
-
-def _unrolled(given: Any) -> Law | None:
-    """A law of chaospy, which is another one truncated, or moved and stretched; None where the last is not known."""
-    shift, scale = 0.0, 1.0
-    while (inner := getattr(given, "_dist", None)) is not None:
-        own = {key: _number(value) for key, value in given._parameters.items()}
-        if type(given).__name__ == "Trunc":
-            law = _unrolled(inner)
-            if law is None or law.family.bounded:
-                raise LawError(f"{given}: give the law that is truncated by its table, with lower and upper")
-            ends = {key: end for key, end in own.items() if _number(getattr(inner, key)) != end}
-            return as_law(law_table(law) | ends)
-        move, stretch = (own["lower"], own["upper"] - own["lower"]) if "lower" in own else own.values()
-        given, shift, scale = inner, shift + scale * move, scale * stretch
-    name, shapes = CHAOSPY.get(type(given).__name__), list(map(_number, given._parameters.values()))
-    if name is None:
-        return None
-    if name == "loguniform":
-        shapes = [math.exp(shape) for shape in shapes]
-    if name == "truncnorm":
-        low, high, mean, sd = shapes
-        shapes, shift, scale = [(low - mean) / sd, (high - mean) / sd], shift + scale * mean, scale * sd
-    return _by_name(name, *shapes, shift, scale)
+    return _wrapped("chaospy", (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - q), shaped(given.pdf)))
 
 
 def _by_name(name: str, *given: Any) -> Law:
@@ -246,17 +237,15 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
     """The inputs that a problem dict of SALib is about, by name; any other mapping as it is."""
     if not {"num_vars", "bounds"} <= set(problem):
         return problem
-    count = int(problem["num_vars"])
+    count, bounds = int(problem["num_vars"]), problem["bounds"]
     names = list(problem.get("names") or [f"x{k + 1}" for k in range(count)])
-    found: dict[str, Table] = {}
-    if len(set(names)) < count or not count == len(names) == len(problem["bounds"]):
+    if not count == len(set(names)) == len(names) == len(bounds):
         raise LawError(f"num_vars is {count}: as many different names and bounds are required, found {names}", "names")
     if len(set(problem.get("groups") or names)) < count:
         raise LawError("groups of SALib have no place here: leave them out, and read the indices by input", "groups")
-    for name, kind, numbers in zip(names, problem.get("dists") or ["unif"] * count, problem["bounds"], strict=True):
-        try:
-            found[str(name)] = SALIB[kind](*map(float, numbers))
-        except (KeyError, TypeError) as error:
-            said = f"{name}: {kind} {list(numbers)} is no distribution of SALib; known: {', '.join(SALIB)}"
-            raise LawError(f"{said}, each with its two to four numbers", "bounds") from error
-    return found
+    try:
+        kinds = problem.get("dists") or ["unif"] * count
+        return {str(n): SALIB[kind](*map(float, row)) for n, kind, row in zip(names, kinds, bounds, strict=True)}
+    except (KeyError, TypeError) as error:
+        raise LawError(f"dists of SALib are {', '.join(SALIB)}, each with its two to four numbers in bounds; "
+                       f"found {kinds} and {list(bounds)}", "bounds") from error  # fmt: skip

@@ -1,8 +1,8 @@
 """Standard forms of laws that are made from observations: a step function, a kernel density, and the draws of a fit.
 
-The last two are means of many laws.  A spline of z(x) = ndtri(F(x)), which is smooth and almost a straight line in both
-tails, gives F and its inverse to 1e-9 anywhere, at the price of a look-up.  Every draw is a law of its own, (kind,
-least, scale, shape, bound), one of those that the tests allow:
+The last two are means of many laws.  Monotone cubics of z(x) = ndtri(F(x)), which is smooth and almost a straight line
+in both tails, and of its inverse x(z) give probabilities to 1e-7 anywhere, at the price of a look-up.  Every draw is a
+law of its own, (kind, least, scale, shape, bound), one of those that the tests allow:
 
     kind 0   ln(x*/scale)/shape is standard normal, x* = x/(1 - bound x/scale): a lognormal law with an upper end
              scale/bound, or none where bound is 0
@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import GAUSS, ROOT, Form, either, weibull
+from uqsphere.uq.forms import GAUSS, Form, either, weibull
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PchipInterpolator
 
     from uqsphere.uq.law import Law
 
@@ -65,14 +65,14 @@ def bandwidth(data: Array) -> float:
     return float(0.9 * (min(sd, spread) if spread > 0.0 else sd) * data.size**-0.2)
 
 
-# --- means of many laws: cubics of normal scores between the nodes, a straight line beyond --------------------------
+# --- means of many laws -------------------------------------------------------------------------------------------
 
 #: laws of a mean by their standard form, and y (..., 1) -> its argument (..., laws)
 Part: TypeAlias = tuple[Form, Callable[[Array], Array]]
 
 
 def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments: tuple[float, float] | None) -> Form:
-    """The form of a mean of `count` laws: of few values by the laws themselves, of more by a spline over the nodes."""
+    """The form of a mean of `count` laws: of few values by the laws themselves, of more by cubics over the nodes."""
 
     @np.errstate(all="ignore")
     def own_tails(y: Array) -> tuple[Array, Array]:
@@ -81,44 +81,28 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
         return np.asarray(below), np.asarray(above)
 
     @cache
-    def table() -> CubicSpline:
-        """Normal scores over y, as far as they are known and rise."""
-        from scipy.interpolate import CubicSpline
+    def cubics() -> tuple[PchipInterpolator, PchipInterpolator]:
+        """Normal scores over y, as far as they are known and rise, and y over them."""
+        from scipy.interpolate import PchipInterpolator
 
         y = nodes()
         some = np.array_split(y, 1 + y.size * count // _FEW)
         score = GAUSS.quantile(*np.hstack([own_tails(one) for one in some]))
-        with np.errstate(invalid="ignore"):
-            known = np.isfinite(score) & (np.diff(score, prepend=-math.inf) >= 0.0)
-        return CubicSpline(y[known], score[known])
+        y, score = y[np.isfinite(score)], score[np.isfinite(score)]
+        rises = np.diff(np.maximum.accumulate(score), prepend=-math.inf) > 0.0
+        return PchipInterpolator(y[rises], score[rises]), PchipInterpolator(score[rises], y[rises])
 
-    def score_at(y: Array) -> Array:
-        near = np.clip(y, table().x[0], table().x[-1])
-        return np.asarray(table()(near) + np.where(y == near, 0.0, table()(near, 1) * (y - near)))
+    def inside(cubic: PchipInterpolator, x: Array) -> Array:
+        return np.asarray(cubic(np.clip(x, cubic.x[0], cubic.x[-1])))
 
     def tails(y: Array) -> tuple[Array, Array]:
-        return own_tails(y) if y.size * count <= _FEW else GAUSS.tails(score_at(y))
-
-    @np.errstate(divide="ignore", invalid="ignore")
-    def of_score(score: Array) -> Array:
-        """By Newton's method inside a cell of the table, where the score hardly bends."""
-        spline = table()
-        scores = spline(spline.x)
-        near = np.clip(score, scores[0], scores[-1])
-        cell = np.clip(np.searchsorted(scores, near) - 1, 0, scores.size - 2)
-        y = np.interp(near, scores, spline.x)
-        for _ in range(4):
-            step = (spline(y) - near) / spline(y, 1)
-            # in a gap between observations the score does not rise at all
-            y = np.clip(y - np.where(np.isfinite(step), step, 0.0), spline.x[cell], spline.x[cell + 1])
-        return np.asarray(y + np.where(score == near, 0.0, (score - near) / spline(y, 1)))
+        return own_tails(y) if y.size * count <= _FEW else GAUSS.tails(inside(cubics()[0], y))
 
     def pdf(y: Array) -> Array:
-        inside = (y >= table().x[0]) & (y <= table().x[-1])
-        density = np.maximum(table()(y, 1), 0.0) * np.exp(-0.5 * table()(y) ** 2) / ROOT
-        return np.where(inside, density, 0.0)
+        scores = cubics()[0]
+        return np.asarray(scores(y, 1, extrapolate=False) * GAUSS.pdf(scores(y)))
 
-    quantile = either(lambda p: of_score(special.ndtri(p)), lambda q: of_score(-special.ndtri(q)))
+    quantile = either(lambda p: inside(cubics()[1], special.ndtri(p)), lambda q: inside(cubics()[1], -special.ndtri(q)))
     return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
 
 
