@@ -71,12 +71,12 @@ def test_a_law_of_scipy_is_the_same_law(family: str) -> None:
         (lambda: chaospy.Trunc(chaospy.Trunc(chaospy.Normal(1, 2), lower=-1), upper=1.5), "normal"),
         (lambda: chaospy.StudentT(5, 1, 2), "student_t"),
         (lambda: chaospy.LogUniform(1, 2), "loguniform"),
-        (lambda: chaospy.Frechet(3, 2), "chaospy"),
+        (lambda: chaospy.Frechet(3, 2), "Frechet of chaospy"),
         (lambda: chaospy.LogWeibull(2, 1), "gumbel"),
         (lambda: chaospy.Cauchy(1, 2), "scipy.cauchy"),
         (lambda: chaospy.Laplace(1, 2), "scipy.laplace"),
         (lambda: chaospy.Logistic(2, 1, 3), "scipy.genlogistic"),
-        (lambda: chaospy.Kumaraswamy(2, 3), "chaospy"),
+        (lambda: chaospy.Kumaraswamy(2, 3), "Kumaraswamy of chaospy"),
     ],
 )
 def test_a_law_of_chaospy_is_the_same_law(given: Any, family: str) -> None:

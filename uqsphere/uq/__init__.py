@@ -17,7 +17,7 @@ the table of docs/study-file.md follow.  Its test is a line in PAIRS of tests/uq
 >>> from scipy.special import expit, logit
 >>> from uqsphere.uq import families, forms
 >>> form = forms.symmetric(expit, logit, lambda y: expit(y) * expit(-y))
->>> row = families.Family(name="logistic", alternatives=(("location", "scale"),), parameters_of=("location", "scale"),
+>>> row = families.Family(name="logistic", alternatives=(("location", "scale"),),
 ...                       form=lambda own, lower, upper: (own["location"], own["scale"], form))
 >>> law = Law(family=row, parameters=row.parameters({"location": 2.0, "scale": 0.5}, -1.0, 3.0), lower=-1.0, upper=3.0)
 >>> law.ppf(law.cdf([2.5])).round(12).tolist(), round(law.mean(), 6)

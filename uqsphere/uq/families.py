@@ -39,19 +39,18 @@ class Family:
     """A family of laws; keys are those of a study's table, a and b its lower and upper bound."""
 
     name: str
-    alternatives: tuple[tuple[str, ...], ...] = ((),)  # key sets, of which exactly one must be given
-    parameters_of: tuple[str, ...] = ()  # keys of the parameters that a law keeps
+    alternatives: tuple[tuple[str, ...], ...] = ((),)  # key sets, of which one must be given; a law keeps the first
     optional: Mapping[str, float] = field(default_factory=dict)  # further keys with their defaults
     bounded: bool = False  # the bounds are required, and are the law's own; those of other laws truncate
     logarithmic: bool = False  # the standard form is that of ln x
     positive: bool = False  # only positive observations can come from it
     #: (parameters, a, b) -> location, scale and standard form; raises LawError
     form: Callable[[Mapping[str, float], float, float], tuple[float, float, Form]] | None = None
-    #: (keys given, with sd for cov, a, b) -> parameters, of a key set that is not the parameters; raises LawError
+    #: (keys given, with sd for cov, a, b) -> parameters, of a key set that is not the first; raises LawError
     from_moments: Callable[[Keys, float, float], Keys] | None = None
     location_scale: LocationScale | None = None  # of the likelihood, where some u(x) has a location and a scale
     #: (observations (n,) in rising order, a, b) -> parameters of the largest likelihood, of the other families
-    fit: Callable[[Array, float, float], Keys] | None = None
+    fit: Callable[[Array, float, float], Keys] = lambda data, a, b: {}
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
     observed: Callable[[Law], Form] | None = None
 
@@ -65,9 +64,9 @@ class Family:
         return tuple(seen | dict.fromkeys(self.optional))
 
     @property
-    def gaussian(self) -> bool:
-        """Whether the standard form is the normal law."""
-        return self.location_scale is not None and self.location_scale.terms is location_scale.NORMAL.terms
+    def parameters_of(self) -> tuple[str, ...]:
+        """Keys of the parameters that a law keeps."""
+        return (*self.alternatives[0], *self.optional)
 
     @property
     def germ(self) -> str:
@@ -177,63 +176,57 @@ _MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
 
 FAMILIES: Final = {family.name: family for family in (
     Family(
-        name="normal", alternatives=_MOMENTS, parameters_of=("mean", "sd"), location_scale=location_scale.NORMAL,
+        name="normal", alternatives=_MOMENTS, location_scale=location_scale.NORMAL,
         form=lambda own, a, b: (own["mean"], own["sd"], forms.GAUSS),
     ),
     Family(
-        name="lognormal", alternatives=(*_MOMENTS, ("log_mean", "log_sd")), parameters_of=("log_mean", "log_sd"),
-        logarithmic=True, positive=True, from_moments=_lognormal_keys, location_scale=location_scale.LOGNORMAL,
+        name="lognormal", alternatives=(("log_mean", "log_sd"), *_MOMENTS), logarithmic=True, positive=True,
+        from_moments=_lognormal_keys, location_scale=location_scale.LOGNORMAL,
         form=lambda own, a, b: (own["log_mean"], own["log_sd"], forms.GAUSS),
     ),
     Family(
         name="weibull", alternatives=(("modulus", "scale"), ("mean", "modulus")), optional={"threshold": 0.0},
-        parameters_of=("modulus", "scale", "threshold"), positive=True, from_moments=_weibull_keys,
-        location_scale=location_scale.WEIBULL,
+        positive=True, from_moments=_weibull_keys, location_scale=location_scale.WEIBULL,
         form=lambda own, a, b: (own["threshold"], own["scale"], forms.weibull(own["modulus"])),
     ),
     Family(
-        name="exponential", alternatives=(("rate",), ("mean",)), parameters_of=("rate",), positive=True,
+        name="exponential", alternatives=(("rate",), ("mean",)), positive=True,
         from_moments=lambda given, a, b: {"rate": 1.0 / given["mean"]},
         form=lambda own, a, b: (0.0, 1.0 / own["rate"], forms.weibull(1.0)),
         fit=lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     ),
     Family(
-        name="rayleigh", alternatives=(("scale",), ("mean",)), parameters_of=("scale",), positive=True,
+        name="rayleigh", alternatives=(("scale",), ("mean",)), positive=True,
         from_moments=lambda given, a, b: {"scale": given["mean"] * math.sqrt(2.0 / math.pi)},
         form=lambda own, a, b: (0.0, own["scale"] * math.sqrt(2.0), forms.weibull(2.0)),
         fit=lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
     ),
     Family(
         name="frechet", alternatives=(("shape", "scale"),), optional={"location": 0.0}, positive=True,
-        parameters_of=("shape", "scale", "location"), location_scale=location_scale.FRECHET,
+        location_scale=location_scale.FRECHET,
         form=lambda own, a, b: (own["location"], own["scale"], forms.frechet(own["shape"])),
     ),
     Family(
-        name="gumbel", alternatives=(("location", "scale"), *_MOMENTS), parameters_of=("location", "scale"),
+        name="gumbel", alternatives=(("location", "scale"), *_MOMENTS), location_scale=location_scale.GUMBEL,
         from_moments=lambda given, a, b: {
             "location": given["mean"] - float(np.euler_gamma) * math.sqrt(6.0) / math.pi * given["sd"],
             "scale": given["sd"] * math.sqrt(6.0) / math.pi,
         },
-        location_scale=location_scale.GUMBEL,
         form=lambda own, a, b: (own["location"], own["scale"], forms.GUMBEL),
     ),
+    Family(name="uniform", bounded=True, form=lambda own, a, b: (a, b - a, forms.UNIFORM)),
+    Family(name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform),
     Family(
-        name="uniform", bounded=True, form=lambda own, a, b: (a, b - a, forms.UNIFORM), fit=lambda data, a, b: {},
-    ),
-    Family(
-        name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform, fit=lambda data, a, b: {},
-    ),
-    Family(
-        name="triangular", alternatives=(("mode",),), parameters_of=("mode",), bounded=True,
+        name="triangular", alternatives=(("mode",),), bounded=True,
         form=lambda own, a, b: (a, b - a, forms.triangular(_share("mode", own, a, b))), fit=_triangular_fit,
     ),
     Family(
-        name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), parameters_of=("alpha", "beta"), bounded=True,
+        name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), bounded=True,
         from_moments=_beta_keys, form=lambda own, a, b: (a, b - a, forms.beta(own["alpha"], own["beta"])),
         fit=lambda data, a, b: _scipy_fit("beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a),
     ),
     Family(
-        name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), parameters_of=("shape", "scale"), positive=True,
+        name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), positive=True,
         from_moments=lambda given, a, b: {
             "shape": (given["mean"] / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / given["mean"]),
         },
@@ -241,7 +234,7 @@ FAMILIES: Final = {family.name: family for family in (
         fit=lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
     ),
     Family(
-        name="student_t", alternatives=(("dof", "location", "scale"),), parameters_of=("dof", "location", "scale"),
+        name="student_t", alternatives=(("dof", "location", "scale"),),
         form=lambda own, a, b: (own["location"], own["scale"], forms.student_t(own["dof"])),
         fit=lambda data, a, b: _scipy_fit("t", data, "dof", "location", "scale"),
     ),
@@ -267,17 +260,14 @@ def _of_scipy(name: str) -> Family | None:
     found = getattr(stats, name.removeprefix(PREFIX), None)
     if not isinstance(found, stats.rv_continuous):
         return None
-    law: Any = found
-    shapes = tuple((law.shapes or "").replace(",", " ").split())
+    shapes = tuple((found.shapes or "").replace(",", " ").split())
 
     def form(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
-        numbers = [own[key] for key in shapes]
-        functions = tuple(lambda values, f=f: f(values, *numbers) for f in (law.cdf, law.sf, law.ppf, law.isf, law.pdf))
-        made = forms.form_of(name, functions, law.stats(*numbers, moments="mv"), (*shapes, "")[0])
-        return own["loc"], own["scale"], made
+        law: Any = found(*(own[key] for key in shapes))
+        functions = law.cdf, law.sf, law.ppf, law.isf, law.pdf
+        return own["loc"], own["scale"], forms.form_of(name, functions, law.stats(moments="mv"), (*shapes, "")[0])
 
-    return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form,
-                  parameters_of=(*shapes, "loc", "scale"))  # fmt: skip
+    return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form)
 
 
 def family_named(name: str) -> Family | None:

@@ -290,7 +290,6 @@ def _member(
             shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
             fitted = kind.parameters(location, kind.shape(shape))
         else:
-            assert family.fit is not None
             fitted = family.fit(values, a, b)
         return replace(law, parameters=family.parameters(fitted, a, b))
     except ValueError as error:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -44,12 +43,12 @@ TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
                                            "upper": loc + scale * b},
 }  # fmt: skip
 
-#: SciPy's names of chaospy's laws in standard form, which have the same shapes but for the last two
+#: SciPy's names of chaospy's laws in standard form, which have the same shapes, the last one as logarithms
 CHAOSPY: Final = {
     "normal": "norm", "uniform": "uniform", "log_normal": "lognorm", "gamma": "gamma", "weibull": "weibull_min",
     "student_t": "t", "triangle": "triang", "beta_": "beta", "log_weibull": "gumbel_r",
     "cauchy": "cauchy", "laplace": "laplace", "logistic": "genlogistic",
-    "log_uniform": "loguniform", "trunc_normal": "truncnorm",
+    "log_uniform": "loguniform",
 }  # fmt: skip
 
 #: the way out for laws of several numbers
@@ -87,7 +86,7 @@ def as_law(given: LawLike) -> Law:
     """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), SciPy, chaospy, or observations (n,).
 
     A distribution is taken by its own parameters, so that both tails are those of this package.  One that has no family
-    here keeps its functions.  Observations, and the data of a `gaussian_kde`, become a kernel density.
+    here keeps its functions.  Observations become a kernel density.
 
     Raises LawError for anything else, several numbers at once, discrete laws, and laws whose tails contradict
     themselves.
@@ -129,13 +128,10 @@ def _of_table(given: Mapping[str, Any]) -> Law:
 
 def _of_scipy(given: Any, kind: str) -> Law:
     frozen = getattr(given, "dist", None)
-    if kind == "gaussian_kde" and given.d == 1:
-        width = float(np.sqrt(given.covariance[0, 0]))
-        return checked(replace(fitted_law(given.dataset[0].tolist()), parameters={"bandwidth": width}))
     if any("discrete" in base.__name__.lower() for base in type(given).__mro__):
         return _steps(f"{getattr(frozen, 'name', kind)} of SciPy", given.support(), given.pmf)
     if "rv_histogram" in (kind, type(frozen).__name__):
-        return _wrapped("scipy histogram", (given.cdf, given.sf, given.ppf, given.isf, given.pdf),
+        return _wrapped("histogram of SciPy", (given.cdf, given.sf, given.ppf, given.isf, given.pdf),
                         given.stats(moments="mv"))  # fmt: skip
     if frozen is not None:
         shapes, loc, scale = frozen._parse_args(*given.args, **given.kwds)
@@ -145,9 +141,10 @@ def _of_scipy(given: Any, kind: str) -> Law:
     if kind == "Uniform":
         return _by_name("uniform", given.support()[0], np.subtract(*given.support()[::-1]))
     if hasattr(given, "icdf"):
-        return _wrapped(f"scipy {kind}", (given.cdf, given.ccdf, given.icdf, given.iccdf, given.pdf),
+        return _wrapped(f"{kind} of SciPy", (given.cdf, given.ccdf, given.icdf, given.iccdf, given.pdf),
                         (given.mean(), given.variance()))  # fmt: skip
-    raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1); {EACH}")
+    raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1), or give "
+                   f"observations; {EACH}")  # fmt: skip
 
 
 def _of_chaospy(given: Any, kind: str) -> Law:
@@ -162,6 +159,8 @@ def _of_chaospy(given: Any, kind: str) -> Law:
             raise LawError(f"{given}: give the law that is truncated by its table, with lower and upper")
         # chaospy's own end of the law, some 8 standard deviations out, truncates nothing
         return as_law(law_table(law) | {key: _number(own[key]) for key in own if own[key] != getattr(given._dist, key)})
+    if kind == "TruncNormal":
+        return as_law(SALIB["truncnorm"](*map(_number, given._dist._parameters.values())))
     shift, scale, standard = 0.0, 1.0, given
     while hasattr(standard, "_dist"):
         first, second = map(_number, standard._parameters.values())  # lower and upper, or shift and scale
@@ -172,9 +171,6 @@ def _of_chaospy(given: Any, kind: str) -> Law:
         shapes = list(map(_number, standard._parameters.values()))
         if name == "loguniform":
             shapes = np.exp(shapes).tolist()
-        if name == "truncnorm":
-            low, high, mean, sd = shapes
-            shapes, shift, scale = [(low - mean) / sd, (high - mean) / sd], shift + scale * mean, scale * sd
         return _by_name(name, *shapes, shift, scale)
 
     def shaped(function: Callable[[Array], Any]) -> Callable[[Array], Array]:
@@ -182,11 +178,7 @@ def _of_chaospy(given: Any, kind: str) -> Law:
         return lambda values: np.asarray(function(np.ravel(values)), dtype=float).reshape(np.shape(values))
 
     cdf, ppf = shaped(given.cdf), shaped(given.inv)
-    far = np.abs(ppf(np.array([1e-6, 1e-9, 1.0 - 1e-6, 1.0 - 1e-9])))
-    # chaospy cuts tails off; between these a tail without variance grows by more than 1e3^(1/2)
-    if max(far[1] / far[0], far[3] / far[2]) > 30.0:
-        raise LawError(f"{given} has a heavy tail, which chaospy cuts off: give the law of scipy.stats")
-    return _wrapped("chaospy", (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - q), shaped(given.pdf)))
+    return _wrapped(f"{kind} of chaospy", (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - q), shaped(given.pdf)))
 
 
 def _by_name(name: str, *given: Any) -> Law:
@@ -247,5 +239,5 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
         kinds = problem.get("dists") or ["unif"] * count
         return {str(n): SALIB[kind](*map(float, row)) for n, kind, row in zip(names, kinds, bounds, strict=True)}
     except (KeyError, TypeError) as error:
-        raise LawError(f"dists of SALib are {', '.join(SALIB)}, each with its two to four numbers in bounds; "
-                       f"found {kinds} and {list(bounds)}", "bounds") from error  # fmt: skip
+        said = f"known: {', '.join(SALIB)}, each with its two to four numbers"
+        raise LawError(f"found dists {kinds} with bounds {list(bounds)}; {said}", "bounds") from error

@@ -221,6 +221,9 @@ def form_of(
             raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
                            "its quantile there has another probability")  # fmt: skip
         far = np.abs(quantile(np.array([1e-6, 1e-12])))
-        orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
+        heavy = far[1] > _HEAVY * far[0]
+        if heavy and moments is None:
+            raise LawError(f"{name} has a heavy tail and unknown moments: give the distribution of scipy.stats")
+        orders.append(missing if heavy else math.inf)
     return Form(tails=lambda y: (cdf(y), sf(y)), quantile=either(ppf, isf), pdf=pdf, orders=(orders[0], orders[1]),
                 moments=(mean, math.sqrt(variance)) if moments else None)  # fmt: skip

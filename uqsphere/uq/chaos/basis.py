@@ -102,7 +102,7 @@ def _own_polynomials(law: Law) -> bool:
             or min(law.tail_orders()) < math.inf or (family.logarithmic and math.isinf(law.upper))):  # fmt: skip
         return False
     # a normal law of which bounds cut off next to nothing stays one
-    return not (family.gaussian and law.mass > 1.0 - 1e-9)
+    return not (family.name in ("normal", "lognormal") and law.mass > 1.0 - 1e-9)
 
 
 @lru_cache(maxsize=256)
