@@ -2,8 +2,7 @@
 
 The search is the improved HLRF step (Hasofer and Lind 1974; Rackwitz and Fiessler 1978; Zhang and Der Kiureghian 1995)
 with a line search on the merit |u|²/2 + c|g|, from several starts at once.  Gradients are central differences over a
-step that is wide enough to see across kinks.  Further design points are looked for with those that are known bulged out
-(Der Kiureghian and Dakessian 1998, doi 10.1016/S0167-4730(97)00026-X).
+step that is wide enough to see across kinks.
 """
 
 from __future__ import annotations
@@ -43,18 +42,17 @@ def find_design_points(
 ) -> tuple[DesignPoint, ...]:
     """Design points by rising distance, from the origin, from quasi-random directions, and from `starts` (n, size).
 
-    A second round bulges the points that are known.  At most `most` evaluations are spent.  Empty where no search
-    converged, or g is constant where it was looked at.
+    At most `most` evaluations are spent.  Empty where no search converged, or g is constant where it was looked at.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
     >>> round(find_design_points(plane, seed=1)[0].beta, 6)
     3.0
     """
     size, last = evaluator.size, evaluator.count + most
-    few = size <= MOST_DIMENSIONS
-    normals = special.ndtri(sobol_points(dimension=size, count=4 if few else 1, seed=seed, task="form starts",
-                                         replicate=0))  # fmt: skip
-    away = 2.0 * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    # beyond ten variables a step takes so many evaluations that one start has to do
+    normals = special.ndtri(sobol_points(dimension=size, count=4 if size <= MOST_DIMENSIONS else 0, seed=seed,
+                                         task="form starts", replicate=0))  # fmt: skip
+    away = 2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     first = np.concatenate([np.zeros((1, size)), away, *([] if starts is None else [starts])])
     found: list[DesignPoint] = []
     with suppress(Spent):
@@ -62,35 +60,18 @@ def find_design_points(
         known = looked[np.isfinite(looked)]
         # a typical size of g: its value at the origin, or its spread over the starts where that is larger
         spread = float(np.ptp(known)) if known.size else 0.0
-        if not spread > 0.0:
-            return ()
         scale = max(abs(looked[0]) if math.isfinite(looked[0]) else 0.0, spread)
-        sign = -1.0 if looked[0] < 0.0 else 1.0
-        if not few:
-            found = _search(evaluator, first[:1], scale, sign, [], last)
-        if not found:
-            found = _distinct(_search(evaluator, first, scale, sign, [], last))
-        if found and few:
-            bulges = [point.point for point in found]
-            begin = np.concatenate([np.zeros((1, size)), -np.array(bulges[:3])])
-            found = _distinct([*found, *_search(evaluator, begin, scale, sign, bulges, last)])
-    return tuple(found)
+        if scale > 0.0:
+            found = _search(evaluator, first, scale, -1.0 if looked[0] < 0.0 else 1.0, last)
+    return _distinct(found)
 
 
-def _search(
-    evaluator: Evaluator, starts: Array, scale: float, sign: float, bulges: Sequence[Array], last: float
-) -> list[DesignPoint]:
+def _search(evaluator: Evaluator, starts: Array, scale: float, sign: float, last: float) -> list[DesignPoint]:
     """The improved HLRF iteration from all starts together, within `REACH`; what has converged."""
     size, box = evaluator.size, REACH - STEP
 
-    def function(points: Array) -> tuple[Array, Array]:
-        """g with a hump around every bulge, and g itself."""
-        plain = evaluator.hard(points) / scale
-        raised = plain.copy()
-        for centre in bulges:
-            radius = 1.1 * max(float(np.linalg.norm(centre)), 1.0)
-            raised += 2.0 * np.maximum(1.0 - ((points - centre) ** 2).sum(axis=1) / radius**2, 0.0) ** 2
-        return raised, plain
+    def function(points: Array) -> Array:
+        return evaluator.hard(points) / scale
 
     points, found = starts.copy(), list[DesignPoint]()
     active, penalties = np.arange(len(points)), np.zeros(len(points))
@@ -99,11 +80,11 @@ def _search(
         active = active[: max(int(min((last - evaluator.count) / (2 * size + 6), active.size)), 0)]
         if not active.size:
             break
-        values, plain, slopes = _gradients(function, points[active])
+        values, slopes = _gradients(function, points[active])
         lengths = np.linalg.norm(slopes, axis=1)
         keep = (lengths > 1e-9) & np.isfinite(values)
         for row in np.flatnonzero(keep):
-            one = _converged(points[active[row]], float(plain[row]), slopes[row], sign)
+            one = _converged(points[active[row]], float(values[row]), slopes[row], sign)
             if one is not None:
                 found.append(one)
                 keep[row] = False
@@ -121,7 +102,7 @@ def _search(
         ])  # fmt: skip
         trials = current[:, None, :] + LENGTHS[None, :, None] * steps[:, None, :]
         trials[:, :, : evaluator.dimension] = np.clip(trials[:, :, : evaluator.dimension], -box, box)
-        at = function(trials.reshape(-1, size))[0].reshape(active.size, -1)
+        at = function(trials.reshape(-1, size)).reshape(active.size, -1)
         merit = 0.5 * (trials**2).sum(axis=2) + penalties[active, None] * np.abs(at)
         now = 0.5 * (current**2).sum(axis=1) + penalties[active] * np.abs(values)
         better = merit <= now[:, None] - 1e-12
@@ -131,15 +112,15 @@ def _search(
     return found
 
 
-def _gradients(function: Callable[[Array], tuple[Array, Array]], points: Array) -> tuple[Array, Array, Array]:
-    """Raised and plain values (s,) and gradients (s, size) of the raised function, in one call."""
+def _gradients(function: Callable[[Array], Array], points: Array) -> tuple[Array, Array]:
+    """Values (s,) and gradients (s, size) of a function, in one call."""
     s, size = points.shape
     shifts = np.concatenate([np.zeros((1, size)), STEP * np.eye(size), -STEP * np.eye(size)])
-    raised, plain = (table.reshape(s, -1) for table in function((points[:, None, :] + shifts).reshape(-1, size)))
+    table = function((points[:, None, :] + shifts).reshape(-1, size)).reshape(s, -1)
     with np.errstate(invalid="ignore"):
         # failed evaluations are infinite: no slope there
-        slopes = (raised[:, 1 : size + 1] - raised[:, size + 1 :]) / (2.0 * STEP)
-    return raised[:, 0], plain[:, 0], np.where(np.isfinite(slopes), slopes, 0.0)
+        slopes = (table[:, 1 : size + 1] - table[:, size + 1 :]) / (2.0 * STEP)
+    return table[:, 0], np.where(np.isfinite(slopes), slopes, 0.0)
 
 
 def _converged(point: Array, value: float, slope: Array, sign: float) -> DesignPoint | None:
@@ -153,10 +134,10 @@ def _converged(point: Array, value: float, slope: Array, sign: float) -> DesignP
     return DesignPoint(point=point.copy(), beta=sign * distance, direction=direction)
 
 
-def _distinct(points: Sequence[DesignPoint]) -> list[DesignPoint]:
+def _distinct(points: Sequence[DesignPoint]) -> tuple[DesignPoint, ...]:
     """One of every group that lies together, the nearest to the origin."""
     kept: list[DesignPoint] = []
     for point in sorted(points, key=lambda p: abs(p.beta)):
         if all(float(np.linalg.norm(point.point - other.point)) > SAME for other in kept):
             kept.append(point)
-    return kept
+    return tuple(kept)
