@@ -190,12 +190,6 @@ def probability_ends(p: float, q: float, error: float, replicates: int, total: f
     return p * factor / (q + p * factor), p / (q * factor + p), error
 
 
-def factor_ends(value: float, error: float, replicates: int) -> tuple[float, float]:
-    """Ends of a small probability, as far below its value as above in logarithms."""
-    factor = math.exp(min(student(replicates) * error / value, 300.0))
-    return value / factor, min(value * factor, 1.0)
-
-
 def share(flags: Flags, method: str = "share of the samples", *, weights: Array | None = None) -> Estimate:
     """Share of True in (R, n), where a replicate stands for its weight (R,), mean 1; interval in logits.
 

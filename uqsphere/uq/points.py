@@ -13,7 +13,7 @@ The streams of a study's seed, by the names of their tasks:
     limits together     strengths of several limits at once                      run.assumptions
     tests of NAME       strengths that the tests of a limit allow                run.assumptions
     strengths of samples, fracture, study sample                                 run.write, run.fracture, study
-    form starts, few, wide look, first mixture, adapt, adapt fits, nearby, subset, subset chains, importance   uq.rare
+    form starts, few, wide look, adapt, subset, subset chains, importance        uq.rare
     chaos rows, expansion, polynomial chaos, shapley, shapley orders, sensitivity, t copula             uq
     fragility, shpb plan                                                         analysis, labs.shpb.plan
 """

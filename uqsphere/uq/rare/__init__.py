@@ -18,7 +18,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.uq.estimate import REPLICATES, Estimate, carriers, count_bound, probability_ends, spread
 from uqsphere.uq.limit_state import complement
-from uqsphere.uq.points import random_generator, sobol_points
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.form import DesignPoint, find_design_points
 from uqsphere.uq.rare.mixture import (
     Draws,
@@ -29,7 +29,7 @@ from uqsphere.uq.rare.mixture import (
     defended,
     draw,
     failures,
-    fit_mixture,
+    gaussian,
     importance_sampling,
     joined,
     nearby,
@@ -56,7 +56,6 @@ class RareAnswer:
     sure : whether two methods agree, so that the interval may be believed
     checks : what was looked at, in sentences
     points : the design points, nearest first, in standard normal space
-    modes : design points with at least a hundredth of the nearest one's first-order probability
     evaluations : of the limit function
     draws : the points of importance sampling (R, n, d), if it came to that
     searched : whether there was a search; without one the draws of others gave it
@@ -66,7 +65,6 @@ class RareAnswer:
     sure: bool
     checks: tuple[str, ...]
     points: tuple[DesignPoint, ...] = ()
-    modes: int = 0
     evaluations: int
     draws: Draws | None = None
     searched: bool = True
@@ -89,7 +87,7 @@ def failure_probability(
     answer: once as failure, once as none.
 
     >>> found = failure_probability(Evaluator(lambda u: 4.0 - np.abs(u[:, 0]), 2), seed=1)
-    >>> found.modes, found.sure, found.estimate.low < 6.334248e-05 < found.estimate.high
+    >>> len(found.points), found.sure, found.estimate.low < 6.334248e-05 < found.estimate.high
     (2, True, True)
     """
     budget = evaluator.budget
@@ -110,7 +108,7 @@ def failure_probability(
         reason = other.estimate.reason and other.estimate.reason.replace("failure", "survival")
         return _after(evaluator, replace(other, estimate=replace(complement(other.estimate), reason=reason)))
     checks = [] if points else ["no search for a design point converged"]
-    mixture = _first_mixture(evaluator, pool, points, subset, seed)
+    mixture = _first_mixture(evaluator, pool, points, subset)
     estimate, sure, draws = _bound(subset.estimate), False, None
     if mixture is None and evaluator.failed:
         # rows without an answer may be the failures that were not found: a plain sample bounds them
@@ -118,16 +116,11 @@ def failure_probability(
     if mixture is not None:
         per_stage = int(max(min(2048, evaluator.left / 6), 256))
         mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=per_stage)
-        block = 256 if evaluator.left > 10_000 else 128
-        while block > 16 and REPLICATES * block > evaluator.left:
-            block //= 2
-        answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy, block=block)
+        answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy)
         estimate, sure = _certify(answer, subset, checks)
         draws = answer.draws
-    # Phi(-beta) falls a hundredfold where beta² rises by 2 ln 100
-    modes = sum(point.beta**2 <= points[0].beta ** 2 + 2.0 * math.log(100.0) for point in points)
     return RareAnswer(estimate=replace(estimate, evaluations=evaluator.count), sure=sure, checks=tuple(checks),
-                      points=points, modes=modes, evaluations=evaluator.count, draws=draws)  # fmt: skip
+                      points=points, evaluations=evaluator.count, draws=draws)  # fmt: skip
 
 
 def _after(evaluator: Evaluator, answer: RareAnswer) -> RareAnswer:
@@ -154,23 +147,20 @@ def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array | 
 
 
 def _first_mixture(
-    evaluator: Evaluator, pool: list[Draws], points: tuple[DesignPoint, ...], subset: SubsetAnswer, seed: int
+    evaluator: Evaluator, pool: list[Draws], points: tuple[DesignPoint, ...], subset: SubsetAnswer
 ) -> Mixture | None:
     """A mixture of what the three ways to look have seen; None where there was no failure at all."""
     d = evaluator.dimension
-    rng = random_generator(seed=seed, task="first mixture")
-    parts: list[tuple[float, Mixture]] = []
+    parts: list[Mixture] = []
     if len(subset.failures) and d <= MOST_DIMENSIONS:
-        inner = subset.failures[:, :d]
-        # four points of a chain are worth one
-        parts.append((0.6, fit_mixture(inner, np.ones(len(inner)), rng=rng, correlated=4.0)))
+        parts.append(gaussian(subset.failures[:, :d], np.ones(len(subset.failures))))
     if known := [point for point in points if point.beta > 0.0]:
-        parts.append((0.25, around_design_points(known[:6], d)))
+        parts.append(around_design_points(known[:6], d))
     if pool:
         failing, weights = failures(evaluator, pool)
         if carriers(weights) >= max(8.0, 1.5 * d):
-            parts.append((0.25, fit_mixture(failing, weights, rng=rng)))
-    return joined(parts) if parts else None
+            parts.append(gaussian(failing, weights))
+    return joined([(1.0, part) for part in parts]) if parts else None
 
 
 def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) -> tuple[Estimate, bool]:

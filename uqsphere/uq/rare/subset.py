@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import Estimate, absent, count_bound, factor_ends
+from uqsphere.uq.estimate import Estimate, absent, count_bound, probability_ends
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
@@ -90,7 +90,7 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
     else:
         value = float(known.mean())
         error = value * max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(repetitions)
-        low, high = factor_ends(value, error, repetitions)
+        low, high, _ = probability_ends(value, 1.0 - value, error, repetitions, spent)
     estimate = Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=spent,
                         reason=reason)  # fmt: skip
     return SubsetAnswer(estimate=estimate, levels=level, failures=np.concatenate(failures))
