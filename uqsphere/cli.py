@@ -126,7 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     listing = add("list", _list, "materials, quantities, criteria or distributions")
     listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
     add("schema", _schema, "the JSON schema of a study file, for editors")
-    bench = add("bench", _bench, "speed against error: the integrator against others, and a run as its rows double")
+    bench = add("bench", _bench, "speed against error: the integrator against others")
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
     if find_spec("uqsphere.labs") is not None:
         commands.add_parser("shpb", help="lab: records of Hopkinson bars, contact laws, plans of tests")
