@@ -2,7 +2,7 @@
 
 * of rows that are there: `f(x, y, inputs)` with x (n, d) or a table by the inputs' names, y (n,), and their laws;
 * of a model that is called: `f(model, inputs)`, the model taking a dict of name -> (n,) and giving (n,);
-* of independent observations: `f(values)`.
+* of strengths from tests: `f(values, stopped)`.
 
 `inputs` maps names to laws: of this package, their tables as in a study (`{"dist": "normal", "mean": 0, "sd": 1}`),
 distributions of scipy.stats or chaospy, observations, or a problem dict of SALib; `joint` ties them.  Every number is
@@ -32,8 +32,8 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
-from uqsphere.uq import Dependence, Estimate, Joint, LimitState, absent, curve, rare, sobol_points, student, tails
-from uqsphere.uq.estimate import REPLICATES, around, between
+from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points, tails
+from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
 from uqsphere.uq.surrogate import Expansion, columns_of, each_once, fit_expansion, in_order_of, index_of
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Answers", "Expansion", "Failure", "Fragility", "chaos", "failure_probability", "fragility", "joint",
-    "lognormal_fit", "moments", "quantiles", "sobol_indices", "weibull_fit",
+    "lognormal_fit", "sobol_indices", "weibull_fit",
 ]  # fmt: skip
 
 #: named laws, a problem dict of SALib, or what `joint` made of them
@@ -293,7 +293,8 @@ def fragility(
         law = float(strength) if isinstance(strength, int | float) else as_law(strength)
         if isinstance(law, float) and not math.isfinite(law):
             raise UsageError(f"the strength must be a finite number or a law, found {law}")
-        _shares(probabilities)
+        if wrong := [p for p in probabilities if not 0.0 < p < 1.0]:
+            raise UsageError(f"a probability lies between 0 and 1, found {wrong[0]}")
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
         d = len(given.names)
         points = [sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
@@ -310,51 +311,7 @@ def fragility(
     return Fragility(curve=np.array(found.curve), values=found.values)
 
 
-def _shares(probabilities: Sequence[float]) -> None:
-    if wrong := [p for p in probabilities if not 0.0 < p < 1.0]:
-        raise UsageError(f"a probability lies between 0 and 1, found {wrong[0]}")
-
-
-# --- observations -----------------------------------------------------------------------------------------------
-
-
-def _observations(values: npt.ArrayLike) -> Array:
-    with _refusing():
-        found = np.asarray(values, dtype=float)
-    if found.ndim != 1 or found.size < 3 or not np.isfinite(found).all():
-        lost = f", {int((~np.isfinite(found)).sum())} of them not finite"
-        raise UsageError(f"at least three finite values (n,) are required, found an array of shape {found.shape}{lost}")
-    return found
-
-
-def moments(values: npt.ArrayLike) -> Answers:
-    """{"mean", "sd"} of independent values (n,): Student's interval, and that of ln(sd) by the jackknife."""
-    x, method = _observations(values), "independent values"
-    n, s = x.size, float(x.std(ddof=1)) if np.ptp(x) else 0.0
-    mean = around(float(x.mean()), student(n) * s / math.sqrt(n), s / math.sqrt(n), method, n)
-    off = (x - x.mean()) ** 2
-    # sums of squares without one value, in closed form
-    rest = np.log(np.maximum(off.sum() - off * n / (n - 1.0), 1e-16 * off.sum() + 1e-300)) / 2.0
-    error = math.sqrt((n - 1.0) * float(np.mean((rest - rest.mean()) ** 2)))
-    reach = math.exp(min(student(n) * error, 300.0))
-    return Answers(mean=mean, sd=between(s, s / reach, s * reach, n, method, n))
-
-
-def quantiles(values: npt.ArrayLike, probabilities: Sequence[float] = (0.05, 0.5, 0.95)) -> Answers:
-    """Quantiles of independent values (n,) by probability, with exact intervals of order statistics, for any law."""
-    from scipy.stats import binom
-
-    x, found = np.sort(_observations(values)), Answers()
-    _shares(probabilities)
-    for p in probabilities:
-        low, high = int(binom.ppf(0.025, x.size, p)) - 1, int(binom.ppf(0.975, x.size, p))
-        if low < 0 or high >= x.size:
-            found[p] = absent(f"{x.size} values are too few for the {p:g} quantile", "order statistics", x.size)
-        else:
-            found[p] = between(
-                float(np.quantile(x, p)), float(x[low]), float(x[high]), x.size, "order statistics", x.size
-            )
-    return found
+# --- strengths from tests ----------------------------------------------------------------------------------------
 
 
 def weibull_fit(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import os
 import signal
 import sys
@@ -51,7 +50,7 @@ def main(argv: Sequence[str]) -> int:
     if not getattr(given, "command", None):
         parser.print_help()
         return 2
-    return _guarded(lambda: int(given.command(given)))
+    return _guarded(lambda: given.command(given) or 0)
 
 
 def _guarded(command: Callable[[], int]) -> int:
@@ -90,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="versions of uqsphere and of what it stands on")
     commands = parser.add_subparsers(metavar="COMMAND")
 
-    def add(name: str, command: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def add(name: str, command: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
         one = commands.add_parser(name, help=text, description=text[:1].upper() + text[1:] + ".")
         one.set_defaults(command=command)
         return one
@@ -155,13 +154,9 @@ def _with_study(parser: argparse.ArgumentParser) -> None:
 
 
 def _count(text: str) -> int:
-    try:
-        number = int(text)
-    except ValueError:
-        number = 0
-    if number < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 1 on is required")
-    return number
+    return int(text)
 
 
 def _loaded(given: argparse.Namespace) -> Any:
@@ -176,7 +171,7 @@ def _loaded(given: argparse.Namespace) -> Any:
 # --- commands -------------------------------------------------------------------------------------------------------
 
 
-def _new(given: argparse.Namespace) -> int:
+def _new(given: argparse.Namespace) -> None:
     from uqsphere.study import shipped_studies
 
     shipped = shipped_studies()
@@ -184,13 +179,9 @@ def _new(given: argparse.Namespace) -> int:
     shipped |= {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
     if given.template is None:
         print("\n".join(shipped))
-        return 0
+        return
     if given.template not in shipped:
-        from difflib import get_close_matches
-
-        near = get_close_matches(given.template, shipped, n=1)
-        raise UsageError(f"there is no template {given.template!r}" + (f"; did you mean {near[0]}?" if near else "")
-                         + f" (known: {', '.join(shipped)})")  # fmt: skip
+        raise UsageError(f"there is no template {given.template!r} (known: {', '.join(shipped)})")
     source = shipped[given.template]
     target = given.output or Path(source.name)
     if not target.parent.is_dir():
@@ -204,10 +195,9 @@ def _new(given: argparse.Namespace) -> int:
         place.write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
         print(f"wrote {place}")
     print(f"next: uqsphere check {target}")
-    return 0
 
 
-def _check(given: argparse.Namespace) -> int:
+def _check(given: argparse.Namespace) -> None:
     from uqsphere.models.scene import check_scene
     from uqsphere.report.study import cost, described
 
@@ -216,7 +206,6 @@ def _check(given: argparse.Namespace) -> int:
         check_scene(study)
     print(described(study), flush=True)  # what follows loads the integrator, and times it
     print(f"\n{cost(study)}")
-    return 0
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -224,14 +213,13 @@ def _run(given: argparse.Namespace) -> int:
     from uqsphere.run.progress import watched
     from uqsphere.units import parse_value
 
-    study = _loaded(given)
-    seconds = None
+    study, seconds = _loaded(given), None
     if given.budget is not None:
         try:
             seconds = parse_value(given.budget, "time", "min")
         except ValueError as error:
             raise UsageError(f"--budget: {error}") from None
-        if not 0.0 < seconds < math.inf:
+        if seconds <= 0.0:
             raise UsageError(f"--budget: {given.budget!r} is no time to compute: 10min, for example")
     folder = given.out or Path(f"{given.file.stem}-results")
     with _interruptible() as stop, watched(lines=True) as progress:
@@ -259,8 +247,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
 
     def press(*_: object) -> None:
         pressed.append(1)
-        if len(pressed) > 1:
-            raise KeyboardInterrupt
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         print("\nending with what is there; Ctrl-C again ends at once", file=sys.stderr)
 
     before = signal.getsignal(signal.SIGINT)
@@ -271,29 +258,25 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _report(given: argparse.Namespace) -> int:
+def _report(given: argparse.Namespace) -> None:
     from uqsphere.report import write_page
 
     print(f"wrote {write_page(given.folder)}")
-    return 0
 
 
-def _compare(given: argparse.Namespace) -> int:
+def _compare(given: argparse.Namespace) -> None:
     from uqsphere.report.compare import compare, comparison_text
     from uqsphere.results import open_run
 
     runs = [open_run(folder) for folder in given.folders]
-    names = [folder.name or str(folder) for folder in given.folders]
-    if len(set(names)) < len(names):
-        names = [str(folder) for folder in given.folders]
+    names = [str(folder) for folder in given.folders]
     print(comparison_text(runs, names))
     if given.csv is not None:
         compare(runs, names).to_csv(given.csv, index=False)
         print(f"wrote {given.csv}")
-    return 0
 
 
-def _history(given: argparse.Namespace) -> int:
+def _history(given: argparse.Namespace) -> None:
     from uqsphere.report.history import history, history_rows, write_history
     from uqsphere.results.folder import locked
 
@@ -310,10 +293,9 @@ def _history(given: argparse.Namespace) -> int:
         with locked(given.out):
             for name in write_history(study, found, given.out):
                 print(f"wrote {given.out / name}")
-    return 0
 
 
-def _verify(given: argparse.Namespace) -> int:
+def _verify(given: argparse.Namespace) -> None:
     from uqsphere.errors import FolderError
     from uqsphere.results import open_run
     from uqsphere.results.folder import damaged_files
@@ -323,7 +305,8 @@ def _verify(given: argparse.Namespace) -> int:
         raise FolderError(f"{given.folder}: damaged or missing: {', '.join(wrong[:8])}")
     print(f"{given.folder}: every file is as it was written")
     if not given.again:
-        return 0
+        return
+    from uqsphere.report.compare import comparison_text
     from uqsphere.run import run
     from uqsphere.study import load_study
 
@@ -331,32 +314,24 @@ def _verify(given: argparse.Namespace) -> int:
     text = (given.folder / "study.toml").read_text(encoding="utf-8")
     study = load_study(given.folder / "files" / "study.toml", before.results["study"]["overrides"], text=text)
     after = run(study, given.model)
-    if after.results["answers"] == before.results["answers"]:
-        print(f"run again: all {len(before.results['answers'])} answers are the same")
-        return 0
-    moved = [(one, other) for one, other in zip(before.results["answers"], after.results["answers"], strict=False)
-             if one["value"] != other["value"]]  # fmt: skip
-    one, other = moved[0]
-    raise FolderError(f"run again: {len(moved)} answers differ, the first is {one['subject']} {one['answer']}: "
-                      f"{one['value']} before, {other['value']} now")  # fmt: skip
+    if after.results["answers"] != before.results["answers"]:
+        raise FolderError("run again, the answers differ:\n" + comparison_text([before, after], ["before", "again"]))
+    print(f"run again: all {len(before.results['answers'])} answers are the same")
 
 
-def _list(given: argparse.Namespace) -> int:
+def _list(given: argparse.Namespace) -> None:
     from uqsphere.report.study import listing
 
     print(listing(given.what))
-    return 0
 
 
-def _schema(given: argparse.Namespace) -> int:
+def _schema(given: argparse.Namespace) -> None:
     from uqsphere.study import json_schema
 
     print(json.dumps(json_schema(), ensure_ascii=False))
-    return 0
 
 
-def _bench(given: argparse.Namespace) -> int:
+def _bench(given: argparse.Namespace) -> None:
     from uqsphere.bench import bench_text
 
     print(bench_text(rows=given.rows))
-    return 0

@@ -4,18 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = [
-    "AccessError",
-    "FolderError",
-    "ModelError",
-    "ModelRaised",
-    "Problem",
-    "StudyError",
-    "TooManyFailures",
-    "UqsphereError",
-    "UsageError",
-]
-
 
 def as_text(value: object, longest: int = 300) -> str:
     """What something from outside says of itself, as one line that can be printed: never raises, and is not long.

@@ -12,9 +12,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.cli import main
 from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
 from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes, population
 from uqsphere.labs.comminution.fit import PRIORS, Fit, Model, Posterior, fit, log_likelihoods
@@ -377,18 +377,18 @@ def test_a_sieve_table_that_ends_early(tmp_path: Path) -> None:
 
 def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(ROOT / "studies/lab_limestone_feed.toml")
-    assert main(["feed", path, "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert main(["comminution", "feed", path, "--out", str(tmp_path / "out"), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
-        "draws.csv", "fit.json", "feed.json", "classes.csv", "product.csv"}  # fmt: skip
+        "draws.csv", "fit.json", "feed.json", "classes.csv", "product.csv", "SHA256SUMS"}  # fmt: skip
     truth = laws.median_energy("tavares", 0.016, 60.0, 0.9, 0.012)  # what the shipped tests were made with
     half = next(one for one in content["fit"]["sizes"] if abs(one["diameter"] - 0.016) < 1e-4)["E50"]
     assert half["low"] < float(truth) < half["high"]
     assert "synthetic" in content["feed"]["warnings"][0]
-    assert main(["fit", path, "--out", str(tmp_path / "fit")]) == 0
+    assert main(["comminution", "fit", path, "--out", str(tmp_path / "fit")]) == 0
     assert "synthetic" in capsys.readouterr().err
     bad = tmp_path / "bad.toml"
     bad.write_text('[material]\nmaterial = "cheese"\n[tests]\nfile = "x.csv"\n')
-    assert main(["fit", str(bad)]) == 2
+    assert main(["comminution", "fit", str(bad)]) == 2
     assert "material 'cheese'" in capsys.readouterr().err
-    assert main(["fit", str(tmp_path / "none.toml")]) == 6
+    assert main(["comminution", "fit", str(tmp_path / "none.toml")]) == 6

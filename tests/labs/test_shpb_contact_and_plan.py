@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 from scipy.stats import weibull_min
 
+from uqsphere.cli import main
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.cli import main
 from uqsphere.labs.shpb.contact import ContactDocument, face_approach, fit_contact, load_loading
 from uqsphere.mechanics.contact import hertz_constant
 
@@ -78,12 +78,12 @@ def test_what_is_no_such_test_is_refused(frame: pd.DataFrame, keys: Any, match: 
 def test_fit_contact_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loading().to_csv(tmp_path / "slow.csv", index=False)
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\ndiameter = "10 mm"\n')
-    assert main(["fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["shpb", "fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")]) == 0
     assert 'law = "plastic"' in capsys.readouterr().out
     written = tomllib.loads((tmp_path / "out/contact.toml").read_text())
     assert written["contact"]["pile_up"] == pytest.approx(2.0, rel=0.03)
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\n')
-    assert main(["fit-contact", str(tmp_path / "slow.toml")]) == 2
+    assert main(["shpb", "fit-contact", str(tmp_path / "slow.toml")]) == 2
     assert "diameter" in capsys.readouterr().err
 
 
@@ -116,7 +116,7 @@ def plan(folder: Path, capsys: pytest.CaptureFixture[str], E: str, *more: str) -
     (folder / "ball.toml").write_text(STUDY.format(E=E))
     lines = ['study = "ball.toml"', "shares = [1e-4, 0.04, 0.5]", "points = 9", 'between = ["0.3 m/s", "6 m/s"]', *more]
     (folder / "plan.toml").write_text("\n".join(lines))
-    assert main(["plan", str(folder / "plan.toml"), "--json", "--out", str(folder / "out")]) == 0
+    assert main(["shpb", "plan", str(folder / "plan.toml"), "--json", "--out", str(folder / "out")]) == 0
     return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
 
 
@@ -150,5 +150,5 @@ def test_what_a_plan_cannot_use_is_refused(tmp_path: Path, capsys: pytest.Captur
                         ('limits = ["none"]', "no limit of the study means fracture"),
                         ("rows = 3", "rows")):  # fmt: skip
         (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
-        assert main(["plan", str(tmp_path / "plan.toml")]) == 2
+        assert main(["shpb", "plan", str(tmp_path / "plan.toml")]) == 2
         assert match in capsys.readouterr().err

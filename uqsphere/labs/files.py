@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import Table
-from uqsphere.errors import AccessError, UqsphereError
 from uqsphere.materials import library
 from uqsphere.units import parse_value
 
@@ -63,39 +61,17 @@ def csv_text(header: Sequence[str], columns: Sequence[Any]) -> str:
     return str(table.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
 
 
-def write_files(folder: Path, texts: Mapping[str, str]) -> list[str]:
-    """Files of a folder, each written whole."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            part = folder / f".{name}.part"
-            part.write_text(text, encoding="utf-8", newline="")
-            part.replace(folder / name)
-    except OSError as error:
-        raise AccessError(f"{folder}: {error.strerror or error}") from None
-    return [str(folder / name) for name in texts]
+def finish(
+    chosen: argparse.Namespace, content: Any, text: str, files: Mapping[str, str], folder: Path | None = None
+) -> None:
+    """Write the files of a command to its folder, `--out` or else `folder`, and print its answer."""
+    from uqsphere.results.folder import write_files
 
-
-def show(chosen: argparse.Namespace, content: Any, text: str, written: Sequence[str]) -> None:
-    """The answer on stdout."""
+    folder, written = chosen.out or folder, list[str]()
+    if folder is not None:
+        write_files(folder, files)
+        written = [str(folder / name) for name in files]
     if chosen.json:
-        print(json.dumps({**content, "written": list(written)}, indent=1, allow_nan=False))
+        print(json.dumps({**content, "written": written}, indent=1, allow_nan=False))
     else:
         print("\n".join([text, *(f"wrote {path}" for path in written)]))
-
-
-def run_command(
-    argv: Sequence[str] | None,
-    parser: argparse.ArgumentParser,
-    commands: Mapping[str, Callable[[argparse.Namespace], int]],
-) -> int:
-    """Parse and run; exit codes 0, 2 (usage, or a file that cannot be used so), 6 (files)."""
-    try:
-        chosen = parser.parse_args(argv)
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    try:
-        return commands[chosen.command](chosen)
-    except UqsphereError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code

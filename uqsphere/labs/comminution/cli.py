@@ -12,11 +12,11 @@ from typing import Any
 
 from uqsphere.documents import load_document
 from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.files import csv_text, run_command, show, table, write_files
+from uqsphere.labs.files import csv_text, finish, table
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command of the lab; exit codes 0, 2 (usage, or tests that cannot be used), 6 (files)."""
+def main(argv: Sequence[str]) -> int:
+    """Run a command of the lab."""
     parser = argparse.ArgumentParser(prog="uqsphere comminution", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
@@ -27,10 +27,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         one.add_argument("file", type=Path, help="input file (TOML)")
         one.add_argument("--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)")
         one.add_argument("--json", action="store_true", help="one JSON document on stdout")
-    return run_command(argv, parser, {"fit": _run, "feed": _run})
+    _run(parser.parse_args(argv))
+    return 0
 
 
-def _run(chosen: argparse.Namespace) -> int:
+def _run(chosen: argparse.Namespace) -> None:
     from uqsphere.labs.comminution.feed import answer_feed
     from uqsphere.labs.comminution.fit import fit
     from uqsphere.labs.comminution.tests import load_tests
@@ -38,7 +39,6 @@ def _run(chosen: argparse.Namespace) -> int:
     asked = load_document(chosen.file, ComminutionDocument)
     folder = chosen.file.parent
     fitted = fit(load_tests(asked, folder), asked)
-    out = chosen.out or Path(f"{chosen.file.stem}-{chosen.command}")
     low, high = fitted.posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
     content = {**fitted.content, "strength_at": at}
@@ -56,8 +56,7 @@ def _run(chosen: argparse.Namespace) -> int:
         warnings = [*warnings, *answer.content["warnings"]]
     for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
-    show(chosen, content, text, write_files(out, files))
-    return 0
+    finish(chosen, content, text, files, Path(f"{chosen.file.stem}-{chosen.command}"))
 
 
 def _json(content: Any) -> str:
