@@ -10,7 +10,7 @@ from uqsphere.quantities import display_unit, format_value, lookup
 from uqsphere.report.format import short
 from uqsphere.study import Study
 from uqsphere.uq import Law
-from uqsphere.uq.fitting import count_tests, fit_strength, is_fitted, series_behind
+from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
 
 
 def described(study: Study) -> str:
@@ -60,8 +60,9 @@ def _strengths(study: Study) -> str:
         for key, said in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
             if key in law.parameters:
                 text += f", {said} {law.parameters[key]:.3g}"
-                if law.data and law.family.location_scale is not None:
-                    low, high = fit_strength(series_behind(law), law.family.location_scale, draws=1000).shape_interval
+                if law.data:
+                    tested = series_behind(law)
+                    low, high = fit_strength(tested, STRENGTHS[law.family.name], draws=1000).shape_interval
                     text += f" ({low:.3g} to {high:.3g})"
         rows.append((limit.name, tests, ends, text, "-" if mean is None else format_value(mean, name),
                      span, against))  # fmt: skip

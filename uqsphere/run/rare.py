@@ -24,7 +24,7 @@ from uqsphere.run.design import Design, at_normals, number
 from uqsphere.run.tables import Tables, evaluate
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
-from uqsphere.uq.joint import CERTAIN
+from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.limit_state import score_of, tails
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 

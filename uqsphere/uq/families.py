@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array
-from uqsphere.uq import forms, location_scale, observed
+from uqsphere.uq import forms, observed
 from uqsphere.uq.forms import Form, LawError
-from uqsphere.uq.location_scale import LocationScale
 
 if TYPE_CHECKING:
     from uqsphere.uq.law import Law
@@ -48,9 +46,6 @@ class Family:
     form: Callable[[Mapping[str, float], float, float], tuple[float, float, Form]] | None = None
     #: (keys given, with sd for cov, a, b) -> parameters, of a key set that is not the first; raises LawError
     from_moments: Callable[[Keys, float, float], Keys] | None = None
-    location_scale: LocationScale | None = None  # of the likelihood, where some u(x) has a location and a scale
-    #: (observations (n,) in rising order, a, b) -> parameters of the largest likelihood, of the other families
-    fit: Callable[[Array, float, float], Keys] = lambda data, a, b: {}
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
     observed: Callable[[Law], Form] | None = None
 
@@ -116,7 +111,7 @@ class Family:
         return found
 
 
-# --- how keys become parameters, and observations a fit ----------------------------------------------------------
+# --- how keys become parameters ------------------------------------------------------------------------------------
 
 
 def _share(key: str, own: Mapping[str, float], lower: float, upper: float) -> float:
@@ -153,61 +148,40 @@ def _loguniform(own: Mapping[str, float], lower: float, upper: float) -> tuple[f
     return math.log(lower), math.log(upper / lower), forms.UNIFORM
 
 
-def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
-    """What scipy.stats fits: its shapes, loc and scale by our keys, "" for none."""
-    from scipy import stats
-
-    # Pascals and micrometres meet the same optimiser
-    size = float(np.mean(np.abs(data)))
-    *shapes, loc, scale = getattr(stats, name).fit(data / size, **{key: value / size for key, value in fixed.items()})
-    return {key: value for key, value in zip(keys, (*shapes, loc * size, scale * size), strict=True) if key}
-
-
-def _triangular_fit(data: Array, lower: float, upper: float) -> Keys:
-    """The most likely mode of a triangle on known bounds is one of the observations (Oliver 1972)."""
-    below = np.tril(np.log(data - lower) - np.log(data - lower)[:, None], -1).sum(axis=1)
-    above = np.triu(np.log(upper - data) - np.log(upper - data)[:, None], 1).sum(axis=1)
-    return {"mode": float(data[np.argmax(below + above)])}
-
-
 # --- the families ------------------------------------------------------------------------------------------------
 
 _MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
 
 FAMILIES: Final = {family.name: family for family in (
     Family(
-        name="normal", alternatives=_MOMENTS, location_scale=location_scale.NORMAL,
+        name="normal", alternatives=_MOMENTS,
         form=lambda own, a, b: (own["mean"], own["sd"], forms.GAUSS),
     ),
     Family(
         name="lognormal", alternatives=(("log_mean", "log_sd"), *_MOMENTS), logarithmic=True, positive=True,
-        from_moments=_lognormal_keys, location_scale=location_scale.LOGNORMAL,
-        form=lambda own, a, b: (own["log_mean"], own["log_sd"], forms.GAUSS),
+        from_moments=_lognormal_keys, form=lambda own, a, b: (own["log_mean"], own["log_sd"], forms.GAUSS),
     ),
     Family(
         name="weibull", alternatives=(("modulus", "scale"), ("mean", "modulus")), optional={"threshold": 0.0},
-        positive=True, from_moments=_weibull_keys, location_scale=location_scale.WEIBULL,
+        positive=True, from_moments=_weibull_keys,
         form=lambda own, a, b: (own["threshold"], own["scale"], forms.weibull(own["modulus"])),
     ),
     Family(
         name="exponential", alternatives=(("rate",), ("mean",)), positive=True,
         from_moments=lambda given, a, b: {"rate": 1.0 / given["mean"]},
         form=lambda own, a, b: (0.0, 1.0 / own["rate"], forms.weibull(1.0)),
-        fit=lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     ),
     Family(
         name="rayleigh", alternatives=(("scale",), ("mean",)), positive=True,
         from_moments=lambda given, a, b: {"scale": given["mean"] * math.sqrt(2.0 / math.pi)},
         form=lambda own, a, b: (0.0, own["scale"] * math.sqrt(2.0), forms.weibull(2.0)),
-        fit=lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
     ),
     Family(
         name="frechet", alternatives=(("shape", "scale"),), optional={"location": 0.0}, positive=True,
-        location_scale=location_scale.FRECHET,
         form=lambda own, a, b: (own["location"], own["scale"], forms.frechet(own["shape"])),
     ),
     Family(
-        name="gumbel", alternatives=(("location", "scale"), *_MOMENTS), location_scale=location_scale.GUMBEL,
+        name="gumbel", alternatives=(("location", "scale"), *_MOMENTS),
         from_moments=lambda given, a, b: {
             "location": given["mean"] - float(np.euler_gamma) * math.sqrt(6.0) / math.pi * given["sd"],
             "scale": given["sd"] * math.sqrt(6.0) / math.pi,
@@ -218,12 +192,11 @@ FAMILIES: Final = {family.name: family for family in (
     Family(name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform),
     Family(
         name="triangular", alternatives=(("mode",),), bounded=True,
-        form=lambda own, a, b: (a, b - a, forms.triangular(_share("mode", own, a, b))), fit=_triangular_fit,
+        form=lambda own, a, b: (a, b - a, forms.triangular(_share("mode", own, a, b))),
     ),
     Family(
         name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), bounded=True,
         from_moments=_beta_keys, form=lambda own, a, b: (a, b - a, forms.beta(own["alpha"], own["beta"])),
-        fit=lambda data, a, b: _scipy_fit("beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a),
     ),
     Family(
         name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), positive=True,
@@ -231,12 +204,10 @@ FAMILIES: Final = {family.name: family for family in (
             "shape": (given["mean"] / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / given["mean"]),
         },
         form=lambda own, a, b: (0.0, own["scale"], forms.gamma(own["shape"])),
-        fit=lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
     ),
     Family(
         name="student_t", alternatives=(("dof", "location", "scale"),),
         form=lambda own, a, b: (own["location"], own["scale"], forms.student_t(own["dof"])),
-        fit=lambda data, a, b: _scipy_fit("t", data, "dof", "location", "scale"),
     ),
     Family(name="empirical", observed=observed.empirical),
     # numbers that are given, each with a whole number as its weight: a step function that no test is behind

@@ -1,34 +1,33 @@
 """Laws from observations, tests with stops among them, and what few observations leave open of a law.
 
-Scatter is what a law describes; epistemic uncertainty is that its parameters come from n observations.  For laws with a
-location and a scale the parameters that the same tests allow follow from pivots (`location_scale`), with stopped tests
-among them from simulated series.  The others are fitted again to samples of their own; a kernel density or a step
-function is made again from the observations drawn with repetition, which says too little in the tails.
+Scatter is what a law describes; epistemic uncertainty is that its parameters come from n observations.  Where some
+u(x), such as ln x, has a location m and a scale s, so that z = (u - m)/s is standard normal, or the logarithm of an
+exponential variable, pivots tell what the tests allow: with the estimates (m*, s*) of n draws of the standard law,
+m - s m*/s* and s/s* are draws whose quantile intervals cover a quantile, or a probability, exactly as often as they
+promise, however small n is (J. F. Lawless, Statistical Models and Methods for Lifetime Data, 2003, sections 4.1 and E).
+Other laws are fitted again to samples of their own; a kernel density or a step function is made again from the
+observations drawn with repetition, which says too little in the tails.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq import location_scale
-from uqsphere.uq.families import DRAWN, FAMILIES, Family
-from uqsphere.uq.forms import LawError
+from uqsphere.uq.families import DRAWN, FAMILIES, Family, Keys
+from uqsphere.uq.forms import GAUSS, SMALLEST, Form, LawError
 from uqsphere.uq.law import Law, bounds_of, checked
-from uqsphere.uq.location_scale import MANY, LocationScale
 from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-#: laws that can be fitted with stopped tests among them
-STRENGTHS: Final = {"lognormal": location_scale.LOGNORMAL, "weibull": location_scale.WEIBULL}
 #: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
 #: to the other half
 SAME: Final = 1.5e-8
@@ -37,6 +36,115 @@ SAME: Final = 1.5e-8
 DRAWS: Final = 8000
 _OTHERS: Final = 999
 _SERIES_SEED: Final = 20261121
+#: beyond so many failures the pivots follow the law of large samples
+MANY: Final = 300
+
+# --- laws with a location and a scale ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LocationScale:
+    """A family whose u(x) has a location m and a scale s."""
+
+    u: Callable[[Array], Array]  # rising or falling with x
+    parameters: Callable[[Any, Any], dict[str, Any]]  # (m, s), numbers or arrays -> parameters of the family
+    normal: bool = False  # z is standard normal, else the logarithm of an exponential variable
+
+    @property
+    def form(self) -> Form:
+        """The standard form of z."""
+        return GAUSS if self.normal else SMALLEST
+
+    def shape(self, s: Any) -> Any:
+        """Shape of the law with the scale s, and the other way round: s itself, or 1/s (a modulus)."""
+        return s if self.normal else 1.0 / s
+
+    def terms(self, z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
+        """Log-likelihood without ln(1/s) of so many failures and stopped tests at each z, and its derivatives by z."""
+        if self.normal:
+            hazard = math.sqrt(2.0 / math.pi) / special.erfcx(z / math.sqrt(2.0))  # phi(z)/S(z)
+            value = stopped * special.log_ndtr(-z) - failures * (0.5 * z * z + 0.5 * math.log(2.0 * math.pi))
+            return value, -failures * z - stopped * hazard, -failures - stopped * hazard * (hazard - z)
+        power = (failures + stopped) * np.exp(np.minimum(z, 700.0))
+        return failures * z - power, failures - power, -power
+
+    def maximum(self, u: Array, failures: Array, stopped: Any = 0.0) -> tuple[Array, Array]:
+        """Location and scale (rows,) of the largest likelihood of u (rows, n).
+
+        `failures`, `stopped` (n,): how many tests failed, or were stopped, at each value.  sum over failures [ln f(z) -
+        ln s] + sum over stopped tests ln S(z) is concave in 1/s and m/s (R. J. Olsen, Econometrica 46, 1978, 1211):
+        Newton's method finds its one maximum.
+        """
+        count = float(failures.sum())
+        centre = (u @ failures / count)[:, None]
+        spread = np.sqrt(np.square(u - centre) @ failures / count)[:, None]
+        y = (u - centre) / spread
+        at, step = np.array([np.ones(len(y)), np.zeros(len(y))]), np.zeros((2, len(y)))
+        best = np.full(len(y), -math.inf)
+        for _ in range(200):
+            h, g = at + step
+            value, first, second = self.terms(h[:, None] * y - g[:, None], failures, stopped)
+            level = value.sum(axis=1) + count * np.log(h)
+            climbs = level >= best - 1e-12 * np.abs(best)
+            at, best = np.where(climbs, at + step, at), np.where(climbs, level, best)
+            slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
+            hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
+            gg = second.sum(axis=1)
+            newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g]) / (hh * gg - hg * hg)
+            # a step that leaves h > 0 ends before it does, one that does not climb is halved
+            newton *= np.minimum(1.0, 0.9 * h / np.maximum(-newton[0], 1e-300))
+            step = np.where(climbs, newton, 0.5 * step)
+            if np.max(np.abs(step[0]) / at[0] + np.abs(step[1])) < 1e-12:
+                break
+        return at[1] / at[0] * spread[:, 0] + centre[:, 0], spread[:, 0] / at[0]
+
+    def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
+        """Failures (count, r) of simulated series of the standard law, in rising order.
+
+        `leaving` (r,): tests that end with each failure, those stopped before the next one with it.  Such series are
+        progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995, 229): the distribution of (m* - m)/s*
+        and s*/s depends on neither m nor s, exactly without stopped tests and with tests stopped at the r-th failure.
+        """
+        steps = generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
+        return self._of_hazard(np.cumsum(steps, axis=1))
+
+    def _of_hazard(self, hazards: Array) -> Array:
+        return self.form.quantile(-np.expm1(-hazards), np.exp(-hazards))
+
+    def pivots(self, leaving: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
+        """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY` failures."""
+        ones, stopped = np.ones(leaving.size), leaving - 1.0
+        if leaving.size > MANY:
+            z = self._of_hazard(np.cumsum(1.0 / np.cumsum(leaving[::-1])[::-1]))
+            second = self.terms(z, ones, stopped)[2]
+            mixed = (second * z).sum()
+            information = [[ones.sum() - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
+            logs, places = generator.multivariate_normal([0.0, 0.0], np.linalg.inv(information), count).T
+            return places, np.exp(logs)
+        # a thousand series at a time
+        blocks = [min(1000, count - done) for done in range(0, count, 1000)]
+        found = [self.maximum(self.series(leaving, block, generator), ones, stopped) for block in blocks]
+        location, scale = (np.concatenate(part) for part in zip(*found, strict=True))
+        return location / scale, 1.0 / scale
+
+
+#: laws that can be fitted with stopped tests among them
+STRENGTHS: Final = {
+    "lognormal": LocationScale(normal=True, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}),
+    "weibull": LocationScale(u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m),
+                                                                "threshold": 0.0 * m}),
+}  # fmt: skip
+LOCATION_SCALE: Final = {
+    **STRENGTHS,
+    "normal": LocationScale(normal=True, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}),
+    # 1/x is Weibull with the same shape
+    "frechet": LocationScale(u=lambda x: -np.log(x), parameters=lambda m, s: {"shape": 1.0 / s, "scale": np.exp(-m),
+                                                                              "location": 0.0 * m}),
+    # the negative of a largest value is the logarithm of a Weibull variable
+    "gumbel": LocationScale(u=np.negative, parameters=lambda m, s: {"location": -m, "scale": s}),
+}  # fmt: skip
+
+# --- tests ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,17 +217,17 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
     0.93
     """
     n = leaving.size
-    if not law.inverse and (leaving == 1.0).all():
+    if law.normal and (leaving == 1.0).all():
         return math.sqrt(n / (n - 1.0))
     if inverse is None:
         inverse = law.pivots(leaving, DRAWS, np.random.default_rng(_SERIES_SEED))[1]
-    if not law.inverse:
+    if law.normal:
         return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
     # E[m*/m] has no bound for two failures; there the median takes its place
     return 1.0 / float(np.mean(inverse) if n > 3 else np.median(inverse))
 
 
-# --- the fit -------------------------------------------------------------------------------------------
+# --- the fit -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,8 +312,26 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
 
 # --- a law from a column -------------------------------------------------------------------------------------
 
+
+def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
+    """What scipy.stats fits: its shapes, loc and scale by our keys, "" for none."""
+    from scipy import stats
+
+    # Pascals and micrometres meet the same optimiser
+    size = float(np.mean(np.abs(data)))
+    *shapes, loc, scale = getattr(stats, name).fit(data / size, **{key: value / size for key, value in fixed.items()})
+    return {key: value for key, value in zip(keys, (*shapes, loc * size, scale * size), strict=True) if key}
+
+
+#: parameters of the largest likelihood of observations (n,), and of bounds, of laws without location and scale
+OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
+    "exponential": lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
+    "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
+    "beta": lambda data, a, b: _scipy_fit("beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a),
+    "gamma": lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
+}
 #: what a column of observations can become: a kernel density, a step function, or a member of a family
-FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if family.observed is None))
+FITS: Final = ("kde", "steps", *LOCATION_SCALE, *OTHERS)
 #: fewer observations than this say nothing of scatter that could be trusted
 LEAST_TESTS: Final = 3
 
@@ -274,23 +400,21 @@ def _member(
 ) -> Law:
     """The member of a family that the observations (n,), in rising order, have the largest likelihood by."""
     name, least, largest = family.name, float(values[0]), float(values[-1])
-    if family.bounded and not family.parameters_of:
-        a, b = bounds_of(least if math.isinf(a) else a, largest if math.isinf(b) else b)
-    elif family.bounded and not math.isfinite(b - a):
+    if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{name} needs lower and upper", "lower" if math.isinf(a) else "upper")
-    elif family.bounded and not a < least <= largest < b:
+    if family.bounded and not a < least <= largest < b:
         raise LawError(f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit")
     if family.positive and least <= 0.0:
         raise LawError(f"{name} needs positive observations, the smallest is {least:g}", "fit")
     law = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
     try:
-        if family.location_scale is not None:
-            tests, kind = series_behind(law), family.location_scale
+        if (kind := LOCATION_SCALE.get(name)) is not None:
+            tests = series_behind(law)
             location, spread = _best(tests, kind)
             shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
             fitted = kind.parameters(location, kind.shape(shape))
         else:
-            fitted = family.fit(values, a, b)
+            fitted = OTHERS[name](values, a, b)
         return replace(law, parameters=family.parameters(fitted, a, b))
     except ValueError as error:
         raise LawError(f"{name} does not fit the observations: {error}", "fit") from None
@@ -318,7 +442,7 @@ def series_behind(law: Law) -> StrengthTests:
 def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Iterator[Law]:
     """`count` laws of the same family that the observations of `law` allow, each as likely as the other, one by one.
 
-    Raises LawError for a law of fewer than `LEAST_TESTS` observations, or one that cannot be fitted again.
+    Raises LawError for a law of fewer than `LEAST_TESTS` observations.
 
     >>> law = fitted_law([1.0, 1.2, 0.9, 1.1, 1.05], "normal")
     >>> means = [one.parameters["mean"] for one in possible_laws(law, 1000, np.random.default_rng(1))]
@@ -332,13 +456,10 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
     if n < LEAST_TESTS:
         raise LawError(f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
                        "file")  # fmt: skip
-    if family.name == "student_t" or not (family.keys or family.observed):
-        what = "takes its bounds as known" if family.bounded else "has tails that few tests say nothing of"
-        raise LawError(f"a {family.name} law {what}: fit a normal or lognormal law", "fit")
-    if family.location_scale is None:
+    if (kind := LOCATION_SCALE.get(family.name)) is None:
         return (_made_again(law, generator) for _ in range(count))
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
-    tests, kind = series_behind(law), family.location_scale
+    tests = series_behind(law)
     location, scale = _best(tests, kind)
     centre, inverse = kind.pivots(tests.leaving, count, generator)
     columns = kind.parameters(location - scale * centre, scale * inverse)
@@ -359,8 +480,7 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
         if family.observed is None:
             with contextlib.suppress(LawError):
                 again = _member(family, np.sort(law.ppf(generator.random(n))), law.lower, law.upper).parameters
-                turned = {key: law.parameters[key] ** 2 / value for key, value in again.items()}
-                return replace(law, parameters=again if "mode" in again else turned)
+                return replace(law, parameters={key: law.parameters[key] ** 2 / again[key] for key in again})
         elif np.ptp(sample := np.sort(generator.choice(law.data, n))) > 0.0:
             width = 0.0 if law.is_steps else bandwidth(sample)
             return replace(law, parameters={"bandwidth": width}, data=tuple(sample.tolist()))

@@ -20,6 +20,8 @@ Function: TypeAlias = Callable[[Array], Array]
 Quantile: TypeAlias = Callable[[Array, Array], Array]
 
 ROOT: Final = math.sqrt(2.0 * math.pi)
+#: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
+CERTAIN: Final = 37.0
 #: tail probabilities at which quantiles and probabilities are held against each other: a sample of 1e6 points reaches
 #: 1e-7, and what is rarer is looked for by importance sampling
 _TAILS: Final = np.array([0.3, 1e-3, 1e-6, 1e-9])

@@ -26,20 +26,13 @@ if TYPE_CHECKING:
 
 
 def load_chaospy() -> Any:
-    """The package chaospy; raises UsageError where it is not installed.
-
-    On import it turns the root logger to DEBUG and adds a handler of its own: both are undone.
-    """
+    """The package chaospy.  On import it turns the root logger to DEBUG and adds a handler: both are undone."""
     root = logging.getLogger()
     level, handlers = root.level, list(root.handlers)
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            import chaospy
-    except ImportError as error:
-        raise UsageError("this needs chaospy: pip install chaospy") from error
-    finally:
-        root.setLevel(level)
-        root.handlers[:] = handlers
+    with warnings.catch_warnings(action="ignore"):
+        import chaospy
+    root.setLevel(level)
+    root.handlers[:] = handlers
     return chaospy
 
 

@@ -20,13 +20,11 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import GAUSS, LawError, student_t
+from uqsphere.uq.forms import CERTAIN, GAUSS, LawError, student_t
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import sobol_points
 
 COPULAS: Final = ("gaussian", "student_t")
-#: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
-CERTAIN: Final = 37.0
 #: least eigenvalue of a correlation matrix that is taken for positive definite: the inverse then keeps six digits
 _SMALLEST: Final = 1e-10
 

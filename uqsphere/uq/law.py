@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
-from uqsphere.uq.forms import GAUSS, Form, LawError, no_density, truncated
+from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, no_density, truncated
 
 #: sum of the weights of a discrete law
 _MOST_STEPS: Final = 10_000
@@ -163,7 +163,7 @@ class Law:
         location, scale, _ = self._whole
         if self._form.moments is not None and not self.family.logarithmic:
             return location + scale * self._form.moments[0], scale * self._form.moments[1]
-        z = np.linspace(-37.0, 37.0, 37 * 128 + 1)
+        z = np.linspace(-CERTAIN, CERTAIN, 37 * 128 + 1)
         weights = np.exp(-0.5 * z * z)
         weights /= weights.sum()
         x = self.from_normal(z)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import GAUSS, Form, either, weibull
+from uqsphere.uq.forms import CERTAIN, GAUSS, Form, either, weibull
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Beyond this many observations a kernel density has nothing to add to the step function.
 MOST_KERNELS: Final = 5000
-#: normal scores beyond this are below the smallest floating-point probability
-FURTHEST: Final = 37.5
 #: the kinds of a draw
 LOGNORMAL, WEIBULL = 0.0, 1.0
 #: values times laws up to which a mean is taken of the laws themselves, at once: 8 MB for each array on the way
@@ -110,8 +108,8 @@ def _kernels(data: Array, width: float) -> Form:
     def nodes() -> Array:
         # every width/48 within nine widths of an observation; in a wider gap F is constant to 1e-18
         breaks = np.flatnonzero(np.diff(data) > 18.0 * width)
-        starts = np.concatenate([data[:1] - FURTHEST * width, data[breaks + 1] - 9.0 * width])
-        ends = np.concatenate([data[breaks] + 9.0 * width, data[-1:] + FURTHEST * width])
+        starts = np.concatenate([data[:1] - CERTAIN * width, data[breaks + 1] - 9.0 * width])
+        ends = np.concatenate([data[breaks] + 9.0 * width, data[-1:] + CERTAIN * width])
         return np.concatenate([np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
                                for a, b in zip(starts, ends, strict=True)])  # fmt: skip
 
@@ -134,7 +132,7 @@ def drawn(law: Law) -> Form:
     @np.errstate(all="ignore")
     def nodes() -> Array:
         # 4001 nodes between scores of -6 and 6, and 1000 on either side: shares are then known to 1e-8
-        scores = np.array([-FURTHEST, -6.0, 6.0, FURTHEST])[:, None]
+        scores = np.array([-CERTAIN, -6.0, 6.0, CERTAIN])[:, None]
         y = np.hstack([np.log(median) + sd * scores - np.log1p(bound * np.exp(sd * scores)),
                        np.log(least + scale * hazard.quantile(*GAUSS.tails(scores)))])  # fmt: skip
         start, low, high, end = y[0].min(), y[1].min(), y[2].max(), y[3].max()
