@@ -34,7 +34,7 @@ _POSITIVE: Final = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Family:
-    """A family of laws; keys are those of a study's table, a and b its lower and upper bound."""
+    """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are the law's own."""
 
     name: str
     alternatives: tuple[tuple[str, ...], ...] = ((),)  # key sets, of which one must be given; a law keeps the first
@@ -42,10 +42,10 @@ class Family:
     bounded: bool = False  # the bounds are required, and are the law's own; those of other laws truncate
     logarithmic: bool = False  # the standard form is that of ln x
     positive: bool = False  # only positive observations can come from it
-    #: (parameters, a, b) -> location, scale and standard form; raises LawError
-    form: Callable[[Mapping[str, float], float, float], tuple[float, float, Form]] | None = None
-    #: (keys given, with sd for cov, a, b) -> parameters, of a key set that is not the first; raises LawError
-    from_moments: Callable[[Keys, float, float], Keys] | None = None
+    #: parameters, by their keys -> location, scale and standard form; raises LawError
+    form: Callable[..., tuple[float, float, Form]] | None = None
+    #: another key set than the first, with sd for cov -> parameters that it gives; raises LawError
+    from_moments: Callable[..., Keys] | None = None
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
     observed: Callable[[Law], Form] | None = None
 
@@ -67,6 +67,10 @@ class Family:
     def germ(self) -> str:
         """What an expansion is in: "uniform" (Legendre polynomials) between bounds, else "normal" (Hermite)."""
         return "uniform" if self.bounded else "normal"
+
+    def bounds(self, lower: float, upper: float) -> Keys:
+        """The bounds, where these are among the parameters."""
+        return {"lower": lower, "upper": upper} if self.bounded else {}
 
     def allowed(self) -> str:
         """The alternatives in words."""
@@ -99,10 +103,10 @@ class Family:
             raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
         if "cov" in own:
             own["sd"] = own.pop("cov") * abs(own["mean"])
-        own = {**self.optional, **given, **own}
+        own |= {key: given.get(key, usual) for key, usual in self.optional.items()}
         try:
             if self.from_moments is not None and not set(self.parameters_of) <= set(own):
-                own |= self.from_moments(own, lower, upper)
+                own |= self.from_moments(**own, **self.bounds(lower, upper))
             found = {key: float(own[key]) for key in self.parameters_of}
         except (OverflowError, ZeroDivisionError):
             found = {"": math.inf}
@@ -114,35 +118,39 @@ class Family:
 # --- how keys become parameters ------------------------------------------------------------------------------------
 
 
-def _share(key: str, own: Mapping[str, float], lower: float, upper: float) -> float:
+def _share(key: str, value: float, lower: float, upper: float) -> float:
     """Where between the bounds a number lies; raises LawError."""
-    if not lower <= own[key] <= upper:
-        raise LawError(f"{key} ({own[key]:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
-    return (own[key] - lower) / (upper - lower)
+    if not lower <= value <= upper:
+        raise LawError(f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+    return (value - lower) / (upper - lower)
 
 
-def _lognormal_keys(given: Keys, lower: float, upper: float) -> Keys:
-    variance = math.log1p((given["sd"] / given["mean"]) ** 2)
-    return {"log_mean": math.log(given["mean"]) - 0.5 * variance, "log_sd": math.sqrt(variance)}
+def _lognormal_keys(mean: float, sd: float) -> Keys:
+    variance = math.log1p((sd / mean) ** 2)
+    return {"log_mean": math.log(mean) - 0.5 * variance, "log_sd": math.sqrt(variance)}
 
 
-def _weibull_keys(given: Keys, lower: float, upper: float) -> Keys:
-    above = given["mean"] - given["threshold"]
-    if above <= 0.0:
-        raise LawError(f"mean ({given['mean']:g}) must exceed the threshold ({given['threshold']:g})", "mean")
-    return {"scale": above / math.gamma(1.0 + 1.0 / given["modulus"])}
+def _weibull_keys(mean: float, modulus: float, threshold: float) -> Keys:
+    if mean <= threshold:
+        raise LawError(f"mean ({mean:g}) must exceed the threshold ({threshold:g})", "mean")
+    return {"scale": (mean - threshold) / math.gamma(1.0 + 1.0 / modulus)}
 
 
-def _beta_keys(given: Keys, lower: float, upper: float) -> Keys:
-    centre = _share("mean", given, lower, upper)
-    total = centre * (1.0 - centre) * ((upper - lower) / given["sd"]) ** 2 - 1.0
+def _gumbel_keys(mean: float, sd: float) -> Keys:
+    scale = sd * math.sqrt(6.0) / math.pi
+    return {"location": mean - float(np.euler_gamma) * scale, "scale": scale}
+
+
+def _beta_keys(mean: float, sd: float, lower: float, upper: float) -> Keys:
+    centre = _share("mean", mean, lower, upper)
+    total = centre * (1.0 - centre) * ((upper - lower) / sd) ** 2 - 1.0
     if total <= 0.0:
         most = (upper - lower) * math.sqrt(centre * (1.0 - centre))
-        raise LawError(f"no beta law here has sd = {given['sd']:g}: it must be below {most:g}", "sd")
+        raise LawError(f"no beta law here has sd = {sd:g}: it must be below {most:g}", "sd")
     return {"alpha": centre * total, "beta": (1.0 - centre) * total}
 
 
-def _loguniform(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
+def _loguniform(lower: float, upper: float) -> tuple[float, float, Form]:
     if lower <= 0.0:
         raise LawError(f"lower of a loguniform law must be positive, found {lower:g}", "lower")
     return math.log(lower), math.log(upper / lower), forms.UNIFORM
@@ -153,61 +161,51 @@ def _loguniform(own: Mapping[str, float], lower: float, upper: float) -> tuple[f
 _MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
 
 FAMILIES: Final = {family.name: family for family in (
-    Family(
-        name="normal", alternatives=_MOMENTS,
-        form=lambda own, a, b: (own["mean"], own["sd"], forms.GAUSS),
-    ),
+    Family(name="normal", alternatives=_MOMENTS, form=lambda mean, sd: (mean, sd, forms.GAUSS)),
     Family(
         name="lognormal", alternatives=(("log_mean", "log_sd"), *_MOMENTS), logarithmic=True, positive=True,
-        from_moments=_lognormal_keys, form=lambda own, a, b: (own["log_mean"], own["log_sd"], forms.GAUSS),
+        form=lambda log_mean, log_sd: (log_mean, log_sd, forms.GAUSS), from_moments=_lognormal_keys,
     ),
     Family(
         name="weibull", alternatives=(("modulus", "scale"), ("mean", "modulus")), optional={"threshold": 0.0},
-        positive=True, from_moments=_weibull_keys,
-        form=lambda own, a, b: (own["threshold"], own["scale"], forms.weibull(own["modulus"])),
+        positive=True, form=lambda modulus, scale, threshold: (threshold, scale, forms.weibull(modulus)),
+        from_moments=_weibull_keys,
     ),
     Family(
         name="exponential", alternatives=(("rate",), ("mean",)), positive=True,
-        from_moments=lambda given, a, b: {"rate": 1.0 / given["mean"]},
-        form=lambda own, a, b: (0.0, 1.0 / own["rate"], forms.weibull(1.0)),
+        form=lambda rate: (0.0, 1.0 / rate, forms.weibull(1.0)), from_moments=lambda mean: {"rate": 1.0 / mean},
     ),
     Family(
         name="rayleigh", alternatives=(("scale",), ("mean",)), positive=True,
-        from_moments=lambda given, a, b: {"scale": given["mean"] * math.sqrt(2.0 / math.pi)},
-        form=lambda own, a, b: (0.0, own["scale"] * math.sqrt(2.0), forms.weibull(2.0)),
+        form=lambda scale: (0.0, scale * math.sqrt(2.0), forms.weibull(2.0)),
+        from_moments=lambda mean: {"scale": mean * math.sqrt(2.0 / math.pi)},
     ),
     Family(
         name="frechet", alternatives=(("shape", "scale"),), optional={"location": 0.0}, positive=True,
-        form=lambda own, a, b: (own["location"], own["scale"], forms.frechet(own["shape"])),
+        form=lambda shape, scale, location: (location, scale, forms.frechet(shape)),
     ),
     Family(
         name="gumbel", alternatives=(("location", "scale"), *_MOMENTS),
-        from_moments=lambda given, a, b: {
-            "location": given["mean"] - float(np.euler_gamma) * math.sqrt(6.0) / math.pi * given["sd"],
-            "scale": given["sd"] * math.sqrt(6.0) / math.pi,
-        },
-        form=lambda own, a, b: (own["location"], own["scale"], forms.GUMBEL),
+        form=lambda location, scale: (location, scale, forms.GUMBEL), from_moments=_gumbel_keys,
     ),
-    Family(name="uniform", bounded=True, form=lambda own, a, b: (a, b - a, forms.UNIFORM)),
+    Family(name="uniform", bounded=True, form=lambda lower, upper: (lower, upper - lower, forms.UNIFORM)),
     Family(name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform),
     Family(
         name="triangular", alternatives=(("mode",),), bounded=True,
-        form=lambda own, a, b: (a, b - a, forms.triangular(_share("mode", own, a, b))),
+        form=lambda mode, lower, upper: (lower, upper - lower, forms.triangular(_share("mode", mode, lower, upper))),
     ),
     Family(
         name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), bounded=True,
-        from_moments=_beta_keys, form=lambda own, a, b: (a, b - a, forms.beta(own["alpha"], own["beta"])),
+        form=lambda alpha, beta, lower, upper: (lower, upper - lower, forms.beta(alpha, beta)), from_moments=_beta_keys,
     ),
     Family(
         name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), positive=True,
-        from_moments=lambda given, a, b: {
-            "shape": (given["mean"] / given["sd"]) ** 2, "scale": given["sd"] * (given["sd"] / given["mean"]),
-        },
-        form=lambda own, a, b: (0.0, own["scale"], forms.gamma(own["shape"])),
+        form=lambda shape, scale: (0.0, scale, forms.gamma(shape)),
+        from_moments=lambda mean, sd: {"shape": (mean / sd) ** 2, "scale": sd * (sd / mean)},
     ),
     Family(
         name="student_t", alternatives=(("dof", "location", "scale"),),
-        form=lambda own, a, b: (own["location"], own["scale"], forms.student_t(own["dof"])),
+        form=lambda dof, location, scale: (location, scale, forms.student_t(dof)),
     ),
     Family(name="empirical", observed=observed.empirical),
     # numbers that are given, each with a whole number as its weight: a step function that no test is behind
@@ -233,10 +231,10 @@ def _of_scipy(name: str) -> Family | None:
         return None
     shapes = tuple((found.shapes or "").replace(",", " ").split())
 
-    def form(own: Mapping[str, float], lower: float, upper: float) -> tuple[float, float, Form]:
-        law: Any = found(*(own[key] for key in shapes))
+    def form(loc: float, scale: float, **own: float) -> tuple[float, float, Form]:
+        law: Any = found(**own)
         functions = law.cdf, law.sf, law.ppf, law.isf, law.pdf
-        return own["loc"], own["scale"], forms.form_of(name, functions, law.stats(moments="mv"), (*shapes, "")[0])
+        return loc, scale, forms.form_of(name, functions, law.stats(moments="mv"), (*shapes, "")[0])
 
     return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form)
 

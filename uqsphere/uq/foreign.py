@@ -194,7 +194,7 @@ def _by_name(name: str, *given: Any) -> Law:
 def _wrapped(name: str, functions: tuple[Callable[..., Any], ...], moments: tuple[Any, Any] | None = None) -> Law:
     """The law of functions cdf, sf, ppf, isf, pdf, and of its mean and variance."""
     form = form_of(name, functions, moments)
-    return checked(Law(family=Family(name=name, form=lambda own, lower, upper: (0.0, 1.0, form))))
+    return checked(Law(family=Family(name=name, form=lambda: (0.0, 1.0, form))))
 
 
 def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:

@@ -63,7 +63,7 @@ class Law:
         if self.family.observed is not None:
             return 0.0, 1.0, self.family.observed(self)
         assert self.family.form is not None
-        return self.family.form(self.parameters, self.lower, self.upper)
+        return self.family.form(**self.parameters, **self.family.bounds(self.lower, self.upper))
 
     @property
     def _untruncated(self) -> bool:

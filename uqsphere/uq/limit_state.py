@@ -17,7 +17,8 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
-from uqsphere.uq.joint import CERTAIN, Tie
+from uqsphere.uq.forms import CERTAIN
+from uqsphere.uq.joint import Tie
 from uqsphere.uq.law import Law
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import Estimate, quantile, sample_reader, spread
-from uqsphere.uq.joint import CERTAIN
+from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
 
