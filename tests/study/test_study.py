@@ -25,7 +25,8 @@ from tests.campaigns.fuzz import fuzz
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.run.failure_modes import failure_modes_of
-from uqsphere.study import Limit, Study, json_schema, load_study, shipped_studies, with_number
+from uqsphere.run.free_number import with_number
+from uqsphere.study import Limit, Study, json_schema, load_study, shipped_studies
 from uqsphere.study.document import Document
 
 Load = Callable[..., Study]

@@ -20,6 +20,7 @@ from uqsphere.results import Answers
 from uqsphere.run.demands import strength_of, with_test_forces
 from uqsphere.run.design import Design
 from uqsphere.run.fragility import allowable_probability, curve_of, target_of
+from uqsphere.run.free_number import demand_factor
 from uqsphere.run.limits import failure_given_inputs, state_of
 from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
@@ -216,7 +217,7 @@ def along_line(design: Design, limits: Sequence[Limit]) -> Callable[[Sample, flo
     margins = design.study.margins
 
     def probability(sample: Sample, value: float) -> Array:
-        moved = [replace(limit, model_factor=limit.model_factor * margins.demand_factor(limit, value))
+        moved = [replace(limit, model_factor=limit.model_factor * demand_factor(margins, limit, value))
                  if margins and margins.limit == limit.name and not isinstance(limit.model_factor, Law) else limit
                  for limit in limits]  # fmt: skip
         return together(design, sample, moved)

@@ -14,6 +14,7 @@ import numpy as np
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.run.design import VALUES, Design, number
+from uqsphere.run.free_number import demand_factor, grid
 from uqsphere.run.limits import failure_given_inputs, state_of
 from uqsphere.run.tables import Tables
 from uqsphere.study import Limit
@@ -83,7 +84,7 @@ def curve_by(
     """The curve of what `chance` gives (R, n) at points and a value, with the free number at each of the targets."""
     margins = design.study.margins
     assert margins is not None
-    pairs = tables.line if margins.moves_rows else dict.fromkeys(margins.grid(VALUES), tables.sample)
+    pairs = tables.line if margins.moves_rows else dict.fromkeys(grid(margins, VALUES), tables.sample)
     return _curve(tables, pairs, [chance(sample, value).mean(axis=1) for value, sample in pairs.items()], targets)
 
 
@@ -109,7 +110,7 @@ def curve_of(
     state = state_of(design, limit, tables.sample, strength)
 
     def at(sample: Sample, value: float) -> Array:
-        moved = replace(state, demands=state.demands * margins.demand_factor(limit, value))
+        moved = replace(state, demands=state.demands * demand_factor(margins, limit, value))
         return failure_given_inputs(moved, "survive")
 
     return curve_by(design, tables, at, wanted)

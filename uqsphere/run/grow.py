@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -25,6 +24,7 @@ from uqsphere.run.chaos import expansions
 from uqsphere.run.design import REPLICATES, VALUES, Design, is_strength, normal_scores
 from uqsphere.run.distributions import described
 from uqsphere.run.fragility import margin_and_scale
+from uqsphere.run.free_number import grid, moved, shares_of, values_at
 from uqsphere.run.indices import by_chaos_accurate, of_quantity
 from uqsphere.run.limits import failure
 from uqsphere.run.progress import Progress, share_done
@@ -157,7 +157,7 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
         return {}
     known = {} if before is None else before.line
     if before is None:
-        counts = dict.fromkeys(margins.grid(VALUES), max(first_count(design.study) // LINE_SHARE, 2))
+        counts = dict.fromkeys(grid(margins, VALUES), max(first_count(design.study) // LINE_SHARE, 2))
     else:
         twice = 2 * max(part.count for part in known.values())
         counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
@@ -165,7 +165,7 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
     for value, count in counts.items():
         start = known[value].count if value in known else 0
         points = design.points(count - start, start,
-                               joint=margins.move(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
+                               joint=moved(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
         parts.append(points)
         moving.append(points.input(margins.path) if margins.path in points.names
                       else np.full(points.scores.shape[:2], value))  # fmt: skip
@@ -192,9 +192,8 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
             continue
         at = int(np.searchsorted(values, margin.value))
         near = values[max(at - 2, 0) : at + 2]
-        half = [math.sqrt(a * b) if margins.logarithmic else 0.5 * (a + b)
-                for a, b in pairwise(near)]  # fmt: skip
-        found |= {*near, *half}
+        shares = shares_of(margins, np.array(near))
+        found |= {*near, *values_at(margins, 0.5 * (shares[1:] + shares[:-1])).tolist()}
     return found
 
 

@@ -22,8 +22,8 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.run.chaos import points_of
 from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.run.free_number import grid, moved, shares_of, values_at
 from uqsphere.run.tables import Tables, check_failures, evaluate
-from uqsphere.study import Margins
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.describe import Description, describe
@@ -229,9 +229,9 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
         return {}
     names = design.drawn.names
     points = _design_points(design, count, 1, "slow line")
-    values, normals = np.asarray(margins.value(points[:, -1])), points[:, : len(names)]
-    moved = [margins.move(design.study, float(value)).inputs().only(names) for value in values]
-    physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(moved)])
+    values, normals = values_at(margins, points[:, -1]), points[:, : len(names)]
+    joints = [moved(design.study, float(value)).inputs().only(names) for value in values]
+    physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(joints)])
     column = physical[:, names.index(margins.path)] if margins.path in names else values
     rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), {margins.path: column[None]})
     germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
@@ -242,18 +242,11 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
         return {}
     table = design.points(sample.count if sample.replicates == REPLICATES else POINTS).head(256)
     inputs, found = points_of(design, table.scores), {}
-    for value in margins.grid(VALUES):
-        at = np.concatenate([inputs, np.full((*inputs.shape[:2], 1), _germ_of(margins, value))], axis=2)
+    for value in grid(margins, VALUES):
+        germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
+        at = np.concatenate([inputs, germ], axis=2)
         found[value] = table.with_answers(rows.quantities, np.stack([one.table(at) for one in responses], axis=2))
     return found
-
-
-def _germ_of(margins: Margins, value: float) -> float:
-    """The place of a value of the free number in [-1, 1], in ratios where it is positive."""
-    low, high = margins.low, margins.high
-    if margins.logarithmic:
-        low, high, value = math.log(low), math.log(high), math.log(value)
-    return 2.0 * (value - low) / (high - low) - 1.0
 
 
 # --- answers corrected by the rows ------------------------------------------------------------------------------------

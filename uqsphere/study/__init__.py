@@ -6,11 +6,11 @@ from pathlib import Path
 
 from uqsphere.study.document import json_schema
 from uqsphere.study.load import load_study
-from uqsphere.study.study import Limit, Margins, Study, limit_of, strength_name, with_number
+from uqsphere.study.number import NOTABLE
+from uqsphere.study.study import Limit, Margins, Study, limit_of, strength_name
 
 __all__ = [
-    "Limit", "Margins", "Study", "json_schema", "limit_of", "load_study", "shipped_studies", "strength_name",
-    "with_number",
+    "NOTABLE", "Limit", "Margins", "Study", "json_schema", "limit_of", "load_study", "shipped_studies", "strength_name",
 ]  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import special
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.quantities import INPUTS
 from uqsphere.study.document import Analysis, Document, Gauge, ModelChoice
-from uqsphere.study.number import NOTABLE
 from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
 from uqsphere.uq.families import Family
 
@@ -262,9 +260,6 @@ def plain(value: Any) -> Json:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-# --- the free number of an inverse question: where it may lie, and what of a study it moves ------------------------
-
-
 @dataclass(frozen=True, kw_only=True)
 class Margins:
     """The inverse question: at which values of a number, free between two (SI), the limits are exceeded with some
@@ -289,35 +284,6 @@ class Margins:
         """Whether the answers of the model depend on the number; else the rows of one value serve all."""
         return self.limit is None
 
-    @property
-    def logarithmic(self) -> bool:
-        """Whether the number is positive, so that it is taken in ratios."""
-        return self.low > 0.0
-
-    def grid(self, count: int) -> list[float]:
-        """`count` values from one end to the other, in equal ratios or steps."""
-        spaced = np.geomspace if self.logarithmic else np.linspace
-        return list(map(float, spaced(self.low, self.high, count)))
-
-    def value(self, share: Array | float) -> Array:
-        """The value a share of the way from one end to the other, in ratios or steps."""
-        if self.logarithmic:
-            return np.asarray(self.low * (self.high / self.low) ** share)
-        return np.asarray(self.low + (self.high - self.low) * share)
-
-    def move(self, study: Study, value: float) -> Study:
-        """The study whose rows are sampled where the number has a value: itself, unless it is one of its numbers.
-
-        Raises LawError where a random number has no law with this mean.
-        """
-        return with_number(study, self.path, value) if self.moves_rows else study
-
-    def demand_factor(self, limit: Limit, value: float) -> float:
-        """What the demands of a limit are multiplied by where the number has a value, in place of its free strength."""
-        if self.limit != limit.name:
-            return 1.0
-        return (limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength) / value
-
 
 def strength_name(limit: str) -> str:
     """The path of a limit's strength."""
@@ -331,18 +297,3 @@ def limit_of(path: str) -> str | None:
     ('crushing', None)
     """
     return path.removeprefix("limits.").rpartition(".")[0] if path.startswith("limits.") else None
-
-
-def with_number(study: Study, path: str, value: float) -> Study:
-    """The study with a number at `value`: the mean of its law, or the number itself.
-
-    A moved law is cut where its number has no meaning if a notable share of it has come to lie there: a height of 12 mm
-    with a standard deviation of 0.5 mm is never negative; one of 0.2 mm with the same often would be.
-    """
-    if path not in study.random:
-        return replace(study, fixed={**study.fixed, path: value})
-    law = study.random[path].with_mean(value, study.given[path])
-    low = INPUTS[path].lower if path in INPUTS else -math.inf
-    if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
-        law = replace(law, lower=low)
-    return replace(study, random={**study.random, path: law})

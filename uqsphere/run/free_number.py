@@ -1,0 +1,69 @@
+"""The free number of an inverse question: its values between two ends, and what of a study each of them moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from uqsphere.arrays import Array, Values
+from uqsphere.quantities import INPUTS
+from uqsphere.study import NOTABLE, Limit, Margins, Study
+from uqsphere.uq import Law
+
+
+def values_at(margins: Margins, shares: Values) -> Array:
+    """The values a share of the way from the lowest to the highest: in ratios where all are positive, else in steps.
+
+    >>> values_at(Margins(path="striker.speed", low=0.1, high=10.0), np.array([0.0, 0.5, 1.0])).round(12).tolist()
+    [0.1, 1.0, 10.0]
+    """
+    low, high = margins.low, margins.high
+    if low > 0.0:
+        return np.clip(low * (high / low) ** np.asarray(shares), low, high)
+    return np.asarray(low + (high - low) * np.asarray(shares))
+
+
+def shares_of(margins: Margins, values: Values) -> Array:
+    """The share of the way at which values lie."""
+    low, high = margins.low, margins.high
+    if low > 0.0:
+        return np.asarray(np.log(np.asarray(values) / low) / math.log(high / low))
+    return (np.asarray(values) - low) / (high - low)
+
+
+def grid(margins: Margins, count: int) -> list[float]:
+    """`count` values from one end to the other."""
+    return values_at(margins, np.linspace(0.0, 1.0, count)).tolist()  # type: ignore[no-any-return]
+
+
+def moved(study: Study, value: float) -> Study:
+    """The study whose rows are sampled where its free number has a value: itself, unless it is one of its numbers.
+
+    Raises LawError where a random number has no law with this mean.
+    """
+    margins = study.margins
+    return with_number(study, margins.path, value) if margins is not None and margins.moves_rows else study
+
+
+def with_number(study: Study, path: str, value: float) -> Study:
+    """The study with a number at `value`: the mean of its law, or the number itself.
+
+    A moved law is cut where its number has no meaning if a notable share of it has come to lie there: a height of 12 mm
+    with a standard deviation of 0.5 mm is never negative; one of 0.2 mm with the same often would be.
+    """
+    if path not in study.random:
+        return replace(study, fixed={**study.fixed, path: value})
+    law = study.random[path].with_mean(value, study.given[path])
+    low = INPUTS[path].lower if path in INPUTS else -math.inf
+    if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
+        law = replace(law, lower=low)
+    return replace(study, random={**study.random, path: law})
+
+
+def demand_factor(margins: Margins, limit: Limit, value: float) -> float:
+    """What the demands of a limit are multiplied by where the number has a value, in place of its free strength."""
+    if margins.limit != limit.name:
+        return 1.0
+    return (limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength) / value
