@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from uqsphere.documents import Table, table_in
+from uqsphere.mechanics.forms import needs_of
 from uqsphere.study.check import FORMS
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Observations
 from uqsphere.study.number import numbers_of
@@ -82,8 +83,7 @@ def _needed(tables: list[str], key: str) -> str:
     having, lacking, others = dict[str, None](), dict[str, None](), dict[str, None]()
     for table in tables:
         for kind, text in FORMS.get(table, {}).items():
-            needs = [need.split("|") for need in text.partition(";")[0].split()]
-            pair = next((need for need in needs if key in need), [])
+            pair = next((need for need in needs_of(text) if key in need), [])
             (having if pair else lacking)[f"`{kind or table}`"] = None
             others |= {f"`{other}`": None for other in pair if other != key}
     said = ", or ".join(["required", *others])

@@ -158,16 +158,6 @@ SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
     "step": _step,
 }
 
-#: the numbers each shape needs beside its duration
-PARAMETERS: Final[dict[str, tuple[str, ...]]] = {
-    "rectangular": (),
-    "trapezoid": ("rise", "fall"),
-    "ramp": ("rise",),
-    "half_sine": (),
-    "two_peak": ("t1", "level1", "t2", "level2"),
-    "step": (),
-}
-
 #: shapes that follow from the striker's impedance where it is not the bars'
 STRIKER_SHAPES: Final = ("rectangular", "trapezoid", "ramp")
 
@@ -188,7 +178,7 @@ def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | No
 
     duration (n,): width t_i [s], full base of a rectangle or half sine, width at half height of a trapezoid, end of a
     two-peak pulse; not used by a step.  Width of one step where the striker's impedance is not the bars'.  numbers:
-    what `PARAMETERS` names (times in s, levels over v0/2), `valley` for two peaks, and `striker_ratio`, Z_s/Z, for the
+    what `forms.FORMS` names (times in s, levels over v0/2), `valley` for two peaks, and `striker_ratio`, Z_s/Z, for the
     shapes of `STRIKER_SHAPES`; (n,) each.
 
     >>> pulse = build_pulse("trapezoid", [100e-6], {"rise": [20e-6], "fall": [20e-6]})
@@ -235,15 +225,6 @@ class MeasuredPulse:
     coefficients: tuple[tuple[float, ...], ...]
     peak: float
     rise: float
-
-    def __post_init__(self) -> None:
-        joints = np.asarray(self.breaks)
-        if len(joints) < 2 or joints[0] != 0.0 or not (np.diff(joints) > 0.0).all():
-            raise ValueError("the joints of a measured pulse must ascend from zero")
-        if np.shape(self.coefficients) != (len(joints) - 1, 4) or not np.isfinite(self.coefficients).all():
-            raise ValueError(f"a measured pulse of {len(joints) - 1} pieces needs as many finite cubics")
-        if not self.peak > 0.0:
-            raise ValueError("a measured pulse needs a peak above zero")
 
     @property
     def duration(self) -> float:

@@ -2,7 +2,7 @@
 
 A partner gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick block, a platen); its
 contact with the sphere has a reduced modulus, a radius and, where it yields, a law of its own.
-A new rig is one entry of `RIGS`; what its tables need stands in `FORMS` of `study/check.py`.
+A new rig is one entry of `RIGS`; what its tables need stands in `forms.FORMS`.
 Numbering (R...) and (C...) of docs/theory.md; SI.
 """
 
@@ -199,13 +199,6 @@ STIFFNESS_RATIO: Final = (1e-3, 1e3)
 _RADIATION: Final = 0.1486
 #: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
 _PULSE: Final = 3.80584
-#: columns that a partner needs by its kind, beside E and nu of its face
-_PARTS: Final = {
-    "thick": (), "platen": (),
-    "plate": ("density", "thickness"),
-    "bar": ("density", "diameter"),
-    "mass": ("mass",),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,27 +260,6 @@ def drop_speed(height: Values, radius: Values, density: Values) -> Array:
 def terminal_speed(radius: Values, density: Values) -> Array:
     """v_t [m/s] of a sphere that falls in air: v_t² = 8 r rho g/(3 C_D rho_air)."""
     return np.asarray(np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR)))
-
-
-def needed(rig: Rig, options: Values, columns: Values) -> tuple[str, ...]:
-    """Columns without which there is no scene of a rig other than bars."""
-    names = ["sphere.E", "sphere.nu", "sphere.radius", "sphere.density"]
-    for pole, table in enumerate((rig.behind, rig.ahead)):
-        if not table:
-            continue
-        parts = _PARTS[rig.kind(pole, options)]
-        if table == "other":
-            parts = ("density", "radius")
-        elif table == "hammer" and options.get("hammer.shape") == "ball":
-            parts = ("density", "diameter")
-        names += [f"{table}.{key}" for key in ("E", "nu", *parts)]
-    for table, one, other in (
-        (rig.mover, "speed", "drop_height"),
-        ("platens" * (rig.name == "platens"), "force", "displacement"),
-    ):
-        if table and f"{table}.{other}" not in columns:
-            names.append(f"{table}.{one}")
-    return tuple(dict.fromkeys(names))
 
 
 def closing_speed(scene: Scene) -> Array:

@@ -15,9 +15,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
-from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
-from uqsphere.mechanics.rigs import RIGS, Partner, closing_speed, needed, outside, partners_of, speeds_at_touch
+from uqsphere.mechanics.pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
+from uqsphere.mechanics.rigs import RIGS, Partner, closing_speed, outside, partners_of, speeds_at_touch
 from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
 
@@ -240,12 +241,6 @@ def answered(status: Places) -> Flags:
     return np.asarray(status == 0)
 
 
-#: columns without which there is no scene, and those of finite bars
-_NEEDED: Final = (
-    "sphere.E", "sphere.nu", "sphere.radius", "sphere.density",
-    "bars.E", "bars.nu", "bars.density", "bars.diameter", "striker.speed",
-)  # fmt: skip
-_NEEDED_FINITE: Final = ("bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end")
 #: last parts of columns that serve validity checks only, where nothing yields
 _CHECKED_ONLY: Final = (
     "yield_strength", "insert_yield_strength", "insert_thickness", "width", "onset_pressure", "hardness", "pile_up",
@@ -315,7 +310,7 @@ class Scene:
         for what, found, allowed in words:
             if found not in allowed:
                 raise ValueError(f"unknown {what} {found!r} (allowed: {', '.join(allowed)})")
-        if missing := [name for name in self._needed if name not in self.columns]:
+        if missing := self._lacking:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
         if unknown := [name for name in self.columns if name not in INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
@@ -327,17 +322,14 @@ class Scene:
             raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
 
     @property
-    def _needed(self) -> tuple[str, ...]:
+    def _lacking(self) -> list[str]:
         """Columns without which there is no such scene."""
-        if self.rig != "bars":
-            return needed(RIGS[self.rig], self.options, self.columns)
-        timed = self.shape in ("step", "measured") or "pulse.duration" in self.columns
-        return (
-            *_NEEDED,
-            *(() if self.infinite else _NEEDED_FINITE),
-            *(f"pulse.{name}" for name in PARAMETERS.get(self.shape, ())),
-            *(() if timed else ("striker.length",)),
-        )
+        kinds = kinds_of(self.rig, self.shape, timed="pulse.duration" in self.columns, infinite=self.infinite,
+                         options=self.options)  # fmt: skip
+        tables = ["sphere", *RIGS[self.rig].tables, *(["striker", "pulse"] if self.rig == "bars" else ["rig"])]
+        needs = [(table, need) for table in tables for need in needs_of(FORMS[table].get(kinds.get(table, ""), ""))]
+        return [f"{table}.{need[0]}" for table, need in needs
+                if not any(f"{table}.{key}" in self.columns for key in need)]  # fmt: skip
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -403,7 +395,8 @@ class Scene:
             return np.stack([none if one is None else one.reflection for one in self.partners], axis=1)
         if self.infinite:
             return np.zeros((len(self), 2))
-        return np.stack([self.column("bars.incident_end"), self.column("bars.receiving_end")], axis=1)
+        return np.stack([self.column("bars.incident_end", bars.END_COEFFICIENTS["free"]),
+                         self.column("bars.receiving_end", bars.END_COEFFICIENTS["absorbing"])], axis=1)  # fmt: skip
 
     @cached_property
     def first_echo(self) -> Array:

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from uqsphere.documents import Fault, Place, faults_of, one_of, shown, suggestion, unknown, within
 from uqsphere.materials import MATERIAL_KINDS, library
+from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW
@@ -37,28 +38,14 @@ _NO_SPHERE: Final = (
     "A rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
     "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
 )
-#: by table and kind: keys that it needs (one of both, where a bar stands between); and others that it takes, and not
-#: every other kind of its table
-FORMS: Final[dict[str, dict[str, str]]] = {
-    "sphere": {"": "E nu density radius"}, "insert": {"": "E"},
-    "bars": {"": "E nu density diameter incident_length receiving_length",
-             "infinite": "E nu density diameter; incident_length receiving_length"},
-    "striker": {"": "speed length; E density diameter", "pulse.duration": "speed; length E density diameter",
-                "measured": ""},
-    "pulse": {"rectangular": "; duration", "half_sine": "; duration", "step": "", "trapezoid": "rise fall; duration",
-              "ramp": "rise; duration", "two_peak": "t1 level1 t2 level2; duration valley",
-              "measured": "file; columns units factor gain"},
-    "rig": dict.fromkeys(("impact", "sphere_on_sphere"), "speed|drop_height; angle"),
-    "target": (_TARGET := {"thick": "E nu; density", "plate": "E nu density thickness; width",
-                           "bar": "E nu density diameter; length end", "mass": "E nu mass; density"}),
-    "anvil": _TARGET,
-    "hammer": {"": "E nu mass speed|drop_height; density face_radius",
-               "ball": "E nu density diameter speed|drop_height"},
-    "other": {"": "E nu density radius"}, "rod": {"": "E nu density diameter length"},
-    "platens": {"": "E nu force|displacement"}, "analysis": {"a black box": "; cost time_limit"},
+#: keys of tables that are no numbers of the scene, as `uqsphere.mechanics.forms` has those
+FORMS: Final[Mapping[str, Mapping[str, str]]] = {
+    **forms.FORMS,
+    "rod": {"": "E nu density diameter length"},
+    "pulse": {**forms.FORMS["pulse"], "measured": "file; columns units factor gain"},
+    "analysis": {"a black box": "; cost time_limit"},
     "model": {"bars": "; first_loading_only whole_record compare_with_paper"},
-    "contact": {"hertz": "", "plastic": "; onset_pressure hardness pile_up"},
-}  # fmt: skip
+}
 
 
 def resolve(draft: Draft, path: Path, text: str) -> Study:
@@ -188,12 +175,10 @@ def _forms(draft: Draft) -> Faults:
         usual |= {"bars.incident_end": END_COEFFICIENTS["free"], "bars.receiving_end": END_COEFFICIENTS["absorbing"]}
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
-    timed = "pulse.duration" * (shape == "step" or "pulse.duration" in numbers)
-    kinds = {
-        "target": document.target.kind, "anvil": document.anvil.kind, "hammer": document.hammer.shape or "",
-        "bars": "infinite" if document.bars.infinite else "", "pulse": shape, "rig": draft.rig, "model": draft.rig,
-        "striker": "measured" if shape == "measured" else timed, "contact": document.contact.law,
-    }  # fmt: skip
+    if draft.plastic:
+        options["contact.law"] = "plastic"
+    kinds = forms.kinds_of(draft.rig, shape, timed="pulse.duration" in numbers, infinite=document.bars.infinite,
+                           options=options) | {"model": draft.rig}  # fmt: skip
     for table in (name for name in FORMS if name in draft.data):
         kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
         needs, _, others = FORMS[table].get(kind, "").partition(";")
@@ -203,7 +188,7 @@ def _forms(draft: Draft) -> Faults:
                 homes = [shown(one) for one, text in FORMS[table].items() if one and key in re.findall(r"\w+", text)]
                 of = f"[{table}]{f' with {shown(kind)}' * bool(kind)}{f', but with {one_of(homes)}' * bool(homes)}"
                 yield Fault(f"{key} does not belong to {of}: leave it out", table, key)
-        for keys in (need.split("|") for need in needs.split()):
+        for keys in forms.needs_of(needs):
             given = [key for key in keys if key in raw or (key in known and known[key].name in numbers)]
             if len(given) == 2:
                 yield Fault(f"{keys[0]} is given too: leave one of {one_of(keys)} out", table, keys[1])
@@ -246,7 +231,6 @@ def _scene(draft: Draft) -> Faults:
     shape, horizon = str(options.get("pulse.shape", "rectangular")), document.model.horizon
     own = [key for key in LAW if f"contact.{key}" in numbers]
     at_onset = draft.mean("contact.pile_up") == 1.0 and "contact.hardness" not in numbers
-    options |= {"contact.law": "plastic"} if draft.plastic else {}
     options |= {"contact.hardness": "onset"} if at_onset else {}
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
     if shape == "measured":
