@@ -155,7 +155,7 @@ def test_pulses_and_inserts(load: Load) -> None:
                          '[insert]\nE = { dist = "normal", mean = "600 GPa", cov = 0.1 }\nnu = 0.2\n[pulse]'),
                   ('["0.05 m/s", "20 m/s"]', '["500 GPa", "700 GPa"]'), ('"striker.speed"', '"insert.E"'))  # fmt: skip
     assert insert.fixed["bars.insert_nu"] == 0.2
-    assert insert.margins is not None and insert.margins.path == "bars.insert_E"  # noqa: PT018
+    assert insert.margins is not None and insert.margins.solve == "bars.insert_E"  # noqa: PT018
     assert with_number(insert, "bars.insert_E", 550e9).random["bars.insert_E"].nominal_mean() == 550e9
 
 

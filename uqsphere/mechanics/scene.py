@@ -310,7 +310,7 @@ class Scene:
         for what, found, allowed in words:
             if found not in allowed:
                 raise ValueError(f"unknown {what} {found!r} (allowed: {', '.join(allowed)})")
-        if missing := self._lacking:
+        if missing := self._absent:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
         if unknown := [name for name in self.columns if name not in INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
@@ -322,7 +322,7 @@ class Scene:
             raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
 
     @property
-    def _lacking(self) -> list[str]:
+    def _absent(self) -> list[str]:
         """Columns without which there is no such scene."""
         kinds = kinds_of(self.rig, self.shape, timed="pulse.duration" in self.columns, infinite=self.infinite,
                          options=self.options)  # fmt: skip

@@ -166,10 +166,10 @@ def check_scene(study: Study) -> None:
 
     if study.black_box:
         return
-    if (margins := study.margins) is not None and margins.path in INPUTS:
-        for value in (margins.low, margins.high):
-            if code := int(scene_of(study, {margins.path: np.array([value])}).status[0]):
-                text = f"{format_value(value, margins.path)} for {margins.path}: {STATUS[code]}"
+    if (margins := study.margins) is not None and margins.solve in INPUTS:
+        for value in margins.between:
+            if code := int(scene_of(study, {margins.solve: np.array([value])}).status[0]):
+                text = f"{format_value(value, margins.solve)} for {margins.solve}: {STATUS[code]}"
                 raise UsageError(f"margins.between: {text}")
     requested = {limit.quantity: f"limits.{limit.name}.quantity" for limit in study.limits}
     requested |= dict.fromkeys(study.analysis.quantities, "analysis.quantities")

@@ -122,13 +122,13 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
     # where a law has none in the range, it lies beyond an end of it, which is no number to promise
     if len(known) < 0.95 * len(values):
         note = f"{len(values) - len(known)} of {len(values)} strengths that the tests allow leave none in the range"
-        answers.row(design.subject(limit), "margin", "tests", None, unit=lookup(margins.path).unit,
+        answers.row(design.subject(limit), "margin", "tests", None, unit=lookup(margins.solve).unit,
                     method="epistemic", note=note)  # fmt: skip
         return
     low, high = (float(x) for x in np.quantile(known, [0.025, 0.975]))
     note = f"95 % range over the strengths that the tests allow, at the target {target_of(design, limit):g}"
     answers.row(design.subject(limit), "margin", "tests", float(np.median(known)), low, high,
-                unit=lookup(margins.path).unit, method="epistemic", note=note)  # fmt: skip
+                unit=lookup(margins.solve).unit, method="epistemic", note=note)  # fmt: skip
 
 
 def _other_distributions(limit: Limit) -> dict[str, Law]:
@@ -175,7 +175,7 @@ def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, 
     margins, line = design.study.margins, dict[float, Sample]()
     if margins is None or not tables.line:
         return
-    path = margins.path
+    path = margins.solve
     for value, sample in tables.line.items():
         moved = _under_plastic_contact(design, sample, {path: value})
         if moved is None or moved.failed.any():

@@ -33,9 +33,9 @@ METHOD = "the same points at every value"
 def fragility(design: Design, tables: Tables) -> Answers:
     """Curves and margins of every limit and failure mode."""
     answers, margins = Answers(), design.study.margins
-    if margins is None or (margins.moves_rows and not tables.line):
+    if margins is None or (margins.limit is None and not tables.line):
         return answers
-    unit = lookup(margins.path).unit
+    unit = lookup(margins.solve).unit
     for limit in design.study.limits:
         subject, runs = design.subject(limit), sum(sample.size for sample in tables.line.values()) or tables.sample.size
         found = curve_of(design, tables, limit)
@@ -48,7 +48,7 @@ def fragility(design: Design, tables: Tables) -> Answers:
             row = [None if x is None or not x > 0.0 else x / planned if limit.aim == "survive" else planned / x
                    for x in (allowed.value, allowed.low, allowed.high)]  # fmt: skip
             ends = row[1:] if limit.aim == "survive" else row[:0:-1]
-            answers.row(subject, "safety_factor", margins.path, row[0], *ends, unit="1", method=METHOD, runs=runs)
+            answers.row(subject, "safety_factor", margins.solve, row[0], *ends, unit="1", method=METHOD, runs=runs)
     return answers
 
 
@@ -75,7 +75,7 @@ def planned_value(design: Design) -> float | None:
     if margins.limit is not None:
         limit = next(limit for limit in design.limits if limit.name == margins.limit)
         return number(limit.strength)
-    return design.study.at_means().get(margins.path)
+    return design.study.at_means().get(margins.solve)
 
 
 def curve_by(
@@ -84,7 +84,7 @@ def curve_by(
     """The curve of what `chance` gives (R, n) at points and a value, with the free number at each of the targets."""
     margins = design.study.margins
     assert margins is not None
-    pairs = tables.line if margins.moves_rows else dict.fromkeys(grid(margins, VALUES), tables.sample)
+    pairs = tables.line if margins.limit is None else dict.fromkeys(grid(margins, VALUES), tables.sample)
     return _curve(tables, pairs, [chance(sample, value).mean(axis=1) for value, sample in pairs.items()], targets)
 
 
@@ -102,7 +102,7 @@ def curve_of(
     margins = design.study.margins
     assert margins is not None
     wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))
-    if margins.moves_rows:
+    if margins.limit is None:
         # all values at once
         exceeded = failure_given_inputs(state_of(design, limit, tables.along, strength), "survive")
         ends = np.cumsum([sample.count for sample in tables.line.values()])[:-1]

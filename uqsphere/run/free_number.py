@@ -16,21 +16,21 @@ from uqsphere.uq import Law
 def values_at(margins: Margins, shares: Values) -> Array:
     """The values a share of the way from the lowest to the highest: in ratios where all are positive, else in steps.
 
-    >>> values_at(Margins(path="striker.speed", low=0.1, high=10.0), np.array([0.0, 0.5, 1.0])).round(12).tolist()
+    >>> values_at(Margins(solve="striker.speed", between=(0.1, 10.0)), np.array([0.0, 0.5, 1.0])).round(12).tolist()
     [0.1, 1.0, 10.0]
     """
-    low, high = margins.low, margins.high
+    low, high = margins.between
     if low > 0.0:
-        return np.clip(low * (high / low) ** np.asarray(shares), low, high)
+        return np.asarray(np.clip(low * (high / low) ** np.asarray(shares), low, high))
     return np.asarray(low + (high - low) * np.asarray(shares))
 
 
 def shares_of(margins: Margins, values: Values) -> Array:
     """The share of the way at which values lie."""
-    low, high = margins.low, margins.high
+    low, high = margins.between
     if low > 0.0:
         return np.asarray(np.log(np.asarray(values) / low) / math.log(high / low))
-    return (np.asarray(values) - low) / (high - low)
+    return np.asarray((np.asarray(values) - low) / (high - low))
 
 
 def grid(margins: Margins, count: int) -> list[float]:
@@ -44,7 +44,7 @@ def moved(study: Study, value: float) -> Study:
     Raises LawError where a random number has no law with this mean.
     """
     margins = study.margins
-    return with_number(study, margins.path, value) if margins is not None and margins.moves_rows else study
+    return with_number(study, margins.solve, value) if margins is not None and margins.limit is None else study
 
 
 def with_number(study: Study, path: str, value: float) -> Study:

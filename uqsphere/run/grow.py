@@ -104,7 +104,7 @@ def first_count(study: Study) -> int:
 
 def first_rows(study: Study, count: int = FIRST) -> int:
     """Model runs of the first size of the loop, with `count` points in each replicate."""
-    moving = study.margins is not None and study.margins.moves_rows
+    moving = study.margins is not None and study.margins.limit is None
     return REPLICATES * (count + (VALUES * max(count // LINE_SHARE, 2) if moving else 0))
 
 
@@ -153,7 +153,7 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
     Where a margin is too inaccurate the values draw closer together about it, and have twice the points there.
     """
     margins = design.study.margins
-    if margins is None or not margins.moves_rows:
+    if margins is None or margins.limit is not None:
         return {}
     known = {} if before is None else before.line
     if before is None:
@@ -167,13 +167,13 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
         points = design.points(count - start, start,
                                joint=moved(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
         parts.append(points)
-        moving.append(points.input(margins.path) if margins.path in points.names
+        moving.append(points.input(margins.solve) if margins.solve in points.names
                       else np.full(points.scores.shape[:2], value))  # fmt: skip
     if not parts:
         return known
     whole = Sample.at(design.drawn.names, np.concatenate([p.scores for p in parts], axis=1),
                       np.concatenate([p.inputs for p in parts], axis=1))  # fmt: skip
-    answered = evaluate(design, model, whole, {margins.path: np.concatenate(moving, axis=1)})
+    answered = evaluate(design, model, whole, {margins.solve: np.concatenate(moving, axis=1)})
     ends = np.cumsum([part.count for part in parts])
     new = {value: answered.rows(int(end) - part.count, int(end))
            for value, part, end in zip(counts, parts, ends, strict=True)}  # fmt: skip

@@ -154,7 +154,7 @@ def tables_of(
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
     affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
-    along = known is None and design.study.margins is not None and design.study.margins.moves_rows
+    along = known is None and design.study.margins is not None and design.study.margins.limit is None
     count = min(int(affordable * (1.0 - LINE_BUDGET * along)), MOST_ROWS) if known is None else known.count
     if count < LEAST_ROWS:
         raise UsageError(f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
@@ -232,8 +232,8 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     values, normals = values_at(margins, points[:, -1]), points[:, : len(names)]
     joints = [moved(design.study, float(value)).inputs().only(names) for value in values]
     physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(joints)])
-    column = physical[:, names.index(margins.path)] if margins.path in names else values
-    rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), {margins.path: column[None]})
+    column = physical[:, names.index(margins.solve)] if margins.solve in names else values
+    rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), {margins.solve: column[None]})
     germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     good = np.isfinite(rows.answers[0]).all(axis=1)

@@ -252,8 +252,8 @@ def _number_to_use(
     if planned and value > 0.0:
         factor = value / planned if pick is min else planned / value
     return {"value": value, "low": best["low"], "high": best["high"], "best": best["value"], "by": by,
-            "safe_end": "largest" if pick is min else "smallest", "path": margins.path,
-            "text": format_value(value, margins.path, 2), "governing": governing, "factor": factor}  # fmt: skip
+            "safe_end": "largest" if pick is min else "smallest", "path": margins.solve,
+            "text": format_value(value, margins.solve, 2), "governing": governing, "factor": factor}  # fmt: skip
 
 
 def _conservative_margin(answers: Answers, subject: str, probability: float, *, survive: bool) -> float | None:
@@ -307,9 +307,9 @@ def _headline(
         elif joint.get("margin") is not None and safe is not None:
             most = _rising(answers, design.subject(limit))
             rest.append(f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. "
-                        + _by_one(limit, safe, margins.path, most=most))  # fmt: skip
+                        + _by_one(limit, safe, margins.solve, most=most))  # fmt: skip
         elif curve:
-            path = margins.path
+            path = margins.solve
             (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
             rest.append(f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
                         f"probability of exceedance runs from {format_probability(p_low)} to "

@@ -105,9 +105,9 @@ def _free(design: Design) -> dict[str, Any] | None:
     margins = design.study.margins
     if margins is None:
         return None
-    path = margins.path
-    return {"path": path, "meaning": lookup(path).meaning, "planned": planned_value(design), "low": margins.low,
-            "high": margins.high, "unit": display_unit(path)[0]}  # fmt: skip
+    path = margins.solve
+    return {"path": path, "meaning": lookup(path).meaning, "planned": planned_value(design), "low": margins.between[0],
+            "high": margins.between[1], "unit": display_unit(path)[0]}  # fmt: skip
 
 
 def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from uqsphere.documents import Fault, Place, faults_of, one_of, shown, suggestion, unknown, within
+from uqsphere.errors import as_text
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
@@ -28,7 +29,7 @@ from uqsphere.study.data import measured_pulse
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
-from uqsphere.study.study import Margins, Study, strength_name
+from uqsphere.study.study import Study, strength_name
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
 Faults = Iterator[Fault]
@@ -55,7 +56,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
     own = {name: number.value for name, number in draft.numbers.items() if not name.startswith("limits.")}
     return Study(
-        title=document.title or path.stem, seed=document.seed, path=path, text=text, black_box=draft.box,
+        title=as_text(document.title or path.stem), seed=document.seed, path=path, text=text, black_box=draft.box,
         fixed={name: value for name, value in own.items() if not isinstance(value, Law)},
         random={name: value for name, value in own.items() if isinstance(value, Law)},
         given={name: number.given for name, number in draft.numbers.items() if isinstance(number.value, Law)},
@@ -363,8 +364,7 @@ def _margins(draft: Draft) -> Faults:
             with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
                 compare_sizes(limit, radii, draft, ("margins", "between"))
-    draft.margins = Margins(path=solve, low=ends[0], high=ends[1],
-                            for_probability=tuple(sorted(set(table.for_probability))))  # fmt: skip
+    draft.margins = table.model_copy(update={"solve": solve, "between": tuple(ends)})
     if not isinstance(number.value, Law) or solve in strengths:
         return
     for index, value in enumerate(ends):

@@ -29,7 +29,7 @@ from uqsphere.uq.families import FAMILIES
 if TYPE_CHECKING:
     from uqsphere.materials import Property
     from uqsphere.mechanics.scene import Scene
-    from uqsphere.study.study import Limit, Margins
+    from uqsphere.study.study import Limit
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
@@ -66,13 +66,6 @@ def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if (twice := next((k for k, value in enumerate(values) if value in values[:k]), None)) is not None:
         raise Fault(f"{shown(values[twice])} is named twice", twice)
     return values
-
-
-def _visible(text: str) -> str:
-    """A text without control characters, and without marks that turn the direction of writing."""
-    if sign := re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", text):
-        raise Fault(f"the text holds the control character U+{ord(sign[0]):04X}: leave it out")
-    return text
 
 
 def _several(least: int = 1, most: int = 200) -> Any:
@@ -181,7 +174,7 @@ class ModelChoice(Table):
 # --- limits and what is asked --------------------------------------------------------------------------------------
 
 
-class LimitTable(Table):
+class _Limit(Table):
     """A strength, and the quantity or criterion that is held against it."""
 
     quantity: str | None = key("a quantity of `uqsphere list quantities`")
@@ -195,19 +188,20 @@ class LimitTable(Table):
     fracture: bool | None = key("whether exceeding it breaks the sphere; without it the quantity decides")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
         "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered")  # fmt: skip
-    modulus: Annotated[float, *_fixed("modulus")] | None = key("of a weakest link, unless the strength has it")
-    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = key("volume of a volume strength")
-    reference_area: Annotated[float, *_fixed("reference_area")] | None = key("area of a surface strength")
-    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = key("upper bound of a fracture energy")
-    rate_0: Annotated[float, *_fixed("rate_0")] | None = key("strain rate at which a slow strength is doubled")
 
     @checked(mode="after")
-    def _one_demand(self) -> LimitTable:
+    def _one_demand(self) -> _Limit:
         if (self.quantity is None) == (self.criterion is None):
             raise Fault('one of both is required, quantity = "p_max", say, or a criterion', "quantity")
         if self.energy_is is not None and self.criterion != "specific_energy":
             raise Fault("energy_is belongs to the criterion specific_energy: leave it out", "energy_is")
         return self
+
+
+_parameters: dict[str, Any] = {
+    name: (Annotated[float, *_fixed(name)] | None, key(part.meaning)) for name, part in PARAMETERS.items()
+}
+LimitTable: Any = create_model("Limit", __base__=_Limit, __doc__=_Limit.__doc__, **_parameters)
 
 
 class Discrete(Table):
@@ -282,16 +276,6 @@ class Dependence(Table):
     copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
     dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = key("degrees of freedom of a `student_t`")
 
-    @checked(mode="after")
-    def _one_strength(self) -> Dependence:
-        if (self.spearman is None) == (self.kendall is None):
-            said = "one rank correlation between -1 and 1 is required, spearman or kendall"
-            raise Fault(said, "kendall" if self.kendall is not None else "")
-        if (self.copula == "student_t") != (self.dof is not None):
-            said = f'dof, 4 say, belongs to copula = "student_t" and to no other; found {shown(self.copula)}'
-            raise Fault(said, "dof" if self.dof is not None else "")
-        return self
-
 
 class Accuracy(Table):
     """Half-widths of the 95 % intervals: mean and quantile over sd, sobol absolute, probability relative."""
@@ -335,12 +319,30 @@ class Analysis(Table):
         return self.on_failure if isinstance(self.on_failure, str) else "drop"
 
 
-class MarginsTable(Table):
-    """The inverse question: at which value of one number is a failure probability reached?"""
+def limit_of(path: str) -> str | None:
+    """The limit that a strength or a model factor belongs to; None for a number of the scene.
+
+    >>> limit_of("limits.crushing.strength"), limit_of("striker.speed")
+    ('crushing', None)
+    """
+    return path.removeprefix("limits.").rpartition(".")[0] if path.startswith("limits.") else None
+
+
+class Margins(Table):
+    """The inverse question: at which value of one number is a failure probability reached?
+
+    The number is one of the scene or of a black box, the mean of its law where it scatters, or the mean strength of a
+    limit, all its values in proportion; of a `Study` it lies between two values in SI.
+    """
 
     solve: str = key('the free number: `"striker.speed"`, `"limits.NAME.strength"`', ...)
     between: Annotated[tuple[Any, ...], *_several(2, 2)] = key("lowest and highest value", ...)
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
+
+    @property
+    def limit(self) -> str | None:
+        """The limit whose strength is free; else the answers of the model depend on the number."""
+        return limit_of(self.solve)
 
 
 class Outputs(Table):
@@ -352,8 +354,7 @@ class Outputs(Table):
 class _Words(Table):
     """A study file, without the numbers of the scene."""
 
-    title: Annotated[str, AfterValidator(_visible)] = key(
-        "heading of the report, without it the file's name; not part of the study's hash", "")  # fmt: skip
+    title: str = key("heading of the report, without it the file's name; not part of the study's hash", "")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = key("the same seed gives the same answers", 0)
     sphere: Body = Body.model_construct()
     bars: Bars = Bars.model_construct()
@@ -375,7 +376,7 @@ class _Words(Table):
     dependence: Annotated[tuple[Dependence, ...], Field(max_length=100, strict=False)] = ()
     gauges: Annotated[tuple[Gauge, ...], Field(max_length=20, strict=False)] = ()
     analysis: Analysis = Analysis.model_construct()
-    margins: MarginsTable | None = None
+    margins: Margins | None = None
 
 
 _scene: dict[str, Any] = {

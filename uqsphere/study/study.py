@@ -20,7 +20,7 @@ from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.study.document import Analysis, Document, Gauge, ModelChoice
+from uqsphere.study.document import Analysis, Document, Gauge, Margins, ModelChoice
 from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
 from uqsphere.uq.families import Family
 
@@ -260,40 +260,6 @@ def plain(value: Any) -> Json:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-@dataclass(frozen=True, kw_only=True)
-class Margins:
-    """The inverse question: at which values of a number, free between two (SI), the limits are exceeded with some
-    probabilities.
-
-    The number is one of the scene or of a black box, the mean of its law where it scatters, or the mean strength of a
-    limit, all its values in proportion.
-    """
-
-    path: str
-    low: float
-    high: float
-    for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
-
-    @property
-    def limit(self) -> str | None:
-        """The limit whose strength is free."""
-        return limit_of(self.path)
-
-    @property
-    def moves_rows(self) -> bool:
-        """Whether the answers of the model depend on the number; else the rows of one value serve all."""
-        return self.limit is None
-
-
 def strength_name(limit: str) -> str:
     """The path of a limit's strength."""
     return f"limits.{limit}.strength"
-
-
-def limit_of(path: str) -> str | None:
-    """The limit that a strength or a model factor belongs to; None for a number of the scene.
-
-    >>> limit_of("limits.crushing.strength"), limit_of("striker.speed")
-    ('crushing', None)
-    """
-    return path.removeprefix("limits.").rpartition(".")[0] if path.startswith("limits.") else None

@@ -129,13 +129,14 @@ class Dependence:
             raise LawError(f"a dependence needs two or more different inputs, found {list(self.of)}", "of")
         key, value = ("kendall", self.kendall) if self.spearman is None else ("spearman", self.spearman)
         if value is None or None not in (self.spearman, self.kendall):
-            raise LawError("a dependence is given by one of spearman and kendall", "spearman")
+            key = "kendall" if value is not None else ""
+            raise LawError("one rank correlation between -1 and 1 is required, spearman or kendall", key)
         if not -1.0 < value < 1.0:
             raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
-        if self.copula == "student_t" and (dof is None or not 1.0 <= dof <= 1000.0):
+        if (self.copula == "student_t") != (dof is not None):
+            raise LawError('dof, 4 say, belongs to copula = "student_t" and to no other', "dof")
+        if dof is not None and not 1.0 <= dof <= 1000.0:
             raise LawError(f"dof must lie between 1 and 1000, found {dof}", "dof")
-        if self.copula == "gaussian" and dof is not None:
-            raise LawError("dof belongs to the Student t copula, not to gaussian", "dof")
         if key == "kendall":
             # for every dof (Lindskog, McNeil, Schmock 2003)
             rho = math.sin(0.5 * math.pi * value)

@@ -155,7 +155,7 @@ def _below(law: Law, demand: Array, study: Study, name: str, columns: Sequence[s
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     """The free number and its ends [SI]: of the file, of the study's margins, or a third to three times its value."""
     own, margins = study.at_means(), study.margins
-    free = asked.free or (margins.path if margins is not None and margins.path in own else "")
+    free = asked.free or (margins.solve if margins is not None and margins.solve in own else "")
     free = free or next((name for name in _FREE if name in own), "")
     if free not in own:
         raise UsageError(f"free = {free!r} is no number of the study; it has {', '.join(sorted(own))}")
@@ -165,8 +165,8 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
             low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)
         except UnitError as error:
             raise UsageError(f"between: {error}") from None
-    elif margins is not None and margins.path == free:
-        low, high = margins.low, margins.high
+    elif margins is not None and margins.solve == free:
+        low, high = margins.between
     if not low < high:
         raise UsageError("between: two values are required, the lower first")
     return free, low, high
