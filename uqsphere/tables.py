@@ -1,7 +1,5 @@
 """The one reader of tables: CSV with comma, semicolon or tab, and .xlsx, as they come from instruments and Excel.
 
-What a recorder writes is read too (`recorded`): columns divided by blanks, metadata above, no headings.
-
 Decimal point or comma; UTF-8 with or without mark, UTF-16, else Windows' cp1252 with a note.  Units stand in a heading
 (``force [kN]``, ``force_kN``, ``force in kN``), in a row below it, or are given.  All faults of a kind are one message.
 """
@@ -13,7 +11,6 @@ import csv
 import io
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -30,7 +27,7 @@ from uqsphere.units import UNITS, typed_units
 
 LARGEST: Final = 32 << 20
 #: columns of a table, and characters of a line
-_MOST_COLUMNS, _LONGEST = 2_000, 100_000
+MOST_COLUMNS, _LONGEST = 2_000, 100_000
 _MOST_LINES: Final = 8
 _COLUMN_UNIT: Final = re.compile(r"\s*[\[(/,_]\s*|\s+in\s+|\s+")
 #: other spellings of units in headings
@@ -39,10 +36,8 @@ _SPELLED: Final = {
     "strain": "1", "ε": "1", "m/m": "1", "millistrain": "mm/m", "mε": "mm/m", "volt": "V", "volts": "V",
     "voltage": "V", "v": "V", "µV": "uV", "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "microseconds": "us",
 }  # fmt: skip
-_NOTHING: Final = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
-#: what divides the columns of a recorder's file, and its decimal mark
-_WRITTEN: Final = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","))
-_NUMBER: Final = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?", re.ASCII) for mark in ".,"}
+NOTHING: Final = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
+NUMBER: Final = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?", re.ASCII) for mark in ".,"}
 #: 1.234,5 and 1,234.5 and 1 234 are certainly marks of thousands, 2.830 possibly
 _MARKED: Final = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:['\u00a0\u202f ]\d{3})+(?:[.,]\d*)?)")
 _PERHAPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
@@ -83,17 +78,14 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
 
 def _decimal_mark(texts: Iterable[str]) -> str:
     """The mark that some cells have for certain; both, ".,", or neither, ""."""
-    certain = {mark for text in texts for mark in ".," if mark in text and _NUMBER[mark].fullmatch(text)
+    certain = {mark for text in texts for mark in ".," if mark in text and NUMBER[mark].fullmatch(text)
                and not _PERHAPS.fullmatch(text)}  # fmt: skip
     return "".join(sorted(certain, reverse=True))
 
 
 @dataclass(kw_only=True)
 class Table:
-    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to be told of them.
-
-    above : the text above the numbers of a recorder's file.
-    """
+    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to be told of them."""
 
     name: str
     headings: list[str]
@@ -101,7 +93,6 @@ class Table:
     lines: list[int]
     notes: list[str] = field(default_factory=list)
     decimal: str = ""
-    above: str = ""
     faults: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -196,8 +187,8 @@ class Table:
                 refuse(f"{text!r} beside {whole!r}: a mark of thousands? write it without", perhaps)
             elif not mark and "," in text:
                 refuse(f'{text!r} can be a decimal comma or a mark of thousands: add decimal = ","', perhaps)
-        number = _each(_NUMBER["," if mark == "," else "."].fullmatch, texts)
-        empty = _each(lambda text: text.lower() in _NOTHING if blank else not text, texts)
+        number = _each(NUMBER["," if mark == "," else "."].fullmatch, texts)
+        empty = _each(lambda text: text.lower() in NOTHING if blank else not text, texts)
         if (strange := ~(number | empty | bad)).any():
             refuse(f"found {as_text(texts[int(np.argmax(strange))], 60)!r}, where a number is required", strange)
         if not blank:
@@ -241,7 +232,7 @@ class Table:
             self.notes.append(f"{self.name}: {_lines([self.lines[k] for k in again])} repeat"
                               f"{'s' * (len(again) == 1)} earlier rows: pasted twice?")  # fmt: skip
         columns = [[text.replace(",", ".") for text in column] for column in zip(*self.rows, strict=True)]
-        columns = [column for column in columns if len(set(column)) > 2 and all(map(_NUMBER["."].fullmatch, column))]
+        columns = [column for column in columns if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column))]
         if len(columns) < 2 or len(self.rows) < 5:
             return
         values = np.array(columns, dtype=float)
@@ -265,58 +256,86 @@ def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
     return np.array([bool(holds(cell)) for cell in cells], dtype=bool)
 
 
-def read_table(path: Path, *, decimal: str = "", largest: int = LARGEST, recorded: bool = False) -> Table:
+def read_table(path: Path, *, decimal: str = "") -> Table:
     """The table of a CSV or .xlsx file; its first line that is no comment (`#`) has the headings.
-
-    recorded : as a recorder writes it: blanks divide columns too, metadata stand above, headings may be missing.
 
     Raises TableError for what is no table, AccessError as `uqsphere.files.read_given`.
     """
-    name, notes, lines = path.name, list[str](), list[str]()
+    lines, notes = read_lines(path)
+    lines = {k: line for k, line in lines.items() if not is_comment(line)}
+    first = next(iter(lines.values()), "")
+    rows = cells_of(lines, next((divider for divider in "\t;" if divider in first), ","), path.name)
+    return table_of(path.name, rows, notes, decimal)
+
+
+def read_lines(path: Path, largest: int = LARGEST) -> tuple[dict[int, str], list[str]]:
+    """Lines of a CSV or .xlsx file by their numbers, empty ones left out, and notes; cells of a sheet end with tabs.
+
+    Raises TableError for what is no text or sheet, AccessError as `uqsphere.files.read_given`.
+    """
+    name, notes = path.name, list[str]()
     try:
         data = read_given(path, largest)
     except TooLarge:
         raise TableError(f"{name!r} is larger than {largest >> 20} MiB") from None
-    live: dict[int, Any]
     if data.startswith(b"PK\x03\x04"):
-        live = _sheet(data, name, notes)
+        lines = _sheet(data, name, notes)
     else:
         # only what ends a line everywhere: a text may have other marks of Unicode
-        lines = re.split("\r\n|\r|\n", _decoded(data, name, notes))
-        if re.fullmatch("sep=.", lines[0]):
-            lines[0] = ""
-        if (longest := max(map(len, lines))) > _LONGEST:
+        lines = dict(enumerate(re.split("\r\n|\r|\n", _decoded(data, name, notes)), 1))
+        if re.fullmatch("sep=.", lines[1]):
+            del lines[1]
+        if (longest := max(map(len, lines.values()), default=0)) > _LONGEST:
             raise TableError(f"{name!r} has a line of {longest:,} characters; {_LONGEST:,} are read at most")
-        live = {k: line for k, line in enumerate(lines, 1)
-                if line.strip(" ;,\t").strip() and not line.lstrip().startswith("#")}  # fmt: skip
-    if not live:
+    return {k: line for k, line in lines.items() if line.strip(" ;,\t").strip()}, notes
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line is a comment."""
+    return line.lstrip(" ").startswith("#")
+
+
+def cells_of(lines: Mapping[int, str], divider: str, name: str, strict: bool = True) -> dict[int, list[str]]:
+    """Cells of lines by their numbers; `strict`: quotes must close, or TableError is raised."""
+
+    def divided(line: str) -> list[str]:
+        return next(csv.reader([line], delimiter=divider, strict=strict)) if '"' in line else line.split(divider)
+
+    try:
+        return {k: [cell.strip() for cell in divided(line)] for k, line in lines.items()}
+    except csv.Error:
+        raise TableError(f"{name!r}: a text in quotes goes over several lines: keep every row on its line") from None
+
+
+def table_of(name: str, rows: Mapping[int, list[str]], notes: list[str], decimal: str = "") -> Table:
+    """The table of rows by the numbers of their lines: headings, their units where they are a row, and data."""
+    if not rows:
         raise TableError(f"{name!r} is empty")
-    if recorded:
-        rows, decimal = _recorded(name, live, lines, notes)
-    else:
-        first = live[min(live)]
-        rows = _cells(live, next((divider for divider in ";\t" if divider in first), ","), name)
-    headings = rows.pop(min(rows))
+    (_, headings), *numbered = rows.items()
     while headings and not headings[-1]:
         headings = headings[:-1]
     width = len(headings)
-    if wide := [line for line, row in rows.items() if any(row[width:])]:
+    if wide := [line for line, row in numbered if any(row[width:])]:
         raise TableError(f"{name}: line {wide[0]}: more cells than headings: a decimal comma between commas? "
                          "save it with semicolons")  # fmt: skip
-    if width > _MOST_COLUMNS:
-        raise TableError(f"{name!r} has {width:,} columns; {_MOST_COLUMNS:,} are read at most")
-    if rows and _are_units(rows[min(rows)]):
-        units = [cell.strip("[]()- ") for cell in rows.pop(min(rows))]
+    if width > MOST_COLUMNS:
+        raise TableError(f"{name!r} has {width:,} columns; {MOST_COLUMNS:,} are read at most")
+    if numbered and are_units(numbered[0][1]):
+        units = [cell.strip("[]()- ") for cell in numbered.pop(0)[1]]
         headings = [f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)]
-    if not rows:
+    if not numbered:
         raise TableError(f"{name!r} has no row below its headings")
-    return Table(name=name, headings=headings, lines=list(rows), notes=notes, decimal=decimal,
-                 rows=[row[:width] + [""] * (width - len(row)) for row in rows.values()],
-                 above="\n".join(lines[: max(min(rows), 40)]))  # fmt: skip
+    return Table(name=name, headings=headings, lines=[line for line, _ in numbered], notes=notes, decimal=decimal,
+                 rows=[row[:width] + [""] * (width - len(row)) for _, row in numbered])  # fmt: skip
 
 
-def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, list[str]]:
-    """Cells of the rows of the first sheet of a workbook that has any, by their numbers."""
+def are_units(row: list[str]) -> bool:
+    """Whether the cells of a row are units."""
+    return any(row) and {cell.strip("[]() ") for cell in row} <= _ALL_UNITS
+
+
+def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, str]:
+    """Rows of the first sheet of a workbook that has any, by their numbers, a tab behind each cell."""
     from zipfile import ZipFile
 
     from openpyxl import load_workbook
@@ -338,30 +357,17 @@ def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, list[str]]:
     if len(full) > 1:
         notes.append(f"{name} has {len(full)} sheets: the first, {next(iter(full))!r}, is read")
     rows = next(iter(full.values()), {})
-    return {k: row for k, row in rows.items() if any(row) and not row[0].startswith("#")}
+    # a row ends with its last cell that is not empty
+    width = min(max(map(len, rows.values()), default=0), MOST_COLUMNS)
+    return {k: "\t".join([*row, *[""] * (width + 1 - len(row))]) for k, row in rows.items()}
 
 
 def _cell_text(cell: object) -> str:
-    """A cell as it is shown: what Excel keeps of 7.42 may be 7.4199999999999999."""
+    """A cell as it is shown, on one line and in quotes where it has some: Excel may keep 7.4199999999999999 of 7.42."""
     if isinstance(cell, float):
         return str(int(cell)) if cell.is_integer() else f"{cell:.12g}"
-    return "" if cell is None else str(cell).strip()
-
-
-def _cells(live: dict[int, Any], divider: str, name: str, strict: bool = True) -> dict[int, list[str]]:
-    """Cells of lines, which those of a sheet are already, by the numbers of the lines; `strict`: quotes must close."""
-    if live and not isinstance(next(iter(live.values())), str):
-        return live
-    if divider == " ":
-        return {k: line.split() for k, line in live.items()}
-
-    def divided(line: str) -> list[str]:
-        return next(csv.reader([line], delimiter=divider, strict=strict)) if '"' in line else line.split(divider)
-
-    try:
-        return {k: [cell.strip() for cell in divided(line)] for k, line in live.items()}
-    except csv.Error:
-        raise TableError(f"{name!r}: a text in quotes goes over several lines: keep every row on its line") from None
+    text = "" if cell is None else " ".join(str(cell).split())
+    return f'"{text.replace(chr(34), 2 * chr(34))}"' if '"' in text else text
 
 
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
@@ -374,64 +380,3 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     except UnicodeDecodeError:
         notes.append(f"{name} is not UTF-8: read as Windows text (cp1252)")
         return data.decode("cp1252", "replace")
-
-
-def _recorded(name: str, live: dict[int, Any], lines: list[str], notes: list[str]) -> tuple[dict[int, list[str]], str]:
-    """Headings, units and numbers of a recorder's file by lines, and the decimal mark.
-
-    Its second half shows divider and mark: metadata stand above or beside the first half at the most.
-    """
-    if lines:
-        # quotes around a whole line
-        live = {k: line.strip('"') if re.fullmatch('"[^"]*"', line) else line for k, line in live.items()}
-    else:
-        if (wide := max(map(len, live.values()))) > _MOST_COLUMNS:
-            raise TableError(f"{name!r} has {wide:,} columns; {_MOST_COLUMNS:,} are read at most")
-        # a row of a sheet ends with its last cell that is not empty
-        live = {k: row + [""] * (wide - len(row)) for k, row in live.items()}
-    keys, best, divider, mark, width, places = list(live), (0, 0), "", "", 0, list[int]()
-    some = keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys
-    for one, decimal in _WRITTEN if lines else ((" ", "."),):
-        number, cells = _NUMBER[decimal].fullmatch, _cells({k: live[k] for k in some}, one, name, False)
-        rows = [row for row in cells.values() if any(map(number, row))]
-        usual = max(sorted(Counter(map(len, rows)).items()), key=lambda pair: pair[1], default=(0, 0))[0]
-        rows = [row for row in rows if len(row) == usual]
-        # columns that hold numbers, and words in few rows
-        numeric = [k for k in range(usual) if any(number(row[k]) for row in rows)
-                   and 2 * sum(not _is_number(row[k], decimal) for row in rows) < len(rows)]  # fmt: skip
-        whole = min(len(numeric), 2), sum(all(_is_number(row[k], decimal) for k in numeric) for row in rows)
-        if numeric and whole > best:
-            best, divider, mark, width, places = whole, one, decimal, usual, numeric
-    if not places:
-        raise TableError(f"{name}: no table of numbers (columns divided by comma, semicolon, tab or blanks)")
-    cells = _cells(live, divider, name, False)
-    first = next(k for k in keys if len(cells[k]) > places[-1] and any(cells[k][p] for p in places)
-                 and all(_is_number(cells[k][p], mark) for p in places))  # fmt: skip
-    body = {k: row + [""] * (width - len(row)) if divider == "\t" else row for k, row in cells.items() if k >= first}
-    if ragged := [k for k, row in body.items() if len(row) < width or any(row[width:]) or len(row) > width + 1]:
-        hint = "; columns with a decimal comma are divided by semicolons or tabs" if divider == "," else ""
-        raise TableError(f"{name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0]} with "
-                         f"{len(body[ragged[0]])}{hint}")  # fmt: skip
-    said = {k: line.lstrip("# ") for k, line in enumerate(lines[: first - 1]) if line.lstrip().startswith("#")}
-    above = [row for k, row in cells.items() if k < first] or [*_cells(said, divider, name, False).values()]
-    above = [row[:width] for row in above if len(row) in (width, width + 1)]
-    units = [above.pop()] if above and _are_units(above[-1]) else []
-    if not above:
-        notes.append(f"{name} names no columns")
-    if mark == ",":
-        notes.append(f"{name}: decimal comma")
-    headings = above[-1] if above else [""] * width
-    used = [k for k in range(width) if k in places or headings[k]]
-    headings = [heading or f"column {k}" for k, heading in enumerate(headings, 1)]
-    headings = [f"{k} {h}" if headings.count(h) > 1 else h for k, h in enumerate(headings, 1)]
-    rows = [headings, *units, *body.values()]
-    numbers = range(first - len(units) - 1, first)
-    return {k: [row[p] for p in used] for k, row in zip([*numbers, *body], rows, strict=True)}, mark
-
-
-def _are_units(row: list[str]) -> bool:
-    return any(row) and {cell.strip("[]() ") for cell in row} <= _ALL_UNITS
-
-
-def _is_number(cell: str, mark: str) -> bool:
-    return bool(_NUMBER[mark].fullmatch(cell)) or cell.lower() in _NOTHING

@@ -15,6 +15,7 @@ from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.record import load_record
+from uqsphere.labs.shpb.recorded import read_recorded
 from uqsphere.labs.shpb.sheet import rows
 from uqsphere.labs.shpb.waves import Reading, read_test
 from uqsphere.mechanics.bars import correct
@@ -341,6 +342,42 @@ def test_a_polarity_that_is_given_is_taken(polarity: str, sign: float, tmp_path:
     check_sound(read(tmp_path, frame, record={"polarity": polarity}), 0.015)
     with pytest.raises(UsageError, match="does not press"):
         read(tmp_path, frame * [1.0, -1.0, -1.0], record={"polarity": polarity})
+
+
+def test_columns_of_a_recorders_sheet_end_where_they_like(tmp_path: Path) -> None:
+    from openpyxl import Workbook
+
+    book, path = Workbook(), tmp_path / "t.xlsx"
+    book.active.append(["time [s]", "a [V]", "b [V]"])
+    for k in range(100):
+        book.active.append(
+            [1e-6 * k, 0.1 * k, 0.2 * k] if k < 40 else [1e-6 * k, 0.1 * k] if k < 90 else [None, 0.1 * k]
+        )
+    book.save(path)
+    table, _ = read_recorded(path)
+    assert table.headings == ["time [s]", "a [V]", "b [V]"]
+    assert len(table) == 100
+    assert table.rows[-1] == ["", "9.9", ""]
+
+
+@pytest.mark.parametrize(
+    ("text", "headings", "above"),
+    [("Samplerate;10000 Hz\nCH;A;B;\ns;V;V;\n" + "".join(f"{k},0;{k},5;0,25\n" for k in range(80)),
+      ["CH [s]", "A [V]", "B [V]"], "Samplerate"),
+     ("".join(f" {k}.0  {k}.5 0.25\n" for k in range(80)), ["column 1", "column 2", "column 3"], ""),
+     ('"t;x;x"\r' + "".join(f'"{k}.0;{k}.5;0.25"\r' for k in range(80)), ["t", "2 x", "3 x"], ""),
+     ("# t [ms],x,y\n#\n" + "".join(f"{k}.0,{k}.5,0.25\n" for k in range(80)), ["t [ms]", "x", "y"], "#"),
+     ("t/ms\tx µε\ty\n" + "".join(f"{k}\t{k}.5\t0.25\n" for k in range(79)) + "79\t79.5\n", ["t/ms", "x µε", "y"], "")],
+)  # fmt: skip
+def test_what_a_recorder_writes(text: str, headings: list[str], above: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(text, encoding="utf-8", newline="")
+    table, metadata = read_recorded(tmp_path / "t.csv")
+    assert table.headings == headings
+    assert above in metadata
+    assert table.numbers(1).tolist() == list(range(80))
+    assert table.numbers(2)[-1] == 79.5
+    assert table.numbers(3, blank=True)[0] == 0.25
+    table.check()
 
 
 def test_the_rows_of_the_sheet_are_the_numbers_of_the_test(tmp_path: Path) -> None:

@@ -21,10 +21,10 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, Section, in_unit
+from uqsphere.labs.shpb.recorded import read_recorded
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
-from uqsphere.tables import read_table
 
 #: samples without which no law is fitted, and the most that are used
 _LEAST, _MOST = 30, 1500
@@ -111,7 +111,7 @@ class ContactFit:
 
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
     """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
-    table = read_table(folder / asked.file, recorded=True)
+    table, _ = read_recorded(folder / asked.file)
     sign = 1.0 if asked.compression == "positive" else -1.0
     displacement, force = (
         sign * table.numbers(column, dimension, unit or None, key=f"{column}")

@@ -8,7 +8,6 @@ a share of 4 % or 0.01 % comes from the law and not from counting rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,7 +22,6 @@ from uqsphere.units import UnitError, parse_value
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
     from uqsphere.study import Study
-    from uqsphere.uq import Law
 
 #: randomisations of the Sobol' points
 _SPLITS: Final = 8
@@ -61,7 +59,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     Raises UsageError for a study without a limit that means fracture or without the number, StudyError as `load_study`.
     """
     import uqsphere
-    from uqsphere.uq import Law
+    from uqsphere.uq import Law, LimitState, tails
     from uqsphere.uq.curve import fragility
 
     study = uqsphere.load_study(folder / asked.study)
@@ -71,32 +69,32 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     if not limits:
         raise UsageError("no limit of the study means fracture: a plan needs a strength, [limits.NAME]")
     free, low, high = _range(asked, study)
-    moved = study.random.get(free)
     factors = [f"limits.{one.name}.model_factor" for one in limits if isinstance(one.model_factor, Law)]
-    columns = [*(name for name in study.random if name != free), *([free] if moved is not None else []), *factors]
-    samples = _samples(study, columns, asked.rows)
-    shape = (asked.points, len(samples))
+    inputs, columns = study.inputs(), [*study.random, *factors]
+    drawn = inputs.only(columns)
+    scores = drawn.scores(_normals(len(columns), asked.rows, study.seed)) if columns else np.zeros((_SPLITS, 0))
+    samples = dict(zip(columns, drawn.marginal(scores).T, strict=True))
+    shape = (asked.points, len(scores))
     values = np.geomspace(low, high, asked.points) if low > 0.0 else np.linspace(low, high, asked.points)
-    frame = {name: np.tile(samples[:, k], asked.points) for k, name in enumerate(columns) if name not in factors}
-    scale = frame[free] / moved.nominal_mean() if moved is not None else 1.0
-    frame[free] = np.repeat(values, len(samples)) * scale
+    frame = {name: np.tile(samples[name], asked.points) for name in study.random}
+    scale = frame[free] / study.random[free].nominal_mean() if free in frame else 1.0
+    frame[free] = np.repeat(values, len(scores)) * scale
     answers = uqsphere.evaluate(study, frame, tuple(dict.fromkeys(["P_max", *(one.quantity for one in limits)])))
     force = answers["P_max"].to_numpy(dtype=float).reshape(shape)
     lost = np.isnan(force)
     shares: dict[str, Any] = {}
     reached: dict[str, Any] = {}
     for one in limits:
-        name = f"limits.{one.name}.model_factor"
-        factor = samples[:, columns.index(name)] if name in columns else one.model_factor
+        factor = samples.get(f"limits.{one.name}.model_factor", one.model_factor)
         demand = answers[one.quantity].to_numpy(dtype=float).reshape(shape) * factor
-        if isinstance(one.strength, Law):
-            broken = _below(one.strength, demand, study, f"limits.{one.name}.strength", columns, samples)
-        else:
-            broken = (demand > one.strength).astype(float)
+        strength, tie = f"limits.{one.name}.strength", None
+        if strength in inputs.names:
+            tie = inputs.tie(strength, columns, np.broadcast_to(scores, (asked.points, *scores.shape)))
         # a row without an answer may break or not
         gone = np.isnan(demand)
-        each = np.where(gone, 0.5, broken).reshape(asked.points, _SPLITS, -1).mean(axis=2)
-        found = fragility(values, each, asked.shares, samples=len(samples) // _SPLITS, evaluations=demand.size)
+        broken = np.where(gone, 0.5, tails(LimitState(demands=demand, strength=one.strength, tie=tie))[0])
+        each = broken.reshape(asked.points, _SPLITS, -1).mean(axis=2)
+        found = fragility(values, each, asked.shares, samples=len(scores) // _SPLITS, evaluations=demand.size)
         shares[one.name] = [[share, max(low - part, 0.0), min(high + part, 1.0)] for (_, share, low, high), part
                             in zip(found.curve, 0.5 * gone.mean(axis=1), strict=True)]  # fmt: skip
         reached[one.name] = [{"share": share, "value": None if at.value is None else (at.value, at.low, at.high)}
@@ -138,20 +136,6 @@ def plan_csv(plan: dict[str, Any]) -> str:
     return csv_text(names, [plan["values"], *np.transpose(plan["force"]), *shares, plan["failed"]])
 
 
-def _below(law: Law, demand: Array, study: Study, name: str, columns: Sequence[str], samples: Array) -> Array:
-    """P(strength < demand) (m, n), given the inputs (n, d) that the strength is correlated with."""
-    from scipy.special import ndtr, ndtri
-
-    share, correlation = law.cdf(demand), study.inputs().only((*columns, name)).correlation
-    if correlation is None:
-        return np.asarray(share)
-    laws = study.laws()
-    scores = np.stack([ndtri(laws[one].cdf(samples[:, k])) for k, one in enumerate(columns)], axis=1)
-    weight = np.linalg.solve(correlation[:-1, :-1], correlation[:-1, -1])
-    rest = math.sqrt(max(1.0 - float(weight @ correlation[:-1, -1]), 1e-12))
-    return np.asarray(ndtr((ndtri(share) - scores @ weight) / rest))
-
-
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     """The free number and its ends [SI]: of the file, of the study's margins, or a third to three times its value."""
     own, margins = study.at_means(), study.margins
@@ -172,13 +156,13 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     return free, low, high
 
 
-def _samples(study: Study, names: Sequence[str], rows: int) -> Array:
-    """Scattering numbers (n, d) in SI, in `_SPLITS` blocks, each a randomisation of the same Sobol' points."""
+def _normals(dimension: int, rows: int, seed: int) -> Array:
+    """Standard normals (n, d) in `_SPLITS` blocks, each a randomisation of the same Sobol' points."""
     from scipy.special import ndtri
 
     from uqsphere.uq import sobol_points
 
     each = 1 << max(3, math.ceil(math.log2(rows / _SPLITS)))
-    uniform = [sobol_points(dimension=len(names), count=each, seed=study.seed, task="shpb plan", replicate=split)
+    uniform = [sobol_points(dimension=dimension, count=each, seed=seed, task="shpb plan", replicate=split)
                for split in range(_SPLITS)]  # fmt: skip
-    return study.inputs().only(tuple(names)).physical(ndtri(np.concatenate(uniform))) if names else uniform[0][:_SPLITS]
+    return np.asarray(ndtri(np.concatenate(uniform)))

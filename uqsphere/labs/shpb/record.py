@@ -19,7 +19,8 @@ from scipy.ndimage import binary_closing, maximum_filter, median_filter
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
-from uqsphere.tables import Table, read_table, unit_in_heading
+from uqsphere.labs.shpb.recorded import read_recorded
+from uqsphere.tables import Table, unit_in_heading
 from uqsphere.units import UNITS
 
 #: bytes of a record, at the most
@@ -117,10 +118,10 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave or a rest.
     """
     changes, asked = Changes(), document.record
-    tables = [read_table(folder / name, largest=_LARGEST, recorded=True) for name in (asked.file, *asked.more_files)]
-    for text in (text for table in tables for text in table.notes):
+    read = [read_recorded(folder / name, _LARGEST) for name in (asked.file, *asked.more_files)]
+    for text in (text for table, _ in read for text in table.notes):
         changes.add("read", "", text)
-    time, groups = _columns(document, tables, changes)
+    time, groups = _columns(document, [table for table, _ in read], read[0][1], changes)
     start, step, columns = _even(time, groups, changes)
     for name, (values, known) in columns.items():
         _despike(name, values, step, changes)
@@ -211,13 +212,13 @@ class Column:
 
 
 def _columns(
-    document: RecordDocument, tables: Sequence[Table], changes: Changes
+    document: RecordDocument, tables: Sequence[Table], above: str, changes: Changes
 ) -> tuple[Array, dict[str, list[tuple[str, Array]]]]:
-    """Time (n,) [s] and strains of every gauge by role."""
+    """Time (n,) [s] and strains of every gauge by role; `above`: metadata of the first file."""
     asked, main = document.record, tables[0]
     files = [[Column(table=t, heading=h, values=t.numbers(h, key=h, blank=True)) for h in t.headings] for t in tables]
     guessed, own = asked.time is None, files[0]
-    interval = asked.sample_interval or (_interval(main.above) if not own[0].rises and len(tables) == 1 else 0.0)
+    interval = asked.sample_interval or (_interval(above) if not own[0].rises and len(tables) == 1 else 0.0)
     if guessed and interval > 0.0:
         clock, time = -1, np.asarray(interval * np.arange(len(main)), dtype=float)
         changes.add("read", "", f"no column of time: a sample every {interval * 1e6:.6g} us")
