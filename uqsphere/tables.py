@@ -296,9 +296,12 @@ def is_comment(line: str) -> bool:
 
 
 def cells_of(lines: Mapping[int, str], divider: str, name: str, strict: bool = True) -> dict[int, list[str]]:
-    """Cells of lines by their numbers; `strict`: quotes must close, or TableError is raised."""
+    """Cells of lines by their numbers, divided by a character, or by blanks; `strict`: quotes must close, or TableError
+    is raised."""
 
     def divided(line: str) -> list[str]:
+        if divider == " ":
+            return line.split()
         return next(csv.reader([line], delimiter=divider, strict=strict)) if '"' in line else line.split(divider)
 
     try:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from uqsphere.labs.files import Density, Length, Pressure, Section, Speed, from_library, in_unit
-from uqsphere.units import parse_value
 
 SpecificEnergy = Annotated[float, in_unit("specific_energy"), Field(gt=0.0)]
 Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
 Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
-Share = Annotated[
-    float, BeforeValidator(lambda v: parse_value(v, "share") if isinstance(v, str) else v), Field(gt=0.0, le=1.0)
-]
+Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
 
 
 class Elastic(Section):

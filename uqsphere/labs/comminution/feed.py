@@ -138,7 +138,7 @@ def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
 
 def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
     """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,) [J/kg]."""
-    u = laws.thresholds(posterior.gamma, blows)
+    u = laws.thresholds(posterior.parameters["gamma"], blows)
     each = [posterior.broken(energy * u[:, k, None], sizes) for k in range(1, blows + 1)]
     return np.stack([np.zeros((len(posterior), len(sizes))), *each], axis=2)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -68,7 +68,8 @@ class Model:
 class Posterior:
     """Draws (D,) of a law and its size effect; of an average the laws stand in proportion to their weights.
 
-    law : (D,) index into `models`; parameters : by name, NaN where a draw's law has none.
+    law : (D,) index into `models`; parameters : by name, NaN where a draw's law has none; the damage exponent `gamma`
+    has its prior where the tests say nothing of it.
     """
 
     models: tuple[Model, ...]
@@ -83,8 +84,7 @@ class Posterior:
     def thin(self, count: int) -> Posterior:
         """About so many draws, evenly."""
         rows = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
-        return Posterior(models=self.models, law=self.law[rows], tested=self.tested, tests=self.tests,
-                         parameters={name: v[rows] for name, v in self.parameters.items()})  # fmt: skip
+        return replace(self, law=self.law[rows], parameters={name: v[rows] for name, v in self.parameters.items()})
 
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""
@@ -108,11 +108,6 @@ class Posterior:
             p = {name: self.parameters[name][rows, None] for name in model.names}
             found[rows] = ask(model, p, diameter, values[rows])
         return found
-
-    @property
-    def gamma(self) -> Array:
-        """The damage exponent (D,); its prior where the tests say nothing of it."""
-        return self.parameters["gamma"]
 
     def strength_csv(self, diameter: float) -> str:
         """Draws of the strength of particles of one size, as a study takes them: distribution, scale, shape, bound."""

@@ -112,15 +112,11 @@ class ContactFit:
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
     """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
     table, _ = read_recorded(folder / asked.file)
-    sign = 1.0 if asked.compression == "positive" else -1.0
-    displacement, force = (
-        sign * table.numbers(column, dimension, unit or None, key=f"{column}")
-        for column, dimension, unit in (
-            (asked.displacement, "length", asked.displacement_unit), (asked.force, "force", asked.force_unit),
-        )
-    )  # fmt: skip
+    displacement = table.numbers(asked.displacement, "length", asked.displacement_unit or None, key="displacement")
+    force = table.numbers(asked.force, "force", asked.force_unit or None, key="force")
     table.check()
-    return displacement, force, table.notes
+    sign = 1.0 if asked.compression == "positive" else -1.0
+    return sign * displacement, sign * force, table.notes
 
 
 def face_approach(

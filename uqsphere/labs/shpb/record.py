@@ -342,11 +342,11 @@ def _even(
 ) -> tuple[float, float, dict[str, tuple[Array, Flags]]]:
     """Start and step [s], and strain and known samples of every gauge by its name, on even steps."""
     names = [name for signals in groups.values() for name, _ in signals]
-    raw = np.stack([values for signals in groups.values() for _, values in signals], axis=1)
+    raw = np.stack([values for signals in groups.values() for _, values in signals])
     there = np.isfinite(time)
     if not there.all():
         changes.add("read", "", f"{int((~there).sum())} rows without a time are left out")
-        time, raw = time[there], raw[there]
+        time, raw = time[there], raw[:, there]
     steps = np.diff(time)
     if (steps == 0.0).any():
         even, digit = np.linspace(time[0], time[-1], len(time)), float(steps.max())
@@ -367,22 +367,23 @@ def _even(
         changes.add("read", "", f"uneven steps of time: brought to {step * 1e6:.6g} us by lines between samples")
     else:
         step = float((time[-1] - time[0]) / (len(time) - 1))
-    strain, known, filled = np.empty((len(grid), len(names))), np.ones((len(grid), len(names)), dtype=bool), 0
-    for k in range(len(names)):
-        good = np.isfinite(raw[:, k])
+    found, filled, lost = dict[str, tuple[Array, Flags]](), 0, 0
+    for name, values in zip(names, raw, strict=True):
+        good = np.isfinite(values)
         own = time[good]
-        strain[:, k] = np.interp(grid, own, raw[good, k])
         after = np.clip(np.searchsorted(own, grid), 1, len(own) - 1)
         wide = own[after] - own[after - 1]
         inside = np.minimum(np.abs(grid - own[after - 1]), np.abs(own[after] - grid)) > 1e-6 * step
         filled += int((inside & (wide > 1.5 * step)).sum())
         outside = inside & ((grid < own[0]) | (grid > own[-1]))
-        known[:, k] = ~(outside | (inside & (wide > (_SHORT_GAP + 1.5) * step)))
+        unknown = outside | (inside & (wide > (_SHORT_GAP + 1.5) * step))
+        lost += int(unknown.sum())
+        found[name] = np.interp(grid, own, values[good]), ~unknown
     if filled:
         changes.add("read", "", f"{filled} missing samples are filled by lines between their neighbours")
-    if not known.all():
-        changes.add("read", "", f"{int((~known).sum())} samples lie in gaps of more than {_SHORT_GAP}: not used")
-    return float(grid[0]), step, {name: (strain[:, k].copy(), known[:, k].copy()) for k, name in enumerate(names)}
+    if lost:
+        changes.add("read", "", f"{lost} samples lie in gaps of more than {_SHORT_GAP}: not used")
+    return float(grid[0]), step, found
 
 
 # --- spikes, clipping ---------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from statistics import mode
 from typing import Final
@@ -22,16 +23,17 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     most.  Raises TableError for what holds no table of numbers, AccessError as `uqsphere.files.read_given`.
     """
     name, (lines, notes) = path.name, tables.read_lines(path, largest)
+    divided = partial(tables.cells_of, name=name, strict=False)
     # quotes around a whole line
     lines = {k: line.strip('"') if re.fullmatch('"[^"]*"', line) else line for k, line in lines.items()}
     live = {k: line for k, line in lines.items() if not tables.is_comment(line)}
     keys = list(live)
     some = {k: live[k] for k in (keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys)}
-    forms = [(*_numeric([*_divided(some, one, name).values()], mark), one, mark) for one, mark in _WRITTEN]
+    forms = [(*_numeric([*divided(some, one).values()], mark), one, mark) for one, mark in _WRITTEN]
     _, whole, width, places, divider, mark = max(forms, key=lambda form: form[:2])
     if not (places and whole):
         raise TableError(f"{name}: no table of numbers (columns divided by comma, semicolon, tab or blanks)")
-    cells = _divided(live, divider, name)
+    cells = divided(live, divider)
     first = next(k for k, row in cells.items() if len(row) > places[-1] and any(row[p] for p in places)
                  and all(_is_number(row[p], mark) for p in places))  # fmt: skip
     body = {k: row + [""] * (width - len(row)) if divider == "\t" else row for k, row in cells.items() if k >= first}
@@ -40,7 +42,7 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
         raise TableError(f"{name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0]} with "
                          f"{len(body[ragged[0]])}{hint}")  # fmt: skip
     said = {k: line.lstrip("# ") for k, line in lines.items() if k < first and tables.is_comment(line)}
-    above = [row for k, row in cells.items() if k < first] or [*_divided(said, divider, name).values()]
+    above = [row for k, row in cells.items() if k < first] or [*divided(said, divider).values()]
     above = [row[:width] for row in above if len(row) in (width, width + 1)]
     units = [above.pop()] if above and tables.are_units(above[-1]) else []
     if not above:
@@ -65,12 +67,6 @@ def _numeric(rows: Sequence[list[str]], mark: str) -> tuple[int, int, int, list[
     places = [k for k in range(width) if any(NUMBER[mark].fullmatch(row[k]) for row in rows)
               and 2 * sum(not _is_number(row[k], mark) for row in rows) < len(rows)]  # fmt: skip
     return min(len(places), 2), sum(all(_is_number(row[k], mark) for k in places) for row in rows), width, places
-
-
-def _divided(lines: dict[int, str], divider: str, name: str) -> dict[int, list[str]]:
-    if divider == " ":
-        return {k: line.split() for k, line in lines.items()}
-    return tables.cells_of(lines, divider, name, strict=False)
 
 
 def _is_number(cell: str, mark: str) -> bool:
