@@ -249,7 +249,7 @@ def failure_probability(
         found = rare.failure_probability(rare.Evaluator(function, len(given.names), budget=evaluations), seed=seed,
                                          accuracy=accuracy)  # fmt: skip
         nearest = [given.physical(one.point[None])[0].tolist() for one in found.points[:1]]
-    return Failure(probability=found.estimate, sure=found.sure, warning="" if found.sure else "; ".join(found.checks),
+    return Failure(probability=found.estimate, sure=found.sure, warning=found.warning,
                    design_point=dict(zip(given.names, *nearest, strict=True)) if nearest else {})  # fmt: skip
 
 

@@ -261,7 +261,7 @@ def measured(entry: Problem, seeds: Sequence[int], budget: int) -> tuple[float, 
         errors.append((found.estimate.value or 0.0) / entry.reference - 1.0)
         holds.append(low - room <= entry.reference <= high + room)
         sure.append(found.sure)
-        spent.append(found.evaluations)
+        spent.append(found.estimate.evaluations)
     return (
         float(np.sqrt(np.mean(np.square(errors)))),
         float(np.mean(holds)),

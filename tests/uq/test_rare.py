@@ -22,7 +22,7 @@ def test_public_problems_within_four_percent_and_their_interval(name: str) -> No
     entry = problem(name)
     with np.errstate(all="ignore"):
         found = failure_probability(Evaluator(entry.function, entry.dimension), seed=7)
-    assert found.evaluations <= 30_000
+    assert found.estimate.evaluations <= 30_000
     assert found.estimate.value == pytest.approx(entry.reference, rel=0.04)
     assert found.estimate.value == pytest.approx(entry.reference, rel=max(0.02, 4.0 * found.estimate.std_error /
                                                                           found.estimate.value))  # fmt: skip

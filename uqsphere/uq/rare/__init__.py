@@ -53,21 +53,22 @@ class RareAnswer:
     Attributes
     ----------
     estimate : with its interval; absent with an upper end where no failure was seen
-    sure : whether two methods agree, so that the interval may be believed
-    checks : what was looked at, in sentences
+    warning : why the interval may not be believed; empty where two methods agree
     points : the design points, nearest first, in standard normal space
-    evaluations : of the limit function
     draws : the points of importance sampling (R, n, d), if it came to that
     searched : whether there was a search; without one the draws of others gave it
     """
 
     estimate: Estimate
-    sure: bool
-    checks: tuple[str, ...]
+    warning: str
     points: tuple[DesignPoint, ...] = ()
-    evaluations: int
     draws: Draws | None = None
     searched: bool = True
+
+    @property
+    def sure(self) -> bool:
+        """Whether two methods agree, so that the interval may be believed."""
+        return not self.warning
 
 
 def failure_probability(
@@ -95,54 +96,43 @@ def failure_probability(
         return _sampled(evaluator, seed)
     if known and (near := nearby(evaluator, known, seed=seed, accuracy=accuracy)) is not None:
         points = find_design_points(evaluator, seed=seed, most=0.06 * budget)
-        estimate = replace(near.estimate, evaluations=evaluator.count)
-        return RareAnswer(estimate=estimate, sure=True, checks=("draws nearby",), points=points, draws=near.draws,
-                          evaluations=evaluator.count, searched=False)  # fmt: skip
+        return RareAnswer(estimate=replace(near.estimate, evaluations=evaluator.count), warning="", points=points,
+                          draws=near.draws, searched=False)  # fmt: skip
     pool, starts = _look_around(evaluator, seed)
     points = find_design_points(evaluator, seed=seed, starts=starts, most=0.06 * budget)
     subset = subset_simulation(evaluator, seed=seed, per_level=int(min(max(budget // 75, 100), 500)))
-    if subset.levels == 0 and subset.estimate.value is not None and subset.estimate.value > 0.5:
+    if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:
         # failure is the rule: the probability of survival is looked for
-        survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=max(evaluator.left, FEW))
-        other = failure_probability(survival, seed=seed, accuracy=accuracy)
-        reason = other.estimate.reason and other.estimate.reason.replace("failure", "survival")
-        return _after(evaluator, replace(other, estimate=replace(complement(other.estimate), reason=reason)))
-    checks = [] if points else ["no search for a design point converged"]
+        survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=evaluator.left)
+        found = failure_probability(survival, seed=seed, accuracy=accuracy)
+        other = found.estimate
+        failure = replace(complement(other), evaluations=evaluator.count + survival.count,
+                          reason=other.reason and other.reason.replace("failure", "survival"))  # fmt: skip
+        return replace(found, estimate=failure)
     mixture = _first_mixture(evaluator, pool, points, subset)
-    estimate, sure, draws = _bound(subset.estimate), False, None
     if mixture is None and evaluator.failed:
         # rows without an answer may be the failures that were not found: a plain sample bounds them
-        return _after(evaluator, _sampled(replace(evaluator, budget=max(evaluator.left, FEW)), seed))
+        return _sampled(evaluator, seed)
+    estimate, warning, draws = _bound(subset.estimate), "no search for a failure found one", None
     if mixture is not None:
         per_stage = int(max(min(2048, evaluator.left / 6), 256))
         mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=per_stage)
         answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy)
-        estimate, sure = _certify(answer, subset, checks)
+        estimate, warning = _certify(answer, subset.estimate)
         draws = answer.draws
-    return RareAnswer(estimate=replace(estimate, evaluations=evaluator.count), sure=sure, checks=tuple(checks),
-                      points=points, evaluations=evaluator.count, draws=draws)  # fmt: skip
+    return RareAnswer(estimate=replace(estimate, evaluations=evaluator.count), warning=warning, points=points,
+                      draws=draws)  # fmt: skip
 
 
-def _after(evaluator: Evaluator, answer: RareAnswer) -> RareAnswer:
-    """An answer of its own evaluations, with those that led to it."""
-    spent = answer.evaluations + evaluator.count
-    return replace(answer, estimate=replace(answer.estimate, evaluations=spent), evaluations=spent)
-
-
-def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array | None]:
-    """Points far out in all directions; the most probable failures among them as starts."""
+def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
+    """Points far out in all directions; the three most probable failures (n, size) among them as starts."""
     d = evaluator.dimension
     if d > MOST_DIMENSIONS:
-        return [], None
+        return [], np.empty((0, evaluator.size))
     count = int(min(1024, evaluator.budget // 20))
     look = draw(evaluator, wide_mixture(d), count, seed=seed, task="wide look")
-    points, values = look.points, evaluator.values(look.points, look.answers)
-    failing = np.flatnonzero(values < (2.0 if evaluator.integrated else 0.0))
-    chosen: list[int] = []
-    for k in failing[np.argsort((points[failing] ** 2).sum(axis=1), kind="stable")]:
-        if len(chosen) < 3 and all(float(np.linalg.norm(points[k] - points[j])) > 2.0 for j in chosen):
-            chosen.append(int(k))
-    starts = points[chosen]
+    failing = look.points[evaluator.values(look.points, look.answers) < (2.0 if evaluator.integrated else 0.0)]
+    starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
     return [look], np.column_stack([starts, np.full(len(starts), -1.0)]) if evaluator.integrated else starts
 
 
@@ -156,32 +146,28 @@ def _first_mixture(
         parts.append(gaussian(subset.failures[:, :d], np.ones(len(subset.failures))))
     if known := [point for point in points if point.beta > 0.0]:
         parts.append(around_design_points(known[:6], d))
-    if pool:
-        failing, weights = failures(evaluator, pool)
-        if carriers(weights) >= max(8.0, 1.5 * d):
-            parts.append(gaussian(failing, weights))
+    if pool and len((seen := failures(evaluator, pool))[1]):
+        parts.append(gaussian(*seen))
     return joined([(1.0, part) for part in parts]) if parts else None
 
 
-def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) -> tuple[Estimate, bool]:
-    """The answer if the second method does not contradict it, else one whose interval holds both."""
-    own, other = answer.estimate, subset.estimate
+def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
+    """The answer if subset simulation does not contradict it, else one whose interval holds both, and a warning."""
+    own = answer.estimate
     if own.value is None or own.low is None or own.high is None:
-        checks.append(f"importance sampling: {own.reason}; subset simulation has no second method")
-        return _bound(other), False
+        return _bound(other), f"importance sampling: {own.reason}; subset simulation has no second method"
     if other.value is None or other.high is None:
-        checks.append(f"subset simulation: {other.reason}; importance sampling has no second method")
-        return own, answer.trusted and own.low <= (1.0 if other.high is None else other.high)
+        sure = answer.trusted and own.low <= (1.0 if other.high is None else other.high)
+        return own, "" if sure else f"subset simulation: {other.reason}; importance sampling has no second method"
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
     slack = 1.5 * math.log(other.high / other.value) + math.log(own.high / own.low)
     if answer.trusted and math.log(own.value / other.value) >= -slack:
-        agreed = own.value <= other.value * math.exp(slack)
         # what trusted weights show is there; chains may well have missed it
-        checks.append(f"subset simulation {'agrees' if agreed else 'missed a part of the failures'}: {other.value:.3g}")
-        return own, agreed
-    checks.append(f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset simulation "
-                  f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both")  # fmt: skip
-    return replace(own.holding(other), method=f"{own.method}, widened to hold subset simulation"), False
+        agreed = own.value <= other.value * math.exp(slack)
+        return own, "" if agreed else f"subset simulation missed a part of the failures: {other.value:.3g}"
+    warning = (f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset simulation "
+               f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both")  # fmt: skip
+    return replace(own.holding(other), method=f"{own.method}, widened to hold subset simulation"), warning
 
 
 def _bound(single: Estimate) -> Estimate:
@@ -195,9 +181,9 @@ def _bound(single: Estimate) -> Estimate:
 
 def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
     """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
-    count = int(evaluator.budget // REPLICATES)
+    count = int(evaluator.left // REPLICATES)
     if count < 2:
-        raise ValueError(f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.budget:.0f}")
+        raise ValueError(f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left:.0f}")
     points = [sobol_points(dimension=evaluator.dimension, count=count, seed=seed, task="few", replicate=r)
               for r in range(REPLICATES)]  # fmt: skip
     mass = evaluator.mass(evaluator.values(special.ndtri(np.concatenate(points)))).reshape(REPLICATES, count)
@@ -207,7 +193,7 @@ def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
     high = min(max(high, value + unseen) + lost, 1.0)
     some = value > 0.0
     estimate = Estimate(value=value if some else None, low=low, high=high, std_error=error if some else None,
-                        method="randomised quasi-Monte Carlo", evaluations=total,
+                        method="randomised quasi-Monte Carlo", evaluations=evaluator.count,
                         reason=None if some else f"no failure in {total} runs: it is below {high:.2g}")  # fmt: skip
-    text = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
-    return RareAnswer(estimate=estimate, sure=False, checks=(text,), evaluations=total)
+    warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
+    return RareAnswer(estimate=estimate, warning=warning)

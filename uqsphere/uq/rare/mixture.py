@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
+from uqsphere.uq.describe import hill
 from uqsphere.uq.estimate import REPLICATES, Estimate, absent, carriers, count_bound, probability_ends, spread, student
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.form import DesignPoint
@@ -111,9 +112,7 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
         covariance = np.eye(point.point.size) - np.outer(point.direction, point.direction) / (1.0 + 1.0 / beta**2)
         means.append((point.point + point.direction / beta)[:dimension])
         factors.append(np.linalg.cholesky(covariance[:dimension, :dimension]))
-    scores = special.log_ndtr(-np.array([point.beta for point in points]))
-    shares = np.exp(scores - scores.max()) + 0.05
-    return Mixture(shares=shares / shares.sum(), means=np.array(means), factors=np.array(factors))
+    return Mixture(shares=np.full(len(means), 1.0 / len(means)), means=np.array(means), factors=np.array(factors))
 
 
 def defended(mixture: Mixture) -> Mixture:
@@ -217,18 +216,18 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture, *, seed: i
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportanceAnswer:
-    """An estimate with the share of its largest weight, and the shape of the weights' tail by Hill's rule: from 1/2 on
-    they have no variance, and the interval is not to be trusted (of 720 thin rings two were sure and wrong so)."""
+    """An estimate with the share of its largest weight, and the order of the weights' tail by Hill's rule: up to 2 they
+    have no variance, and the interval is not to be trusted (of 720 thin rings two were sure and wrong so)."""
 
     estimate: Estimate
     heaviest: float = 1.0
-    shape: float = math.inf
+    order: float = 0.0
     draws: Draws | None = None
 
     @property
     def trusted(self) -> bool:
         """Whether no few weights decide."""
-        return self.shape < 0.5 and self.heaviest < 0.1 and self.estimate.value is not None
+        return self.order > 2.0 and self.heaviest < 0.1 and self.estimate.value is not None
 
 
 def importance_sampling(
@@ -282,10 +281,8 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
     low, high, _ = probability_ends(value, 1.0 - value, error, rows.size, weights.size)
     estimate = Estimate(value=value, low=low, high=min(high + extra, 1.0), std_error=error, method=method,
                         evaluations=evaluations)  # fmt: skip
-    flat = np.sort(weights[weights > 0.0])
-    number = int(min(0.2 * flat.size, 3.0 * math.sqrt(flat.size)))
-    shape = float(np.mean(np.log(flat[-number:] / flat[-number - 1]))) if number >= 5 else math.inf
-    return ImportanceAnswer(estimate=estimate, heaviest=float(flat[-1] / flat.sum()), shape=shape)
+    heavy = weights[weights > 0.0]
+    return ImportanceAnswer(estimate=estimate, heaviest=float(heavy.max() / heavy.sum()), order=hill(heavy))
 
 
 def nearby(evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy: float) -> ImportanceAnswer | None:
