@@ -56,7 +56,7 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     "-O -W error": (f"$PY -O -W error {RUN[4:]}", 0, "probability", WHOLE),
     "2 GB, one core, 40 files": (f"ulimit -v 2000000 -n 40; taskset -c 0 {RUN}", 0, "probability", WHOLE),
     # files
-    "a full disk": (f"ulimit -f 4; {RUN}", 6, "File too large", {"cache.sqlite", "log.txt"}),
+    "a full disk": (f"ulimit -f 4; {RUN}", 6, "disk I/O error", {"cache.sqlite", "log.txt"}),
     "a full disk later": (
         f"{DONE}; ulimit -f 4; {RUN} && exit 1; {UQ} verify s-results", 0, "as it was written", WHOLE),
     "no place": (f"{RUN} --out /proc/x", 6, "/proc/x", None),
@@ -82,8 +82,8 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
        for name, damage, says in (("truncated", "truncate -s 500", "is damaged"),
                                   ("changed", "sed -i s/value/valve/", "not as it was written"),
                                   ("of another version", "sed -i s/n.:.2/n\\\":1/", "of another version"))},
-    "a cache that is none": (f"mkdir s-results; echo x > s-results/cache.sqlite; {RUN}", 0, "probability",
-                             WHOLE | {"cache.sqlite.damaged"}),
+    "a cache that is none": (f"mkdir s-results; echo x > s-results/cache.sqlite; {RUN}", 6, "not a database.*--fresh",
+                             {"cache.sqlite", "log.txt"}),
     # the study
     "CRLF and a mark": (r"sed -i '1s/^/\xef\xbb\xbf/;s/$/\r/' s.toml; " + CHECK, 0, "Größe µ: .* valid", None),
     "UTF-16": (f"iconv -t UTF-16 s.toml > t; mv t s.toml; {RUN}", 2, "as UTF-8", None),

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import sys
-import time
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +16,7 @@ from hypothesis import strategies as st
 from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.outputs import OUTPUTS
-from uqsphere.models.black_box import call_black_box, load_black_box, model_digest
+from uqsphere.models.black_box import call_black_box, read_model
 from uqsphere.models.model import Model, evaluate
 from uqsphere.models.scene import absent_quantity, check_scene, evaluate_scene, scene_of
 from uqsphere.run.design import Design
@@ -159,7 +155,7 @@ def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(
     ("column", "bad"),
-    [("sphere.E", -1.0), ("sphere.E", np.nan), ("sphere.nu", 0.5), ("sphere.radius", 0.04), ("striker.speed", 0.0)],
+    [("sphere.E", -1.0), ("sphere.nu", 0.5), ("sphere.radius", 0.04), ("striker.speed", 0.0)],
 )
 def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, column: str, bad: float) -> None:
     good = bars.at_means()[column]
@@ -216,7 +212,7 @@ def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> N
     found = evaluate(bars, whole, ("p_max", "P_max"))
     pd.testing.assert_frame_equal(found, evaluate(bars, {"striker.speed": [1.0, 2.0]}, ("p_max", "P_max")))
     assert found.index.equals(pd.RangeIndex(2))
-    one = evaluate(bars, pd.Series(bars.at_means()), "p_max")
+    one = evaluate(bars, bars.at_means(), "p_max")
     assert one["p_max"].tolist() == [found["p_max"][0]]
     assert evaluate(bars, {"striker.speed": []}).shape == (0, 2)
     assert evaluate(bars, {}).columns.tolist() == ["p_max", "censored"]
@@ -230,20 +226,23 @@ def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> N
         (table(2).assign(colour=1.0), {}, "unknown input 'colour'"),
         ({"limits.crushing.strength": [1.0]}, {}, "unknown input"),
         ({"hammer.speed": [1.0]}, {}, "unknown input"),
-        ({"sphere.E": [5e10, 6e10], "striker.speed": [1.0, 2.0, 3.0]}, {}, "the same shape"),
-        ({"sphere.E": [[5e10, 6e10]]}, {}, "numbers in SI are needed, not list"),
-        ({"striker.speed": ["0.5 m/s"]}, {}, "numbers in SI are needed"),
-        ({"striker.speed": ["0.5"]}, {}, "numbers in SI are needed"),
-        ({"sphere.E": pd.Series([5e10], ["a"]), "striker.speed": pd.Series([1.0], ["b"])}, {}, "different indices"),
+        ({"sphere.E": [5e10, 6e10], "striker.speed": [1.0, 2.0, 3.0]}, {}, "differ in length: 2, 3"),
+        ({"sphere.E": [[5e10, 6e10]]}, {}, r"shape \(n, 1\) are required"),
+        ({"striker.speed": ["0.5 m/s"]}, {}, "no columns of numbers"),
+        (
+            {"sphere.E": pd.Series([5e10], ["a"]), "striker.speed": pd.Series([1.0], ["b"])},
+            {},
+            "is not that of the rows",
+        ),
         ([1.0, 2.0], {}, "DataFrame or a dict"),
+        ({"sphere.E": [5e10, math.nan]}, {}, "no finite number in row 2"),
         ({}, {"quantities": ("p_min",)}, "p_min"),
         ({}, {"tolerance": 0.0}, "tolerance"),
         ({}, {"tolerance": math.nan}, "tolerance"),
         ({}, {"tolerance": "1e-6"}, "tolerance"),
         ({1: [1.0]}, {}, "unknown input '1'"),
-        ({"sphere.E": [5e10 + 1j]}, {}, "numbers in SI are needed, not complex"),
-        ({"sphere.E": [None, pd.NA]}, {}, "numbers in SI are needed, not NAType"),
-        ({"sphere.E": pd.to_datetime(["2020-01-01"])}, {}, "numbers in SI are needed, not Timestamp"),
+        ({"sphere.E": [5e10 + 1j]}, {}, "complex numbers"),
+        ({"sphere.E": [None, pd.NA]}, {}, "no columns of numbers.*NAType"),
         ({}, {"study": "granite.toml"}, "a study of uqsphere.load_study, found str"),
         ({}, {"threads": 0}, "threads"),
         ({}, {"model": lambda x: x}, "impact scene"),
@@ -312,9 +311,8 @@ WRONG: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_answers_may_come_in_many_forms(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_answers_may_come_in_many_forms(form: str) -> None:
     def box(x: dict[str, np.ndarray[Any, Any]]) -> Any:
-        print("chatter")
         assert {name: column.dtype for name, column in x.items()} == {"a": np.float64, "b": np.float64}
         return FORMS[form](x)
 
@@ -327,7 +325,6 @@ def test_answers_may_come_in_many_forms(form: str, capsys: pytest.CaptureFixture
     found = evaluate(study, frame, model=box)
     assert found.columns.tolist() == ["y", "z", "censored"]
     assert found.index.tolist() == list("wxyz")
-    assert "chatter" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -345,20 +342,13 @@ def test_one_output_and_one_row_need_no_dict() -> None:
     assert np.isnan(call_black_box(lambda x: [1.0, None], ("a",), A[:2, None], ("y",))[1, 0])
 
 
-def test_what_a_model_sets_in_this_process_is_set_back() -> None:
-    """Standard output, also where many threads print, and what NumPy does about errors."""
-
+def test_what_a_model_does_about_errors_of_numpy_is_set_back() -> None:
     def box(x: dict[str, Any]) -> Any:
-        print("noise")
         np.seterr(all="raise")
-        time.sleep(0.002 * np.random.random())  # noqa: NPY002
         return {"y": x["a"], "z": x["b"]}
 
-    before, settings = sys.stdout, np.geterr()
-    with ThreadPoolExecutor(8) as pool, Model(load_study(text=BOX), box, executor=pool) as model:
-        model.evaluate(("a",), np.zeros((64, 1)), ("y",))
-        assert call_black_box(box, ("a", "b"), np.zeros((2, 2)), ("y", "z")).tolist() == [[0.0, 0.0], [0.0, 0.0]]
-    assert sys.stdout is before
+    settings = np.geterr()
+    assert call_black_box(box, ("a", "b"), np.zeros((2, 2)), ("y", "z")).tolist() == [[0.0, 0.0], [0.0, 0.0]]
     assert np.geterr() == settings
 
 
@@ -377,12 +367,12 @@ def test_unknown_inputs_and_outputs_are_refused() -> None:
 @pytest.mark.parametrize("reference", ["model.py", "model.txt:f", "model.py:", "model.py:not a name", ":f", ""])
 def test_malformed_references_are_refused(reference: str) -> None:
     with pytest.raises(UsageError, match=r"FILE\.py:FUNCTION"):
-        load_black_box(reference)
+        read_model(reference)
 
 
-def test_models_that_cannot_be_had(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(AccessError, match="does not exist"):
-        load_black_box(f"{tmp_path / 'none.py'}:f")
+def test_models_that_cannot_be_had(tmp_path: Path) -> None:
+    with pytest.raises(AccessError, match="No such file"):
+        read_model(f"{tmp_path / 'none.py'}:f")
     file = tmp_path / "model.py"
     for text, kind, message in (
         ("x = 1\ndef g(x): pass\n", UsageError, r"no function 'f' \(it has: g\)"),
@@ -393,79 +383,12 @@ def test_models_that_cannot_be_had(tmp_path: Path, capsys: pytest.CaptureFixture
     ):
         file.write_text(text)
         with pytest.raises(kind, match=message):
-            load_black_box(f"{file}:f")
-    file.write_text("print('loading')\ndef f(x):\n    return 2 * x['a']\n")
-    assert load_black_box(f"{file}:f")({"a": np.array([1.5])}).tolist() == [3.0]
+            read_model(f"{file}:f").load()
+    file.write_text("def f(x):\n    return 2 * x['a']\n")
+    assert read_model(f"{file}:f").load()({"a": np.array([1.5])}).tolist() == [3.0]
     (tmp_path / "beside_the_model.py").write_text("K = 3.0\n")
     file.write_text("from beside_the_model import K\ndef f(x):\n    return K * x['a']\n")
-    assert load_black_box(f"{file}:f")({"a": np.array([1.5])}).tolist() == [4.5]
-    assert capsys.readouterr().out == ""
-
-
-def test_digests_tell_models_apart(tmp_path: Path) -> None:
-    file = tmp_path / "model.py"
-    file.write_text("def f(x): return 1\ndef g(x): return 2\n")
-    first = model_digest(f"{file}:f")
-    assert first == model_digest(f"{file}:f") != model_digest(f"{file}:g")
-    file.write_text("def f(x): return 3\n")
-    assert first != model_digest(f"{file}:f")
-
-    def scaled(k: float) -> Any:
-        return lambda x: k * x["a"]
-
-    def default(x: Any, k: float = 1.0) -> Any:
-        return k
-
-    one = model_digest(default)
-    default.__defaults__ = (2.0,)
-    assert model_digest(scaled(1.0)) == model_digest(scaled(1.0)) != model_digest(scaled(2.0))
-    assert one != model_digest(default)
-
-    count = 0
-
-    def counted(x: Any) -> Any:
-        nonlocal count
-        count += 1
-        return count
-
-    before = model_digest(counted)
-    counted(None)
-    assert before == model_digest(counted)
-
-
-class Scaled:
-    def __init__(self, k: float) -> None:
-        self.k = k
-
-    def __call__(self, x: Any) -> Any:
-        return self.k * x["a"]
-
-    def method(self, x: Any) -> Any:
-        return self.k * x["a"]
-
-
-def _deep(k: float) -> Any:
-    def inner(a: Any) -> Any:
-        return k * a
-
-    return lambda x: inner(x["a"])
-
-
-#: functions of one source that a number deep in their state tells apart
-STATEFUL: dict[str, Any] = {
-    "an object": Scaled,
-    "a method": lambda k: Scaled(k).method,
-    "an object of a local class": lambda k: type("Local", (Scaled,), {})(k),
-    "a partial with a long array": lambda k: functools.partial(lambda w, x: w, np.r_[np.zeros(3000), k, np.ones(3000)]),
-    "a dict outside": lambda k: (lambda d: lambda x: d["k"] * x["a"])({"k": k}),
-    "a function outside": _deep,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", STATEFUL)
-def test_a_model_of_another_state_is_another(name: str) -> None:
-    made = STATEFUL[name]
-    assert model_digest(made(1.0)) == model_digest(made(1.0)) != model_digest(made(2.0))
+    assert read_model(f"{file}:f").load()({"a": np.array([1.5])}).tolist() == [4.5]
 
 
 SHIPPED = ["granite", "glass_bead_small_bar", "limestone_drop_weight", "quartz_load_cell", "limestone_rotor"]

@@ -1,65 +1,67 @@
-"""A model of the user's own: load it, call it for many rows at once, check what it returns, and tell two apart."""
+"""A model of the user's own: load it, call it for many rows at once, and check what it returns."""
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import inspect
-import os
-import pickle
-import re
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
-from uqsphere.models.rows import EvaluatedRows
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs as a dict or a
 #: DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,) where there is one output
 BlackBox = Callable[[dict[str, Array]], Any]
 
 
-def parse_reference(reference: str) -> tuple[Path, str]:
-    """File and function of "FILE.py:FUNCTION". Raises UsageError for another form, AccessError for a missing file."""
+@dataclass(frozen=True)
+class ModelFile:
+    """A function of a Python file, with the content of the file: what was read at first is run, here and elsewhere."""
+
+    path: Path
+    name: str
+    source: bytes
+
+    def load(self) -> BlackBox:
+        """The function. This runs the file.
+
+        Raises ModelError where the file raises, UsageError where it has no such function.
+        """
+        module = ModuleType(f"uqsphere_black_box_{self.path.stem}")
+        module.__file__ = str(self.path)
+        sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
+        if (folder := str(self.path.parent)) not in sys.path:
+            sys.path.append(folder)  # what stands beside it can be imported, as in a script
+        try:
+            exec(compile(self.source, str(self.path), "exec"), module.__dict__)
+        except (Exception, SystemExit) as error:
+            raise ModelError(f"{self.path} raised {_described(error)} while it was loaded") from error
+        function = getattr(module, self.name, None)
+        if not callable(function):
+            functions = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
+            raise UsageError(f"{self.path} has no function {self.name!r} (it has: {', '.join(functions) or 'none'})")
+        return function  # type: ignore[no-any-return]
+
+
+def read_model(reference: str) -> ModelFile:
+    """The file and function of "FILE.py:FUNCTION".
+
+    Raises UsageError for another form; AccessError for a file that cannot be read.
+    """
     file, _, name = reference.rpartition(":")
     if not file.endswith(".py") or not name.isidentifier():
         raise UsageError(f"a model is given as FILE.py:FUNCTION, not {as_text(reference, 120)!r}")
-    if not Path(file).is_file():
-        raise AccessError(f"the model file {file} does not exist")
-    return Path(file), name
-
-
-def load_black_box(reference: str) -> BlackBox:
-    """The function that "FILE.py:FUNCTION" names. This runs the file.
-
-    Raises UsageError for another form and a missing function; AccessError where the file cannot be read; ModelError
-    where it raises.
-    """
-    path, name = parse_reference(reference)
-    module = ModuleType(f"uqsphere_black_box_{path.stem}")
-    module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
-    if (folder := str(path.resolve().parent)) not in sys.path:
-        sys.path.append(folder)  # what stands beside it can be imported, as in a script
     try:
-        with _settings():
-            # compiled from the file as it is: bytecode on disk may be that of the same second
-            exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
-    except (Exception, SystemExit) as error:
-        raise ModelError(f"{path} raised {_described(error)} while it was loaded") from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        functions = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
-        raise UsageError(f"{path} has no function {name!r} (it has: {', '.join(functions) or 'none'})")
-    return function  # type: ignore[no-any-return]
+        return ModelFile(Path(file).resolve(), name, Path(file).read_bytes())
+    except OSError as error:
+        raise AccessError(f"the model file {file} cannot be read: {error.strerror}") from error
 
 
 def _described(error: BaseException) -> str:
@@ -77,50 +79,8 @@ def _is_theirs(file: str) -> bool:
     return not any(Path(file).is_relative_to(place) for place in (Path(__file__).parent, sys.prefix, sys.base_prefix))
 
 
-@contextlib.contextmanager
-def _settings() -> Iterator[None]:
-    """What is printed goes to stderr, linear algebra has one thread, and NumPy's settings come back as they were."""
-    libraries = _linear_algebra(len(sys.modules) // 64)
-    with contextlib.redirect_stdout(sys.stderr), libraries.limit(limits=1, user_api="blas"), np.errstate():
-        yield
-
-
-@lru_cache(maxsize=1)
-def _linear_algebra(modules: int) -> Any:
-    """Libraries with threads of their own; looked for again when more modules are loaded, since that takes a while."""
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
-
-
-@lru_cache(maxsize=4)
-def _loaded(reference: str, digest: str) -> BlackBox:
-    """The function of a reference, once in the life of a process."""
-    if model_digest(reference) != digest:
-        raise ModelError(f"the file of {as_text(reference, 120)} has changed since the run began, or is another here")
-    return load_black_box(reference)
-
-
-def answer_rows(
-    rows: Array, *, box: str | BlackBox, digest: str, names: Sequence[str], outputs: Sequence[str]
-) -> EvaluatedRows:
-    """Answers of all outputs to rows (n, d); without rows the model is loaded.
-
-    box : a function, or a reference with the digest of its file.
-
-    Raises as `call_black_box`. A number that is not finite is no failure yet, for it may not be needed.
-    """
-    function, process = _loaded(box, digest) if isinstance(box, str) else box, os.getpid()
-    try:
-        values = call_black_box(function, names, rows, outputs) if len(rows) else np.zeros((0, len(outputs)))
-    finally:
-        if os.getpid() != process:
-            os._exit(1)  # the model forked, and its child came back from the call
-    return EvaluatedRows.plain(values)
-
-
 def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:
-    """Answers (n, q) of a model to rows (n, d), in one call. What it prints goes to stderr.
+    """Answers (n, q) of a model to rows (n, d), in one call.
 
     names : d inputs, the columns of `rows`.
     outputs : q outputs, in the order in which the study has them.
@@ -129,7 +89,7 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
     """
     columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
     try:
-        with _settings():
+        with np.errstate():  # what it sets of NumPy's errors is set back
             returned = box(columns)
     except (Exception, SystemExit) as error:
         raise ModelRaised(f"the model raised {_described(error)}") from error
@@ -172,15 +132,13 @@ def by_index(value: Any, count: int) -> Any:
 
 def _column(value: Any, name: str, count: int) -> Array:
     """One output as numbers (n,); what a mask hides, and None, is NaN."""
-    given = np.asarray(value)
     try:
+        given = np.asanyarray(value)
         if given.dtype.kind not in "fiubO":
             raise TypeError(f"its type is {given.dtype}; of complex numbers return the real part or the absolute value")
-        column = given.astype(float)
+        column: Array = np.ma.filled(given.astype(float), np.nan)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model's {name!r} is not an array of numbers: {as_text(error)}") from error
-    if isinstance(value, np.ma.MaskedArray):
-        column = np.where(value.mask, np.nan, column)
     if count == 1 and column.ndim == 0:
         return column[None]
     if column.shape != (count,):
@@ -190,54 +148,3 @@ def _column(value: Any, name: str, count: int) -> Array:
             f"its shape is {column.shape}{hint}"
         )
     return column
-
-
-def model_digest(model: str | BlackBox) -> str:
-    """What distinguishes one black box from another, 32 hexadecimal digits.
-
-    Of a reference its file and function; of a function its source and defaults, and what it takes from outside but for
-    what it assigns; of an object, a method or a `functools.partial` its state too. What is read or imported besides is
-    not seen.
-    """
-    digest = hashlib.sha256()
-    if isinstance(model, str):
-        path, name = parse_reference(model)
-        digest.update(path.read_bytes() + b"\0" + name.encode())
-    else:
-        _SourcePickler(SimpleNamespace(write=digest.update), 5).dump(model)
-    return digest.hexdigest()[:32]
-
-
-class _SourcePickler(pickle.Pickler):
-    """Pickles functions and classes by their source, and a function with what it names outside of itself."""
-
-    def reducer_override(self, value: Any) -> Any:
-        if inspect.isclass(value):
-            file = getattr(sys.modules.get(value.__module__), "__file__", None) or ""
-            by_source = value.__module__ != "builtins" and _is_theirs(file)
-            return (str, (_source(value),)) if by_source else NotImplemented
-        if inspect.isfunction(value):
-            function = inspect.unwrap(value)
-            source = _source(function)
-            assigned = re.findall(r"\w+", " ".join(re.findall(r"\b(?:global|nonlocal) ([\w, ]+)", source)))
-            names = inspect.getclosurevars(function)
-            outside = {
-                name: part
-                for name, part in sorted({**names.globals, **names.nonlocals}.items())
-                if name not in assigned
-                and not inspect.ismodule(part)
-                and not (callable(part) and getattr(part, "__module__", None) != function.__module__)
-            }
-            return str, (source,), [function.__qualname__, function.__defaults__, function.__kwdefaults__, outside]
-        try:
-            value.__reduce_ex__(5)
-        except Exception:  # what refuses to be pickled is seen by its attributes
-            return str, (type(value).__qualname__,), getattr(value, "__dict__", None)
-        return NotImplemented
-
-
-def _source(value: Any) -> str:
-    try:
-        return inspect.getsource(value)
-    except (OSError, TypeError):
-        return str(getattr(getattr(value, "__code__", None), "co_code", value))

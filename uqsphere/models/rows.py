@@ -29,6 +29,14 @@ class Interrupted(Exception):
     """`stop` was true between two calls of the model. What a slow black box has answered is in the cache."""
 
 
+class NoAnswer(Exception):
+    """A call of a black box has no answer: its code, and what happened."""
+
+    def __init__(self, code: Code, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
 @dataclass(frozen=True, kw_only=True)
 class EvaluatedRows:
     """Answers of n rows.
@@ -36,7 +44,7 @@ class EvaluatedRows:
     values : (n, q), SI, in the order of the columns that were requested; NaN where a row failed.
     censored : (n, q); the value is a lower bound, since the record ended first.
     status : (n,); 0 for an answer, else a code of `mechanics.scene.STATUS` or `Code`.
-    note : what happened at the first row that failed; empty if none failed.
+    note : what happened at the first row that failed, and where; empty if none failed.
     """
 
     values: Array
@@ -48,14 +56,6 @@ class EvaluatedRows:
     def good(self) -> Flags:
         """Which rows have an answer, (n,)."""
         return np.asarray(self.status == 0)
-
-    @classmethod
-    def plain(cls, values: Array, status: Places | int = 0, note: str = "") -> EvaluatedRows:
-        """Answers (n, q) of which none is censored; one status (n,) for all rows, or each its own."""
-        codes = np.zeros(len(values), dtype=np.int64)
-        if np.any(status):
-            codes[:] = status
-        return cls(values=values, censored=np.zeros(values.shape, dtype=bool), status=codes, note=note)
 
 
 def where_of(names: Sequence[str], row: Array) -> str:

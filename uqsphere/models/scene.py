@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
-from uqsphere.models.rows import EvaluatedRows
+from uqsphere.models.rows import EvaluatedRows, where_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
 
@@ -96,21 +97,20 @@ def solve_scene(
     def integrated(part: Scene) -> Answers:
         return dynamics.solve(part, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
-    def closed(part: Scene) -> Answers:
-        if scene.rig == "bars":
-            return closed_form.solve_closed(part, fidelity, quantities)
-        return (closed_form.solve_light if light else closed_form.solve_blow)(part, quantities)
-
-    light = scene.rig != "bars" and fidelity == "massless" and closed_form.light_sphere_applies(scene)
-    exact: Flags = np.asarray(light)
     if scene.rig == "bars":
-        exact = np.asarray(closed_form.closed_form_applies(scene, fidelity))
-    elif not light:
+        exact: Flags = np.asarray(closed_form.closed_form_applies(scene, fidelity))
+        closed = partial(closed_form.solve_closed, fidelity=fidelity, quantities=quantities)
+    elif fidelity == "massless" and closed_form.light_sphere_applies(scene):
+        exact, closed = np.asarray(True), partial(closed_form.solve_light, quantities=quantities)
+    else:
         exact = closed_form.closed_form_rows(scene)
-    if exact.all() or not exact.any():
-        return closed(scene) if exact.all() else integrated(scene)
-    parts = ((integrated, np.flatnonzero(~exact)), (closed, np.flatnonzero(exact)))
-    return merged_answers(*((places, solve(scene.at(places))) for solve, places in parts))
+        closed = partial(closed_form.solve_blow, quantities=quantities)
+    if exact.all():
+        return closed(scene)
+    if not exact.any():
+        return integrated(scene)
+    rest, places = np.flatnonzero(~exact), np.flatnonzero(exact)
+    return merged_answers((rest, integrated(scene.at(rest))), (places, closed(scene.at(places))))
 
 
 def evaluate_scene(
@@ -119,14 +119,12 @@ def evaluate_scene(
     rows: Array,
     columns: Sequence[str],
     *,
-    tolerance: float | None = None,
     threads: int | None = None,
 ) -> EvaluatedRows:
     """Answers of the impact model to rows (n, d).
 
     names : d dotted paths, the columns of `rows`; the other numbers of the scene are those of the study.
     columns : q quantities, or demands of the study's limits.
-    tolerance : the study's if None.
 
     Raises UsageError where the scene or the request contradicts itself.
     """
@@ -135,17 +133,18 @@ def evaluate_scene(
     try:
         with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
             answers = solve_scene(scene_at(study, names, rows), study.model.fidelity,
-                                  tolerance=study.model.tolerance if tolerance is None else tolerance,
+                                  tolerance=study.model.tolerance,
                                   threads=threads, quantities=tuple(columns))  # fmt: skip
     except ValueError as error:
         raise UsageError(str(error)) from error
     good, none = np.asarray(answered(answers.status)), np.zeros(len(rows), dtype=bool)
     values = np.stack([answers.values[name] for name in columns], axis=1)
+    first = int(np.argmin(good)) if not good.all() else None
     return EvaluatedRows(
         values=np.where(good[:, None], values, np.nan),
         censored=np.stack([answers.censored.get(name, none) for name in columns], axis=1),
         status=np.where(good, 0, answers.status),
-        note="" if good.all() else STATUS[int(answers.status[np.argmin(good)])],
+        note="" if first is None else f"{STATUS[int(answers.status[first])]} {where_of(names, rows[first])}",
     )
 
 

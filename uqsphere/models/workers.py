@@ -1,7 +1,7 @@
-"""Where rows are evaluated: in this process, in processes that can be ended, or by an executor that the user gave.
+"""Where a black box is called: in this process, in processes that can be ended, or by an executor that the user gave.
 
-Each has `submit(task, rows, limit)`, which returns a future of `concurrent.futures`, a `count` of processes, and a
-`window` of calls that it takes at once. Where rows are evaluated changes no answer.
+Each has `submit(rows)`, which returns a future of `concurrent.futures`, a `count` of processes, and a `window` of calls
+that it takes at once. Where rows are evaluated changes no answer.
 """
 
 from __future__ import annotations
@@ -13,96 +13,83 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
-import numpy as np
 from loky.backend.context import LokyContext  # type: ignore[import-untyped]
 from loky.backend.process import LokyProcess  # type: ignore[import-untyped]
 from pebble import ProcessExpired, ProcessPool
+from threadpoolctl import threadpool_limits
 
-from uqsphere import __version__
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, ModelError, UqsphereError, UsageError, as_text
-from uqsphere.models.rows import EvaluatedRows
+from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError, as_text
+from uqsphere.models.black_box import BlackBox, ModelFile, call_black_box
+from uqsphere.models.rows import Code, NoAnswer
 
-#: seconds in which a model's file must have been loaded
-LOADING: Final = 60.0
-#: seconds after which a Dask cluster that has answered and has no worker left is given up
-ALONE: Final = 60.0
 #: exit code in place of 0: pebble would wait for the answer of a process that has ended so
 _ENDED: Final = 256
 
-#: answers rows (n, d), and loads what it needs when n is 0
-Task: TypeAlias = Callable[[Array], EvaluatedRows]
-#: answers, and the seconds that they took
-Timed: TypeAlias = tuple[EvaluatedRows, float]
+#: answers (n, outputs), and the seconds that they took
+Timed: TypeAlias = tuple[Array, float]
 
 
-class Died(Exception):
-    """The process that evaluated a block ended."""
-
-
-def result(future: Future[Timed], limited: bool) -> Timed:
-    """The answers of a call that has ended, and the seconds that they took.
-
-    Raises TimeoutError where it was ended by its limit of time, Died where its process ended, AccessError where no
-    answer will come any more, and what the model raised.
-    """
-    try:
-        answers, seconds = future.result()
-    except BaseException as error:  # CancelledError is no Exception in Dask
-        if isinstance(error, (UqsphereError, KeyboardInterrupt)) or (limited and isinstance(error, TimeoutError)):
-            raise
-        if isinstance(error, (ProcessExpired, BrokenProcessPool)) or type(error).__name__ == "KilledWorker":
-            code = getattr(error, "exitcode", "unknown")
-            raise Died(f"exit code {0 if code == _ENDED else code}") from error
-        raise _lost(error) from error
-    return answers, seconds
-
-
-def _lost(error: BaseException) -> AccessError:
-    text = f"the executor was lost ({type(error).__name__}: {as_text(error)}); the cache has what was evaluated"
-    return AccessError(f"{text}, and the same run goes on there")
-
-
-def _timed(task: Task, rows: Array) -> Timed:
+def answer(box: BlackBox, inputs: Sequence[str], outputs: Sequence[str], rows: Array) -> Timed:
+    """Answers of a black box to rows (n, inputs)."""
     began = time.perf_counter()
-    return task(rows), time.perf_counter() - began
+    return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
 
 
-@lru_cache(maxsize=2)
-def _packed(task: Task) -> bytes:
-    """A task with its function by value. Raises UsageError where what it holds cannot be sent."""
+def pack(*task: Any) -> bytes:
+    """A black box, its inputs and its outputs, for other processes: a function by value.
+
+    Raises UsageError where what it holds cannot be sent.
+    """
     import cloudpickle  # type: ignore[import-untyped]
 
     try:
-        return cloudpickle.dumps((__version__, task))  # type: ignore[no-any-return]
+        return cloudpickle.dumps(task)  # type: ignore[no-any-return]
     except Exception as error:  # what a function holds refuses as it likes
         text = f"the model cannot be sent to another process ({type(error).__name__}: {as_text(error, 120)})"
         raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
 
 
 @lru_cache(maxsize=4)
-def _unpacked(packed: bytes) -> tuple[Task, float]:
-    """The task that a process was sent, and the seconds that loading its model took; once in the life of a process."""
-    version, task = pickle.loads(packed)
-    if version != __version__:
-        raise AccessError(f"a worker has uqsphere {__version__}, not {version}: answers could differ")
-    return task, _timed(task, np.zeros((0, 0)))[1]
+def _unpacked(packed: bytes) -> tuple[BlackBox, Sequence[str], Sequence[str]]:
+    """What a process was sent; a file is loaded once in the life of the process."""
+    try:
+        box, inputs, outputs = pickle.loads(packed)
+    except Exception as error:  # it imports what it needs
+        text = f"the model cannot be had in another process ({type(error).__name__}: {as_text(error, 120)})"
+        raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
+    return box.load() if isinstance(box, ModelFile) else box, inputs, outputs
 
 
-def evaluate_remote(packed: bytes, rows: Array) -> Timed:
-    """Answers of rows in a worker."""
-    return _timed(_unpacked(packed)[0], rows)
+def answer_packed(packed: bytes, rows: Array) -> Timed:
+    """Answers in a process that was sent the model."""
+    return answer(*_unpacked(packed), rows)
 
 
-def load_remote(packed: bytes) -> float:
-    """Load the model in a worker."""
-    return _unpacked(packed)[1]
+def result(future: Future[Timed], limit: float | None) -> Timed:
+    """The answers of a call that has ended, and the seconds that they took.
+
+    Raises NoAnswer where the model raised, exceeded the limit [s], or ended its process; else what the call raised.
+    """
+    try:
+        return future.result()
+    except ModelRaised as error:
+        raise NoAnswer(Code.RAISED, str(error)) from error
+    except Exception as error:
+        if limit is not None and isinstance(error, TimeoutError):
+            text = f"the model took longer than analysis.time_limit ({limit:g} s)"
+            raise NoAnswer(Code.TIME_OVER, text) from error
+        if isinstance(error, (ProcessExpired, BrokenProcessPool)) or type(error).__name__ == "KilledWorker":
+            code = getattr(error, "exitcode", "unknown")
+            text = f"the model ended the process it ran in (exit code {0 if code == _ENDED else code})"
+            raise NoAnswer(Code.DIED, text) from error
+        raise
 
 
 class Here:
@@ -110,13 +97,22 @@ class Here:
 
     count = window = 1
 
-    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
+    def __init__(self, box: BlackBox, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        self._task = (box, inputs, outputs)
+
+    def submit(self, rows: Array) -> Future[Timed]:
         future: Future[Timed] = Future()
-        future.set_result(_timed(task, rows))
+        try:
+            future.set_result(answer(*self._task, rows))
+        except ModelError as error:
+            future.set_exception(error)
         return future
 
+    def close(self) -> None:
+        """Nothing was started."""
 
-def _prepare(parent: int) -> None:
+
+def _prepare(parent: int, packed: bytes) -> None:
     """Set up a process: what it prints goes to stderr; with its parent it ends, and what it has started."""
 
     def watch() -> None:
@@ -129,6 +125,10 @@ def _prepare(parent: int) -> None:
     if hasattr(os, "setsid"):
         os.setsid()  # Ctrl-C is for the run
         threading.Thread(target=watch, daemon=True).start()
+    with contextlib.suppress(UqsphereError):  # loaded before its calls are timed; the first says again what fails
+        _unpacked(packed)
+    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
+    threadpool_limits(limits=1, user_api="blas")
 
 
 class _Process(LokyProcess):  # type: ignore[misc]
@@ -149,37 +149,24 @@ class _Context(LokyContext):  # type: ignore[misc]
 
 
 class Processes:
-    """Processes of this machine, by pebble: one that dies, or is ended by a limit of time, is replaced.
+    """Processes of this machine, by pebble: one that dies, or exceeds the limit of time [s], is replaced.
 
-    They are started as loky does it, which does not run the user's main module again. The model is loaded before its
-    calls are timed: ModelError where its file raises, ends the process, or has not come to an end after `LOADING`.
+    They are started as loky does it, which does not run the user's main module again.
     """
 
-    def __init__(self, count: int, task: Task) -> None:
-        self.count, self.window = count, 2 * count + 2
-        packed, self._pool = _packed(task), self._new_pool()
-        try:
-            #: seconds that a new process may need until the model is there
-            self._start = 0.2 + 3.0 * self._pool.schedule(load_remote, (packed,), timeout=LOADING).result()
-        except UqsphereError:
-            self.close()
-            raise
-        except Exception as error:
-            self.close()
-            why = f"{type(error).__name__}: {as_text(error, 120)}"
-            if isinstance(error, TimeoutError):
-                why = f"it has not come to an end after {LOADING:g} s: its file hangs"
-            raise ModelError(f"the model could not be loaded in a process of its own ({why})") from error
+    def __init__(self, count: int, packed: bytes, limit: float | None) -> None:
+        self.count, self.window, self._packed, self._limit = count, 2 * count + 2, packed, limit
+        self._pool = self._new_pool()
 
     def _new_pool(self) -> ProcessPool:
-        return ProcessPool(max_workers=self.count, initializer=_prepare, initargs=(os.getpid(),), context=_Context())
+        given = (os.getpid(), self._packed)
+        return ProcessPool(max_workers=self.count, initializer=_prepare, initargs=given, context=_Context())
 
-    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
-        if not self._pool.active:  # it has lost all its processes at once
+    def submit(self, rows: Array) -> Future[Timed]:
+        if not self._pool.active:  # a process died between two calls
             self.close()
             self._pool = self._new_pool()
-        timeout = None if limit is None else limit + self._start
-        return self._pool.schedule(evaluate_remote, (_packed(task), rows), timeout=timeout)
+        return self._pool.schedule(answer_packed, (self._packed, rows), timeout=self._limit)
 
     def close(self) -> None:
         self._pool.stop()  # type: ignore[no-untyped-call]
@@ -187,39 +174,23 @@ class Processes:
 
 
 class Given:
-    """An executor of the user, as those of `concurrent.futures`, or a `distributed.Client`."""
+    """An executor of the user, as those of `concurrent.futures`, or a `distributed.Client`. Its errors are its own."""
 
-    count, window = 0, 1024
+    count, window = math.inf, 1024
 
-    def __init__(self, executor: Any) -> None:
-        if not callable(getattr(executor, "submit", None)):
-            raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
-        self._client = executor if hasattr(executor, "get_executor") else None
+    def __init__(self, executor: Any, packed: bytes) -> None:
         # the same call twice is two evaluations, which Dask would not make
-        self._executor = executor if self._client is None else executor.get_executor(pure=False)
-        #: when a cluster that has answered last had a worker: before its first answer it may wait in a queue
-        self._manned = math.inf
+        self._executor = executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
+        if not callable(getattr(self._executor, "submit", None)):
+            raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
+        self._packed = packed
 
-    def submit(self, task: Task, rows: Array, limit: float | None) -> Future[Timed]:
-        packed = _packed(task)
-        try:
-            future = self._executor.submit(evaluate_remote, packed, rows)
-        except Exception as error:
-            raise _lost(error) from error
-        if not isinstance(future, Future):
-            raise UsageError(f"submit() of an executor returns a Future of concurrent.futures, not {type(future)}")
+    def submit(self, rows: Array) -> Future[Timed]:
+        future: Future[Timed] = self._executor.submit(answer_packed, self._packed, rows)
         return future
 
-    def check(self, answered: bool) -> None:
-        """Raise AccessError where a Dask cluster has had no worker for `ALONE` seconds: no answer will come."""
-        idle = time.monotonic() - self._manned
-        try:
-            if answered or (self._client is not None and idle > 2.0 and self._client.nthreads()):
-                self._manned = time.monotonic()
-            elif self._client is not None and idle > ALONE:
-                raise TimeoutError(f"it has had no worker for {ALONE:g} s")
-        except Exception as error:
-            raise _lost(error) from error
+    def close(self) -> None:
+        """The executor is the user's."""
 
 
 Workers: TypeAlias = Here | Processes | Given
