@@ -21,6 +21,7 @@ from uqsphere.errors import as_text
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
+from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.mechanics.scene import Scene
@@ -52,7 +53,7 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
 def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
     document, rod = draft.document, draft.document.rod
-    usual = draft.known if draft.box else ["p_max", *(["contact_duration"] if draft.rig != "platens" else [])]
+    usual = draft.known if draft.box else ("p_max", *["contact_duration"] * (draft.rig != "platens"))
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
     own = {name: number.value for name, number in draft.numbers.items() if not name.startswith("limits.")}
     return Study(
@@ -64,7 +65,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         options=draft.options, materials=draft.materials, sources=draft.sources, model=document.model,
         limits=tuple(draft.limits.values()), margins=draft.margins, record=draft.record,
         dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
-        analysis=document.analysis.model_copy(update={"quantities": document.analysis.quantities or tuple(usual)}),
+        analysis=document.analysis.model_copy(update={"quantities": document.analysis.quantities or usual}),
         outputs=document.outputs.names if draft.box else (), warnings=tuple(draft.warnings),
         gauges=(*gauges, *document.gauges), files=tuple(draft.files.items()),
     )  # fmt: skip
@@ -85,6 +86,8 @@ def tables(draft: Draft) -> Faults:
     except ValidationError as error:
         yield from faults_of(Document, error)
     else:
+        draft.rig, draft.plastic = draft.document.rig.kind, draft.document.contact.law == "plastic"
+        draft.known = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
         for table in [name for name in draft.data if name in SCENE]:
             for key in draft.data[table]:
                 if isinstance(number := getattr(getattr(draft.document, table), key), Number):

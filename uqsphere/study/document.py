@@ -19,7 +19,6 @@ from pydantic import model_validator as checked
 from uqsphere.documents import Fault, Place, Table, one_of, path_of, shown, table_in
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
-from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
@@ -396,6 +395,8 @@ class Draft:
 
     folder : that of the study, outside of which no file is read; files: those it has read, by the names it gives them.
     data : the tables as the file has them; document: the same, validated.
+    box, rig, plastic : whether it is a black box, what loads the sphere, whether contacts can yield.
+    known : the quantities that can be asked for.
     numbers : by dotted path (black box: bare name) in the order of the file, strengths and model factors last.
     scene : the one row at its means.
     """
@@ -403,6 +404,10 @@ class Draft:
     folder: Path = Path()
     data: dict[str, Any] = field(default_factory=dict)
     document: _Words = field(default_factory=Document.model_construct)
+    box: bool = False
+    rig: str = "bars"
+    plastic: bool = False
+    known: tuple[str, ...] = ()
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
@@ -428,26 +433,6 @@ class Draft:
         """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a table."""
         E, nu = (self.mean(f"{table}.insert_{key}", self.mean(f"{table}.{key}")) for key in ("E", "nu"))
         return E, nu
-
-    @property
-    def box(self) -> bool:
-        """Whether the study is a black box."""
-        return "inputs" in self.data or "outputs" in self.data
-
-    @property
-    def rig(self) -> str:
-        """What loads the sphere."""
-        return str(self.document.rig.kind)
-
-    @property
-    def plastic(self) -> bool:
-        """Whether contacts can yield."""
-        return self.document.contact.law == "plastic"
-
-    @property
-    def known(self) -> list[str]:
-        """The quantities that can be asked for."""
-        return list(self.document.outputs.names if self.box else OUTPUTS)
 
 
 # --- the schema ----------------------------------------------------------------------------------------------------

@@ -39,8 +39,9 @@ def load_study(
         text, path = toml_text(path), "study.toml"
     path = Path(path)
     text = read_text(path) if text is None else text
-    draft = Draft(folder=path.parent, data=parse_text(text, path))
-    overridden = [_override(draft.data, one) for one in overrides]
+    data = parse_text(text, path)
+    overridden = [_override(data, one) for one in overrides]
+    draft = Draft(folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs")))
     for stage in BOX_STAGES if draft.box else STAGES:
         faults: list[Fault] = []
         for check in stage:
