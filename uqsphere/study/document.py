@@ -173,7 +173,7 @@ class ModelChoice(Table):
 # --- limits and what is asked --------------------------------------------------------------------------------------
 
 
-class _Limit(Table):
+class LimitTable(Table):
     """A strength, and the quantity or criterion that is held against it."""
 
     quantity: str | None = key("a quantity of `uqsphere list quantities`")
@@ -187,20 +187,19 @@ class _Limit(Table):
     fracture: bool | None = key("whether exceeding it breaks the sphere; without it the quantity decides")
     energy_is: Literal["contact", "sphere", "input"] | None = key(
         "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered")  # fmt: skip
+    modulus: Annotated[float, *_fixed("modulus")] | None = key("of a weakest link, unless the strength has it")
+    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = key("volume of a volume strength")
+    reference_area: Annotated[float, *_fixed("reference_area")] | None = key("area of a surface strength")
+    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = key("upper bound of a fracture energy")
+    rate_0: Annotated[float, *_fixed("rate_0")] | None = key("strain rate at which a slow strength is doubled")
 
     @checked(mode="after")
-    def _one_demand(self) -> _Limit:
+    def _one_demand(self) -> LimitTable:
         if (self.quantity is None) == (self.criterion is None):
             raise Fault('one of both is required, quantity = "p_max", say, or a criterion', "quantity")
         if self.energy_is is not None and self.criterion != "specific_energy":
             raise Fault("energy_is belongs to the criterion specific_energy: leave it out", "energy_is")
         return self
-
-
-_parameters: dict[str, Any] = {
-    name: (Annotated[float, *_fixed(name)] | None, key(part.meaning)) for name, part in PARAMETERS.items()
-}
-LimitTable: Any = create_model("Limit", __base__=_Limit, __doc__=_Limit.__doc__, **_parameters)
 
 
 class Discrete(Table):
@@ -350,7 +349,7 @@ class Outputs(Table):
     names: Annotated[tuple[Name, ...], *_several()] = key('names of the outputs, `["y"]`; required', ())
 
 
-class _Words(Table):
+class Words(Table):
     """A study file, without the numbers of the scene."""
 
     title: str = key("heading of the report, without it the file's name; not part of the study's hash", "")
@@ -381,9 +380,9 @@ class _Words(Table):
 _scene: dict[str, Any] = {
     name: (kind, kind.model_construct())
     for name in SCENE
-    if (kind := _with_numbers(name, table_in(_Words.model_fields[name].annotation)))
+    if (kind := _with_numbers(name, table_in(Words.model_fields[name].annotation)))
 }
-Document: Final = create_model("Document", __base__=_Words, __doc__="A study file.", **_scene)
+Document: Final = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
 
 
 # --- a study while it is read ---------------------------------------------------------------------------------------
@@ -403,7 +402,7 @@ class Draft:
 
     folder: Path = Path()
     data: dict[str, Any] = field(default_factory=dict)
-    document: _Words = field(default_factory=Document.model_construct)
+    document: Words = field(default_factory=Document.model_construct)
     box: bool = False
     rig: str = "bars"
     plastic: bool = False
