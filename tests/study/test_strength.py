@@ -21,8 +21,8 @@ from uqsphere.run.demands import column_of, demands_of, strength_of
 from uqsphere.run.design import Design
 from uqsphere.run.tables import evaluate
 from uqsphere.study import Limit, Study, load_study
-from uqsphere.study.limits import modulus_of
 from uqsphere.uq import Law, Sample
+from uqsphere.uq.fitting import modulus_of
 
 SCENE = """
 [sphere]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,15 +20,15 @@ from uqsphere.study.study import Tested
 from uqsphere.tables import Table, TableError, read_table, unit_in_heading
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq import Law, LawError, discrete_law
-from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests, probability_of
+from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests, outliers, probability_of
 from uqsphere.uq.observed import LOGNORMAL, WEIBULL
 
 #: fewer observations than these are worth a warning
 _FEW: Final = 10
 #: keys that a column or tests need, with an example
 _EXAMPLES: Final = {"file": "tests.csv", "column": "strength", "force": "F", "diameter": "D"}
-#: a row as many robust deviations from the rest of the logarithms is told, and a fit less likely than this
-_APART, _UNLIKELY = 5.0, 0.01
+#: a fit less likely than this is worth a warning
+_UNLIKELY: Final = 0.01
 
 
 @contextmanager
@@ -155,21 +154,12 @@ def fit(data: Array, stopped: Flags, table: Observations, kind: str | None, lowe
 
 
 def warn_of_rows(found: Table, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place) -> None:
-    """Warn of what a file and the scatter of its observations (n,) say, which stand in `rows`.
-
-    Notes of the reader, few tests, rows far from the rest of the logarithms, a shape that no fit has.
-    """
-    said, failed = list(found.notes), ~stopped & (x > 0.0)
-    if failed.sum() >= 6:
-        away = np.log(x[failed])
-        away = away - np.median(away)
-        # a Weibull law's lower tail is exponential in the logarithm: of n rows the lowest lies some ln n away
-        reach = 1.4826 * np.median(np.abs(away)) * max(_APART, math.log(len(x)))
-        apart = np.flatnonzero(np.abs(away) > reach)
-        if reach > 0.0 and 0 < len(apart) <= max(1, len(x) // 10):
-            far = ", ".join(f"line {found.lines[rows[failed][k]]} ({math.exp(away[k]):.3g} times the median)"
-                            for k in apart[:5])  # fmt: skip
-            said.append(f"{found.name}: {far}: far from the other rows; a slip of the decimal point?")
+    """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a shape of no fit."""
+    said = list(found.notes)
+    if far := outliers(x, ~stopped):
+        lines = [f"line {found.lines[rows[k]]} ({ratio:.3g} times the median)" for k, ratio in [*far.items()][:5]]
+        said.append(f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal point?")
+    if (~stopped).sum() >= 6:
         with suppress(ValueError):
             tests = make_tests(x, stopped)
             if (p := max(probability_of(tests, law) for law in STRENGTHS.values())) < _UNLIKELY:

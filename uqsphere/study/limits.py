@@ -23,7 +23,7 @@ from uqsphere.study.number import Number, number_of, plain_quantity, value_of, w
 from uqsphere.study.study import Limit, Tested
 from uqsphere.units import UNITS
 from uqsphere.uq import Law
-from uqsphere.uq.observed import WEIBULL
+from uqsphere.uq.fitting import modulus_of
 
 #: which energy a strength in J/kg means, and the quantity that is held against it
 _ENERGIES: Final = {
@@ -231,14 +231,6 @@ def warn_of_tests(
             hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
             draft.warn((*place, key), f"{table.file}: {said}: {hint}")
             return
-
-
-def modulus_of(law: object) -> float | None:
-    """The Weibull modulus of a strength, fitted or known beforehand; None where it has none."""
-    if not isinstance(law, Law):
-        return None
-    kinds = {(draw[0], draw[3]) for draw in law.draws}
-    return kinds.pop()[1] if len(kinds) == 1 and law.draws[0][0] == WEIBULL else law.parameters.get("modulus")
 
 
 # --- the sphere in the tests ---------------------------------------------------------------------------------------

@@ -35,6 +35,8 @@ SAME: Final = 1.5e-8
 #: probability of a fit, known to 0.003 where it is 0.01
 DRAWS: Final = 8000
 _OTHERS: Final = 999
+#: robust deviations from the rest beyond which a test is worth a second look
+APART: Final = 5.0
 _SERIES_SEED: Final = 20261121
 #: beyond so many failures the pivots follow the law of large samples
 MANY: Final = 300
@@ -499,3 +501,28 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     ([2.0], 12)
     """
     return Law(family=DRAWN, parameters={"tests": float(tests)}, draws=tuple(map(tuple, draws)))
+
+
+def modulus_of(law: object) -> float | None:
+    """The Weibull modulus of a law, fitted or known beforehand; None where it has none."""
+    if not isinstance(law, Law):
+        return None
+    kinds = {(draw[0], draw[3]) for draw in law.draws}
+    return kinds.pop()[1] if len(kinds) == 1 and law.draws[0][0] == WEIBULL else law.parameters.get("modulus")
+
+
+def outliers(values: Array, failed: Flags) -> dict[int, float]:
+    """Places of failures far from the rest in the logarithms, over their median; none of fewer than 6 failures.
+
+    Far is `APART` robust deviations, or as many as the logarithm of the number of tests: the lower tail of a Weibull
+    law is exponential in the logarithm, so that of n tests the lowest lies some ln n away.
+    """
+    places = np.flatnonzero(failed & (values > 0.0))
+    if len(places) < 6:
+        return {}
+    away = np.log(values[places]) - np.median(np.log(values[places]))
+    reach = 1.4826 * np.median(np.abs(away)) * max(APART, math.log(len(values)))
+    apart = np.abs(away) > reach
+    if reach == 0.0 or apart.sum() > max(1, len(values) // 10):
+        return {}
+    return dict(zip(places[apart].tolist(), np.exp(away[apart]).tolist(), strict=True))
