@@ -13,7 +13,7 @@ from uqsphere.units import parse_value
 #: What a material can be used for: the sphere, bars and strikers, whatever else the sphere meets.
 MATERIAL_KINDS: Final = ("sphere", "bars", "plates")
 
-#: property -> dimension of its unit (the fracture toughness is a plain number of MPa m^0.5 in the file)
+#: property -> dimension of its unit
 PROPERTIES: Final[dict[str, str]] = {
     "E": "pressure",
     "nu": "number",
@@ -89,12 +89,8 @@ def _material(name: str, kind: str, table: Mapping[str, Json]) -> Material:
     for key, entry in table.items():
         if key in ("title", "rock"):
             continue
-        entry = dict(entry)
-        # the toughness is a plain number of MPa m^0.5 in the file
-        tough = entry.pop("unit_note", "") == "MPa m^0.5"
-        dimension, factor = ("number", 1e6) if tough else (PROPERTIES[key], 1.0)
-        text = f"{entry['value']}{' MPa.sqrt(m)' * tough}"
-        value, *ends = (factor * parse_value(entry.pop(p), dimension) for p in ("value", "low", "high") if p in entry)
+        entry, text = dict(entry), str(entry["value"])
+        value, *ends = (parse_value(entry.pop(p), PROPERTIES[key]) for p in ("value", "low", "high") if p in entry)
         further = {
             part: parse_value(entry.pop(part), due) for part, due in FURTHER.get(key, {}).items() if part in entry
         }

@@ -16,8 +16,8 @@ LAB_FILES = sorted((HOUSE / "labs").rglob("*.py"))
 ALLOWED = {
     "uqsphere", "uqsphere.arrays", "uqsphere.documents", "uqsphere.errors", "uqsphere.materials",
     "uqsphere.mechanics.contact", "uqsphere.mechanics.bars", "uqsphere.mechanics.yielding", "uqsphere.quantities",
-    "uqsphere.results.folder", "uqsphere.study", "uqsphere.tables", "uqsphere.units", "uqsphere.uq",
-    "uqsphere.uq.curve",
+    "uqsphere.report.figures", "uqsphere.results.folder", "uqsphere.study", "uqsphere.tables",
+    "uqsphere.units", "uqsphere.uq", "uqsphere.uq.curve",
 }  # fmt: skip
 
 

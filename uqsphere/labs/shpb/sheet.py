@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,8 @@ from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.waves import NORMAL, Reading
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from uqsphere.arrays import Array
 
 FACES = {"A": "largest force at A, two waves", "B": "largest force at B, one wave", "mean": "mean of both, three waves"}
@@ -67,12 +69,7 @@ def pulse_csv(test: Reading) -> str:
     return csv_text(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
 
 
-def figure(test: Reading) -> str:
-    """Forces over time as SVG text."""
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(7.2, 3.6), layout="constrained")
-    axes = drawn.add_subplot()
+def _draw_forces(axes: Axes, test: Reading) -> None:
     for name, force, sd, colour in (
         ("A, two waves", test.force_a, test.sd_a, "#0072b2"), ("B, one wave", test.force_b, test.sd_b, "#d55e00"),
     ):  # fmt: skip
@@ -86,19 +83,17 @@ def figure(test: Reading) -> str:
         axes.axvline(peak.time * 1e6, color="#888888", linewidth=0.5, linestyle=":")
     axes.set_xlabel("time after first touch [us]")
     axes.set_ylabel("force [kN]")
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    text = io.StringIO()
-    drawn.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    axes.legend()
 
 
 def page(test: Reading, asked: RecordDocument, source: str) -> str:
     """The sheet as one self-contained page."""
     from jinja2 import Environment
 
+    from uqsphere.report.figures import svg
+
     template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
-    drawn = figure(test)
+    drawn = svg(partial(_draw_forces, test=test))
     environment = Environment(autoescape=True)
     bars = {
         name: ", ".join(f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
