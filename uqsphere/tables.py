@@ -130,9 +130,9 @@ class Table:
         """The unit of a dimension in the heading of a column."""
         return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
 
-    def texts(self, column: str | int, key: str = "", dimension: str = "number") -> list[str]:
+    def texts(self, column: str | int, key: str = "") -> list[str]:
         """Cells of a column."""
-        at = self.place(column, dimension, key)
+        at = self.place(column, key=key)
         return [row[at] for row in self.rows]
 
     def numbers(
