@@ -61,7 +61,6 @@ class Material:
     """A material of the library, for a sphere, for bars or for plates; `rock`: it has several ways to break."""
 
     name: str
-    kind: str
     title: str
     properties: Mapping[str, Property]
     rock: bool = False
@@ -78,12 +77,10 @@ def library() -> dict[str, dict[str, Material]]:
     from importlib.resources import files
 
     found = tomllib.loads(files("uqsphere").joinpath("materials.toml").read_text(encoding="utf-8"))
-    return {
-        kind: {name: _material(name, kind, table) for name, table in found[kind].items()} for kind in MATERIAL_KINDS
-    }
+    return {kind: {name: _material(name, table) for name, table in found[kind].items()} for kind in MATERIAL_KINDS}
 
 
-def _material(name: str, kind: str, table: Mapping[str, Json]) -> Material:
+def _material(name: str, table: Mapping[str, Json]) -> Material:
     """One table of the library, which the tests hold to be complete: anything strange in it raises."""
     properties = {}
     for key, entry in table.items():
@@ -97,4 +94,4 @@ def _material(name: str, kind: str, table: Mapping[str, Json]) -> Material:
         properties[key] = Property(
             value=value, text=text, range=(ends[0], ends[1]) if ends else None, further=further, **entry
         )
-    return Material(name=name, kind=kind, title=table["title"], properties=properties, rock=table.get("rock", False))
+    return Material(name=name, title=table["title"], properties=properties, rock=table.get("rock", False))

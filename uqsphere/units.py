@@ -71,8 +71,6 @@ class Quantity:
     `below` a contact; else empty.  Loads of contact and rim fall where the bars yield, since the circle widens; those
     of the core and below a contact are computed for equal forces at both faces.
     censored : column that says where the record ended before it was decided; empty if it always is.
-    rough : base points that its Sobol' indices take for 1 %, where it jumps or a surrogate tells nothing of it:
-    measured on the shipped studies.  0 where it is smooth.
     needs : columns that `formula` reads.
     formula : the quantity, (n,), from columns of the scene, of the scales, of the integrator and other quantities.
     """
@@ -91,7 +89,6 @@ class Quantity:
     early: bool = False
     place: str = ""
     censored: str = ""
-    rough: int = 0
     needs: tuple[str, ...] = ()
     formula: Callable[[Mapping[str, Values]], Values] | None = None
 
