@@ -112,17 +112,10 @@ def test_the_return_of_a_wave_is_an_overlap(granite):
 
 def test_equilibrium_is_the_level_of_the_imbalance(granite):
     granite = history_with("half_sine", sphere_radius=0.005)
-    found = equilibrium(granite, 0.1)
-    assert found.lasting is not None
-    for time in (found.first, found.lasting):
-        forces = contact.hertz_force(granite.motion.states_at(np.array([time]))[:, :2], granite.hertz_constant)
-        assert force_imbalance(forces[:, 0], forces[:, 1])[0] == pytest.approx(0.1, rel=1e-9)
-    times = np.linspace(found.lasting, found.until, 5000)
-    forces = contact.hertz_force(granite.motion.states_at(times)[:, :2], granite.hertz_constant)
-    assert force_imbalance(forces[:, 0], forces[:, 1]).max() <= 0.1 * (1.0 + 1e-9)
-    assert equilibrium(granite, 0.5).first <= found.first
-    heavy = history_with(sphere_density=3e5, striker_length=0.02)
-    assert equilibrium(heavy, 0.01).lasting is None
+    first = equilibrium(granite, 0.1)
+    forces = contact.hertz_force(granite.motion.states_at(np.array([first]))[:, :2], granite.hertz_constant)
+    assert force_imbalance(forces[:, 0], forces[:, 1])[0] == pytest.approx(0.1, rel=1e-9)
+    assert equilibrium(granite, 0.5) <= first
 
 
 def test_records_show_jumps_and_say_what_overlaps(granite):
@@ -133,6 +126,5 @@ def test_records_show_jumps_and_say_what_overlaps(granite):
     )
     at = np.flatnonzero(np.diff(record.time) == 0.0)
     assert np.abs(record.strain[at + 1] - record.strain[at]).max() == pytest.approx(0.5 / C0, rel=1e-6)
-    assert record.clean_until == pytest.approx(1.5 / C0)
     assert default_positions(granite.motion) == (("incident", pytest.approx(0.75)), ("receiving", pytest.approx(0.6)))
     assert default_positions(history_with(fidelity="massless", infinite=True, bars_incident_length=1e9).motion)[0][0]

@@ -310,8 +310,7 @@ class GaugeRecord:
     """The signal of one gauge.
 
     bar: `incident` or `receiving`; position: distance from the sphere [m]; time, strain (m,): [s] since first touch,
-    jumps twice (before, after), tension positive; overlaps: where waves cannot be told apart; clean_until: the time at
-    the face [s] up to which the wave that leaves the sphere is seen alone.
+    jumps twice (before, after), tension positive; overlaps: where waves cannot be told apart.
     """
 
     bar: str
@@ -319,7 +318,6 @@ class GaugeRecord:
     time: Array
     strain: Array
     overlaps: tuple[Overlap, ...]
-    clean_until: float
 
     @property
     def name(self) -> str:
@@ -357,7 +355,6 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     strain = gauge_strain(motion, bar, position, times, sides=sides)
     return GaugeRecord(
         bar=bar, position=position, time=times, strain=strain, overlaps=overlaps(motion, bar, position),
-        clean_until=_clean_until(motion, number, delay),
     )  # fmt: skip
 
 
@@ -403,7 +400,8 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         # a step overlaps to the end of what is known
         end = min(motion.pulse_end - delay, float(last_time(motion, bar, position)))
         found.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
-    back = _clean_until(motion, number, delay)
+    # until then the wave that leaves the face passes the gauge before it has come back there
+    back = np.inf if not motion.echoes(number) else motion.round_trip(number) - 2.0 * delay
     if back < min(motion.round_trip(number), motion.horizon):
         looks = np.linspace(0.0, min(motion.round_trip(number), motion.horizon), _LOOKS)
         wave = np.abs(leaving(motion, number, looks, sides=-np.ones_like(looks)))
@@ -411,11 +409,6 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         if above.size and above[-1] > back:
             found.append(Overlap(first=names[0], second=names[1], begin=back + delay, end=float(above[-1]) + delay))
     return tuple(found)
-
-
-def _clean_until(motion: Motion, number: int, delay: float) -> float:
-    """Time at the face [s] up to which the wave that leaves it passes a gauge before it has come back there."""
-    return np.inf if not motion.echoes(number) else motion.round_trip(number) - 2.0 * delay
 
 
 def force_imbalance(force_a: Values, force_b: Values) -> Array:

@@ -29,10 +29,9 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 def kinds_of(rig: str, shape: str, *, timed: bool, infinite: bool, options: Mapping[str, object]) -> dict[str, str]:
-    """The kind of every table of a scene that has several.
+    """The kind of every table that has several; `options` are words of a study, as `Scene` has them.
 
     timed : whether the pulse has a duration of its own, which does not follow from the striker's length.
-    options : `target.kind`, `anvil.kind`, `hammer.shape`, `contact.law`, where they are not the usual ones.
     """
     return {
         **{table: str(options.get(f"{table}.kind", "thick")) for table in ("target", "anvil")},

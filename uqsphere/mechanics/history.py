@@ -169,7 +169,7 @@ def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
     returning = end * leaving(times - trip + delay) if end != 0.0 else 0.0
     return GaugeRecord(
         bar="rod", position=position, time=times, strain=np.asarray((returning - leaving(times - delay)) / speed),
-        overlaps=(), clean_until=trip - 2.0 * delay,
+        overlaps=(),
     )  # fmt: skip
 
 
@@ -193,19 +193,6 @@ class Peak:
     face: str
     pressure: float
     force: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Equilibrium:
-    """When the imbalance is within `level`: at first, and from when on up to `until` [s]; None: never.
-
-    `until` is the time of the largest force before a reflected wave returns or contact is lost.
-    """
-
-    level: float
-    first: float | None
-    lasting: float | None
-    until: float
 
 
 #: columns of a history as a table, with their units
@@ -406,18 +393,14 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
     return best
 
 
-def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
-    """When the two contact forces agree within a level of `force_imbalance`, up to the first loading's largest force.
-
-    ValueError for a level, the largest imbalance that counts as equilibrium, outside 0 to 2.
-    """
-    if not 0.0 < level < 2.0:
-        raise ValueError(f"the level of equilibrium must lie between 0 and 2, found {level!r}")
+def equilibrium(history: History, level: float = 0.05) -> float | None:
+    """When the two contact forces first agree within a level of `force_imbalance` [s]; None where they never do before
+    the largest force of the first loading."""
     found = history.motion
     loading = min(history.record_end, float(found.scene.first_echo[found.row]))
     peak = largest(found, 0.0, loading)
     if peak is None:
-        return Equilibrium(level=level, first=None, lasting=None, until=loading)
+        return None
 
     def excess(times: Array) -> Array:
         forces = found.forces_at(times)
@@ -427,11 +410,7 @@ def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
     nodes = _nodes(found, 0.0, peak.time)
     outside = excess(nodes) > 0.0
     entries = np.flatnonzero(outside[:-1] & ~outside[1:])
-    if len(entries) == 0:
-        return Equilibrium(level=level, first=None, lasting=None, until=peak.time)
-    times = _zeros(excess, nodes[entries], nodes[entries + 1])
-    lasting = None if outside[-1] else float(times[-1])
-    return Equilibrium(level=level, first=float(times[0]), lasting=lasting, until=peak.time)
+    return float(_zeros(excess, nodes[entries], nodes[entries + 1])[0]) if len(entries) else None
 
 
 # --- What a picture of the bars over place and time shows: how far it goes, the stress on a grid, and the fronts.

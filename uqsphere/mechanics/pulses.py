@@ -207,9 +207,12 @@ def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:
     return np.where(inside, value, 0.0)
 
 
-# --- A measured pulse: a smooth curve of cubics over a record's strain -----------------------------------------------
-# The integrator ends its steps at the joints of the cubics, so that it follows the curve exactly; that the curve is the
-# record to its noise is the business of whoever fits it.
+# --- A measured pulse: least-squares cubics over a record, at whose joints the integrator ends its steps --------------
+
+#: root mean square over the peak that the cubics may leave, and pieces at most
+_FINE, _PIECES = 5e-4, 64
+#: share of the peak that both ends may have, and from which on the pulse counts
+_ENDS, _COUNTS = 0.1, 0.003
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,3 +241,41 @@ class MeasuredPulse:
             breaks=np.tile(joints, (rows, 1)), coefficients=np.tile(cubics, (rows, 1, 1)), frequency=np.zeros(rows),
             valid=np.ones(rows, dtype=bool),
         )  # fmt: skip
+
+
+def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
+    """The pulse of a clean record (n,), compression positive, and the largest misfit of its cubics over the peak.
+
+    Their joints are those of Dierckx's smoothing spline.  ValueError for a record that is none, with the way out.
+    """
+    from scipy.interpolate import PPoly, generate_knots, make_lsq_spline
+
+    peak = float(strain.max())
+    # noise swings to both sides: what lies below zero ahead of the pulse says how far it goes above
+    noise = -1.5 * strain[: int(np.argmax(strain > _ENDS * peak))].min(initial=0.0)
+    inside = np.flatnonzero(np.abs(strain) > max(_COUNTS * peak, noise))
+    if len(inside) < 8:
+        raise ValueError(f"found {len(inside)} samples of a pulse, 8 or more are required")
+    first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
+    for level, why in (
+        (-strain.min(), "the strain turns to tension, -{:.0%} of its peak: cut the reflected wave off"),
+        (abs(strain[first]), "the pulse begins at {:.0%} of its peak: cut it out at rest"),
+        (abs(strain[last]), "the pulse ends at {:.0%} of its peak: cut it out at rest"),
+    ):
+        if level > _ENDS * peak:
+            raise ValueError(why.format(level / peak))
+    time, curve = time[first : last + 1] - time[first], strain[first : last + 1] / peak
+    # from 0 to 0
+    curve[[0, -1]], weight = 0.0, np.ones(len(curve))
+    weight[[0, -1]] = 1e3
+    *_, knots = generate_knots(time, curve, w=weight, k=3, s=len(curve) * _FINE**2, nest=_PIECES + 7)
+    spline = make_lsq_spline(time, curve, knots, 3, weight)
+    fine = np.linspace(0.0, time[-1], 2000)
+    smooth = spline(fine)
+    top = float(smooth.max())
+    rise = fine[int(np.argmax(smooth >= 0.9 * top))] - fine[int(np.argmax(smooth >= 0.1 * top))]
+    cubics = PPoly.from_spline((spline.t, spline.c, 3)).c[::-1, 3:-3].T / top
+    cubics[0, 0] = 0.0
+    found = MeasuredPulse(breaks=tuple(knots[3:-3].tolist()), coefficients=tuple(map(tuple, cubics.tolist())),
+                          peak=peak * top, rise=float(rise))  # fmt: skip
+    return found, float(np.abs(curve - spline(time)).max())

@@ -31,32 +31,49 @@ _BODIES: Final = {
 }  # fmt: skip
 
 
-def _numbers_of(table: str) -> tuple[Quantity, ...]:
-    """What every partner of a rig can have: its material, and the law of its face."""
-    index, name = _BODIES[table]
+#: usual moduli [Pa] and Poisson ratios of spheres and bars, and of what may be rubber
+_STIFF: Final = ((1e9, 6e11), (0.05, 0.45))
+_ANY: Final = ((1e6, 1e12), (0.05, 0.5))
+
+
+def _elastic(
+    table: str, index: str, name: str, usual: tuple[tuple[float, float], ...] = _STIFF
+) -> tuple[Quantity, ...]:
+    """E, nu and density of a body."""
+    of, (moduli, ratios) = f"_{index}" if index else "", usual
     return (
-        Quantity(name=f"{table}.E", symbol=f"E_{index}", dimension="pressure", display="GPa", plausible=(1e6, 1e12),
+        Quantity(name=f"{table}.E", symbol=f"E{of}", dimension="pressure", display="GPa", plausible=moduli,
                  meaning=f"Young's modulus of the {name}"),
-        Quantity(name=f"{table}.nu", symbol=f"nu_{index}", dimension="number", lower=-1.0, upper=0.5,
-                 plausible=(0.05, 0.5), meaning=f"Poisson ratio of the {name}"),
-        Quantity(name=f"{table}.density", symbol=f"rho_{index}", dimension="density", display="kg/m3",
+        Quantity(name=f"{table}.nu", symbol=f"nu{of}", dimension="number", lower=-1.0, upper=0.5, plausible=ratios,
+                 meaning=f"Poisson ratio of the {name}"),
+        Quantity(name=f"{table}.density", symbol=f"rho{of}", dimension="density", display="kg/m3",
                  plausible=(500.0, 2e4), meaning=f"density of the {name}"),
-        Quantity(name=f"{table}.yield_strength", symbol=f"Y_{index}", dimension="pressure", display="MPa",
-                 plausible=(1e6, 1e10), meaning=f"yield strength of the {name}"),
-        *_law_of(table, index, name),
     )  # fmt: skip
 
 
 def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
     """The three numbers of a face that yields."""
+    of = f",{index}" if index else ""
     return (
-        Quantity(name=f"{table}.onset_pressure", symbol=f"p_y,{index}", dimension="pressure", display="GPa",
+        Quantity(name=f"{table}.onset_pressure", symbol=f"p_y{of}", dimension="pressure", display="GPa",
                  plausible=(1e8, 2e10),
                  meaning=f"centre pressure at which the {name} begins to yield or to crush"),
-        Quantity(name=f"{table}.hardness", symbol=f"H_{index}", dimension="pressure", display="GPa",
+        Quantity(name=f"{table}.hardness", symbol=f"H_{index}" if index else "H", dimension="pressure", display="GPa",
                  plausible=(1e8, 5e10), meaning=f"mean pressure of the {name} that flows fully (its hardness)"),
-        Quantity(name=f"{table}.pile_up", symbol=f"C_{index}", dimension="number", lower=1.0, upper=3.0, closed=True,
-                 plausible=(1.0, 3.0), meaning=f"pile-up of the {name}: a²/(r alpha) far beyond yield"),
+        Quantity(name=f"{table}.pile_up", symbol=f"C_{index}" if index else "C", dimension="number", lower=1.0,
+                 upper=3.0, closed=True, plausible=(1.0, 3.0),
+                 meaning=f"pile-up of the {name}: a²/(r alpha) far beyond yield"),
+    )  # fmt: skip
+
+
+def _numbers_of(table: str) -> tuple[Quantity, ...]:
+    """What every partner of a rig can have: its material, and the law of its face."""
+    index, name = _BODIES[table]
+    return (
+        *_elastic(table, index, name, _ANY),
+        Quantity(name=f"{table}.yield_strength", symbol=f"Y_{index}", dimension="pressure", display="MPa",
+                 plausible=(1e6, 1e10), meaning=f"yield strength of the {name}"),
+        *_law_of(table, index, name),
     )  # fmt: skip
 
 
@@ -111,24 +128,11 @@ def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
 
 #: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
 INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
-    Quantity(name="sphere.E", symbol="E", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
-             meaning="Young's modulus of the sphere"),
-    Quantity(name="sphere.nu", symbol="nu", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
-             meaning="Poisson ratio of the sphere"),
+    *_elastic("sphere", "", "sphere"),
     Quantity(name="sphere.radius", symbol="r", dimension="length", display="mm", plausible=(1e-4, 0.1),
              meaning="radius of the sphere"),
-    Quantity(name="sphere.density", symbol="rho", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
-             meaning="density of the sphere"),
-    Quantity(name="sphere.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
-             meaning="contact pressure at which the sphere begins to yield or to crush"),
-    Quantity(name="sphere.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
-             meaning="mean pressure at which the sphere flows or crushes fully (indentation hardness)"),
-    Quantity(name="bars.E", symbol="E_b", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
-             meaning="Young's modulus of the bars"),
-    Quantity(name="bars.nu", symbol="nu_b", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
-             meaning="Poisson ratio of the bars"),
-    Quantity(name="bars.density", symbol="rho_b", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
-             meaning="density of the bars"),
+    *_law_of("sphere", "", "sphere")[:2],
+    *_elastic("bars", "b", "bars"),
     Quantity(name="bars.diameter", symbol="d_b", dimension="length", display="mm", plausible=(1e-3, 0.2),
              meaning="diameter of both bars"),
     Quantity(name="bars.incident_length", symbol="l_1", dimension="length", display="m", plausible=(0.05, 30.0),
@@ -180,12 +184,7 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="level half-way between the peaks of a two-peak pulse"),
     Quantity(name="pulse.gain", symbol="G", dimension="number", plausible=(0.5, 2.0),
              meaning="true strain over that of a measured pulse"),
-    Quantity(name="contact.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
-             meaning="centre pressure at which a face begins to yield or to crush"),
-    Quantity(name="contact.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
-             meaning="mean pressure of a face that flows fully (indentation hardness)"),
-    Quantity(name="contact.pile_up", symbol="C", dimension="number", lower=1.0, upper=3.0, closed=True,
-             plausible=(1.0, 3.0), meaning="pile-up: a² over r times the approach, far beyond yield"),
+    *_law_of("contact", "", "softer face"),
     *_moving("rig", "v", "speed at which the bodies close"),
     Quantity(name="rig.angle", symbol="phi", dimension="angle", display="deg", lower=5.0 * _DEGREE,
              upper=90.0 * _DEGREE, closed=True, plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
@@ -215,9 +214,6 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="platens.machine_stiffness", symbol="k", dimension="stiffness", display="kN/mm",
              plausible=(1e5, 1e10), meaning="stiffness of the machine (absent: rigid)"),
 )}  # fmt: skip
-
-#: Laws of the contact: elastic, with yield of the softer body.
-CONTACT_LAWS: Final = ("hertz", "plastic")
 
 #: what the status of a row means; only rows of 0 have numbers
 STATUS: dict[int, str] = {
@@ -306,7 +302,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         words = (("rig", self.rig, RIGS), ("pulse shape", self.shape, SHAPES | {"measured": None}),
-                 ("contact law", self.contact_law, CONTACT_LAWS))  # fmt: skip
+                 ("contact law", self.contact_law, FORMS["contact"]))  # fmt: skip
         for what, found, allowed in words:
             if found not in allowed:
                 raise ValueError(f"unknown {what} {found!r} (allowed: {', '.join(allowed)})")

@@ -26,7 +26,7 @@ from uqsphere.mechanics.rigs import (
     sphere_body,
     terminal_speed,
 )
-from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
+from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.yielding import Body, Face
 
 #: a dent [m] after which a lapped flat is no flat any more
@@ -54,7 +54,7 @@ class Rule:
     failure: float | None = None
     rising: bool = True
     words: str
-    laws: tuple[str, ...] = CONTACT_LAWS
+    laws: tuple[str, ...] = ("hertz", "plastic")
     rigs: tuple[str, ...] = tuple(RIGS)
     further: Callable[[Scene, Answers, Flags], str] | None = None
 

@@ -80,7 +80,7 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
         rows.append(("largest contact pressure after the first loss of contact",
                      f"{pressure} at {_when(found.later_peak.time)}"))  # fmt: skip
     if study.rig == "bars":
-        rows.append(("forces first within 5 % of their mean", _when(equilibrium(found).first)))
+        rows.append(("forces first within 5 % of their mean", _when(equilibrium(found))))
         for bar in BARS:
             tension = first_tension(found.motion, bar)
             text = "none" if tension is None else f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"

@@ -26,7 +26,7 @@ from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import format_value, lookup
-from uqsphere.study.data import measured_pulse
+from uqsphere.study.data import pulse_of
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
@@ -239,7 +239,7 @@ def _scene(draft: Draft) -> Faults:
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
     if shape == "measured":
         with within("pulse"):
-            draft.record = measured_pulse(document.pulse, draft)
+            draft.record = pulse_of(document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
     try:
         draft.scene = scene = Scene(

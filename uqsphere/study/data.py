@@ -12,7 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.documents import Fault, Place, declared, one_of, shown, suggestion, within
 from uqsphere.errors import AccessError, UsageError
-from uqsphere.mechanics.pulses import MeasuredPulse
+from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
 from uqsphere.quantities import INPUTS
 from uqsphere.study.document import Discrete, Draft, Observations, Pulse
 from uqsphere.study.number import Number, value_of
@@ -173,20 +173,11 @@ def warn_of_rows(found: Table, rows: Places, x: Array, stopped: Flags, draft: Dr
 
 # --- the pulse of a clean record ------------------------------------------------------------------------------------
 
-#: root mean square over the peak that the cubics may leave, and pieces at most
-_FINE, _PIECES = 5e-4, 64
-#: share of the peak that both ends may have, and from which on the pulse counts
-_ENDS, _COUNTS = 0.1, 0.003
 _MENDED: Final = "uqsphere shpb records cuts, mends and writes such a file"
 
 
-def measured_pulse(table: Pulse, draft: Draft) -> MeasuredPulse:
-    """The pulse of a file of time and strain, or volts with a factor, as smooth cubics; raises Fault.
-
-    Least-squares cubics, their joints by Dierckx.  Mending (offsets, spikes, dispersion) is the lab's.
-    """
-    from scipy.interpolate import PPoly, generate_knots, make_lsq_spline
-
+def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
+    """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the lab's."""
     with opened(str(table.file), draft) as found:
         columns = table.columns or tuple(found.headings[:2])
         if len(columns) != 2:
@@ -202,36 +193,13 @@ def measured_pulse(table: Pulse, draft: Draft) -> MeasuredPulse:
     if -strain.min() > strain.max():
         strain = -strain
         notes.append("the largest strain is negative: compression is taken as positive")
-    peak = float(strain.max())
-    # noise swings to both sides: what lies below zero ahead of the pulse says how far it goes above
-    noise = -1.5 * strain[: int(np.argmax(strain > _ENDS * peak))].min(initial=0.0)
-    inside = np.flatnonzero(np.abs(strain) > max(_COUNTS * peak, noise))
-    if len(inside) < 8:
-        raise Fault(f"found {len(inside)} samples of a pulse, 8 or more are required", "file")
-    first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
-    for level, said in (
-        (-strain.min(), "the strain turns to tension, -{:.0%} of its peak: cut the reflected wave off"),
-        (abs(strain[first]), "the pulse begins at {:.0%} of its peak: cut it out at rest"),
-        (abs(strain[last]), "the pulse ends at {:.0%} of its peak: cut it out at rest"),
-    ):
-        if level > _ENDS * peak:
-            raise Fault(f"{shown(table.file)}: {said.format(level / peak)}; {_MENDED}", "file")
-    time, curve = time[first : last + 1] - time[first], strain[first : last + 1] / peak
-    # from 0 to 0
-    curve[[0, -1]], weight = 0.0, np.ones(len(curve))
-    weight[[0, -1]] = 1e3
-    *_, knots = generate_knots(time, curve, w=weight, k=3, s=len(curve) * _FINE**2, nest=_PIECES + 7)
-    spline = make_lsq_spline(time, curve, knots, 3, weight)
-    if (misfit := float(np.abs(curve - spline(time)).max())) > 0.02:
+    try:
+        pulse, misfit = measured_pulse(time, strain)
+    except ValueError as error:
+        raise Fault(f"{error}; {_MENDED}", "file") from None
+    if misfit > 0.02:
         said = f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy"
         notes.append(f"{said}; {_MENDED}")
     for note in notes:
         draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
-    fine = np.linspace(0.0, time[-1], 2000)
-    smooth = spline(fine)
-    top = float(smooth.max())
-    rise = fine[int(np.argmax(smooth >= 0.9 * top))] - fine[int(np.argmax(smooth >= 0.1 * top))]
-    cubics = PPoly.from_spline((spline.t, spline.c, 3)).c[::-1, 3:-3].T / top
-    cubics[0, 0] = 0.0
-    return MeasuredPulse(breaks=tuple(knots[3:-3].tolist()), coefficients=tuple(map(tuple, cubics.tolist())),
-                         peak=peak * top, rise=float(rise))  # fmt: skip
+    return pulse
