@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import REPLICATES, Estimate, carriers, count_bound, probability_ends, spread
+from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, probability_ends, spread
 from uqsphere.uq.limit_state import complement
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.form import DesignPoint, find_design_points
