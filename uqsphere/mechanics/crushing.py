@@ -30,7 +30,7 @@ def value_at(
     force: Array, of: Demand, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
     rate: Array | None = None,
 ) -> Array:  # fmt: skip
-    """The value (n,) of a demand in spheres of a radius (n,) [m] that are pressed to a force (n,) [N] at a rate [N/s]."""
+    """The value (n,) of a demand in spheres of a radius (n,) [m], pressed to a force (n,) [N] at a rate [N/s]."""
     own = {key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape) for key, value in sphere.items()}
     modulus = np.asarray(contact.reduced_modulus(own["E"], own["nu"], *platens))
     beta, share = contact.hertz_constant(modulus, radius), modulus * (1.0 - np.square(own["nu"])) / own["E"]
