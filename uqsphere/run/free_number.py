@@ -55,7 +55,7 @@ def with_number(study: Study, path: str, value: float) -> Study:
     """
     if path not in study.random:
         return replace(study, fixed={**study.fixed, path: value})
-    law = study.random[path].with_mean(value, study.given[path])
+    law = study.random[path].with_mean(value)
     low = INPUTS[path].lower if path in INPUTS else -math.inf
     if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
         law = replace(law, lower=low)

@@ -60,7 +60,6 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         title=as_text(document.title or path.stem), seed=document.seed, path=path, text=text, black_box=draft.box,
         fixed={name: value for name, value in own.items() if not isinstance(value, Law)},
         random={name: value for name, value in own.items() if isinstance(value, Law)},
-        given={name: number.given for name, number in draft.numbers.items() if isinstance(number.value, Law)},
         made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
         options=draft.options, materials=draft.materials, sources=draft.sources, model=document.model,
         limits=tuple(draft.limits.values()), margins=draft.margins, record=draft.record,
@@ -372,9 +371,9 @@ def _margins(draft: Draft) -> Faults:
         return
     for index, value in enumerate(ends):
         try:
-            number.value.with_mean(value, number.given)
+            number.value.with_mean(value)
         except LawError as error:
-            place = ("between", index) if "mean" in number.given else ("solve",)
+            place = ("between", index) if "mean" in number.value.given else ("solve",)
             said = f"with this mean {solve} has no law: {error.message} (SI)"
             yield Fault(f"{said}; give it by mean and sd or cov, or as a fixed number", "margins", *place)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,10 +27,9 @@ NOTABLE: Final = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Number:
-    """A number in SI: value or law, the law's parameters as given, whether its data are synthetic, tests behind it."""
+    """A number in SI: value or law, whether its data are synthetic, tests behind it."""
 
     value: float | Law
-    given: Mapping[str, float] = field(default_factory=dict)
     synthetic: bool = False
     tested: Tested | None = None
 
@@ -98,7 +97,7 @@ def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Nu
         found = _member(raw, quantity)
     warn_unusual(found.mean, quantity, draft, place)
     if isinstance(found.value, Law):
-        _check_law(found.value, found.given, quantity, draft, place)
+        _check_law(found.value, quantity, draft, place)
     return found
 
 
@@ -130,13 +129,13 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     given = {key: given[key] for key in keys if key in given}
     bounds = given.pop("lower", None), given.pop("upper", None)
     try:
-        return Number(value=make_law(family.name, given, *bounds), given=given)
+        return Number(value=make_law(family.name, given, *bounds))
     except LawError as error:
         unit = f" (numbers in {quantity.unit})" * (error.key in ("", *DIMENSIONAL) and quantity.unit != "")
         raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
 
 
-def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, draft: Draft, place: Place) -> None:
+def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None:
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
     name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
@@ -144,11 +143,11 @@ def _check_law(law: Law, given: Mapping[str, float], quantity: Quantity, draft: 
     for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
-    cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, given.get("cov", 0.0))
+    cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, law.given.get("cov", 0.0))
     if cov > 1.0:
-        share = ' 15 % is written "15 %" or 0.15' * ("cov" in given)
+        share = ' 15 % is written "15 %" or 0.15' * ("cov" in law.given)
         draft.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
-    if (mean := given.get("mean")) is not None and not law.lower <= mean <= law.upper:
+    if (mean := law.given.get("mean")) is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
         draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")

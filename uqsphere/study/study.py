@@ -98,8 +98,6 @@ class Study:
     fixed, random : every number by dotted path (black box: bare name), SI, defaults included, in the order of the file;
     a bar end is its velocity reflection coefficient.  What a scene does not have (lengths of infinite bars, say) is
     absent.
-    given : the parameters of each law as the file gives them, in SI, strengths and model factors too; `Law.with_mean`
-    reads them.
     record : the pulse of a measured record, from which `striker.speed` then follows.
     made_up : the random numbers whose observations the file calls synthetic.
     overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
@@ -112,7 +110,6 @@ class Study:
     black_box: bool
     fixed: Mapping[str, float]
     random: Mapping[str, Law]
-    given: Mapping[str, Mapping[str, float]]
     options: Mapping[str, str | bool | int]
     materials: Mapping[str, str]
     sources: Mapping[str, Property]

@@ -26,11 +26,11 @@ _MOST_STEPS: Final = 10_000
 class Law:
     """A probability law in SI: a member of a family, between the bounds where it is in force.
 
-    `parameters` are those that the family keeps.  `lower` and `upper` truncate, or are the bounds of a bounded
-    family.  `data` are the sorted observations of an empirical law (kept when a family was fitted to them); `censored`
-    are those that are known only to be larger than this.  `draws` are those of a fit (`observed`), with the parameter
-    `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the Gaussian kernel, 0 for the
-    step function.
+    `parameters` are those that the family keeps, `given` the keys that it was made from, if any.  `lower` and `upper`
+    truncate, or are the bounds of a bounded family.  `data` are the sorted observations of an empirical law (kept when
+    a family was fitted to them); `censored` are those that are known only to be larger than this.  `draws` are those of
+    a fit (`observed`), with the parameter `tests`: how many it rests on.  An empirical law has the parameter
+    `bandwidth`: of the Gaussian kernel, 0 for the step function.
     Make one with `make_law` or `fitted_law`, which validate.
 
     >>> law = Law(family=FAMILIES["gumbel"], parameters={"location": 0.0, "scale": 1.0})
@@ -45,6 +45,7 @@ class Law:
     data: tuple[float, ...] = ()
     censored: tuple[float, ...] = ()
     draws: tuple[tuple[float, ...], ...] = ()
+    given: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
         own = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
@@ -190,18 +191,18 @@ class Law:
 
     # --- other laws that are like it ----------------------------------------------------------------------
 
-    def with_mean(self, mean: float, given: Mapping[str, float]) -> Law:
-        """The law with another mean (SI), keeping sd or cov, whichever is among the keys that a study gave.
+    def with_mean(self, mean: float) -> Law:
+        """The law with another mean (SI), keeping sd or cov, whichever it was made from.
 
         What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5 and 10.5 mm become
         spheres of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of 10 mm.  The bounds of a bounded law
         are its own and stay.  Raises LawError for a law not given by its mean, or without a member of the new one.
         """
-        if "mean" not in given:
+        if "mean" not in self.given:
             raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
-        cut = not self.family.bounded and given["mean"] > 0.0 and mean > 0.0
-        ratio = mean / given["mean"] if cut else 1.0
-        return make_law(self.family.name, {**given, "mean": mean}, ratio * self.lower, ratio * self.upper)
+        cut = not self.family.bounded and self.given["mean"] > 0.0 and mean > 0.0
+        ratio = mean / self.given["mean"] if cut else 1.0
+        return make_law(self.family.name, {**self.given, "mean": mean}, ratio * self.lower, ratio * self.upper)
 
 
 def _named(name: str, own: Mapping[str, object]) -> Law:
@@ -224,7 +225,7 @@ def make_law(name: str, given: Mapping[str, float], lower: float | None = None, 
     if family.observed is not None:
         raise LawError(f"an {name} law is made from observations", "file")
     a, b = bounds_of(lower, upper)
-    return checked(Law(family=family, parameters=family.parameters(given, a, b), lower=a, upper=b))
+    return checked(Law(family=family, parameters=family.parameters(given, a, b), lower=a, upper=b, given=given))
 
 
 def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
