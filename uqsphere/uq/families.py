@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -232,9 +232,7 @@ def _of_scipy(name: str) -> Family | None:
     shapes = tuple((found.shapes or "").replace(",", " ").split())
 
     def form(loc: float, scale: float, **own: float) -> tuple[float, float, Form]:
-        law: Any = found(**own)
-        functions = law.cdf, law.sf, law.ppf, law.isf, law.pdf
-        return loc, scale, forms.form_of(name, functions, law.stats(moments="mv"), (*shapes, "")[0])
+        return loc, scale, forms.form_of(name, found(**own), (*shapes, "")[0])
 
     return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form)
 

@@ -1,5 +1,5 @@
 """Laws of SciPy, chaospy and SALib, and observations, as laws of this package: of a family of its own where there is
-one, wrapped else.  No package is imported here: the class of what is given says where it is from.
+one, else of SciPy's.  No package is imported here: the class of what is given says where it is from.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import PREFIX, Family, family_named
+from uqsphere.uq.families import PREFIX, family_named
 from uqsphere.uq.fitting import fitted_law
-from uqsphere.uq.forms import LawError, form_of
+from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
-from uqsphere.uq.law import Law, checked, discrete_law, make_law
+from uqsphere.uq.law import Law, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike: TypeAlias = Any
@@ -43,12 +43,20 @@ TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
                                            "upper": loc + scale * b},
 }  # fmt: skip
 
-#: SciPy's names of chaospy's laws in standard form, which have the same shapes, the last one as logarithms
+#: SciPy's names of chaospy's laws in standard form, which have the same shapes
 CHAOSPY: Final = {
-    "normal": "norm", "uniform": "uniform", "log_normal": "lognorm", "gamma": "gamma", "weibull": "weibull_min",
-    "student_t": "t", "triangle": "triang", "beta_": "beta", "log_weibull": "gumbel_r",
-    "cauchy": "cauchy", "laplace": "laplace", "logistic": "genlogistic",
-    "log_uniform": "loguniform",
+    "normal": "norm", "log_normal": "lognorm", "uniform": "uniform", "beta_": "beta", "triangle": "triang",
+    "gamma": "gamma", "inverse_gamma": "invgamma", "log_gamma": "loggamma", "double_gamma": "dgamma",
+    "generalized_gamma": "gengamma", "chi": "chi", "chi_squared": "ncx2", "student_t": "t",
+    "weibull": "weibull_min", "frechet": "weibull_min", "double_weibull": "dweibull", "log_weibull": "gumbel_r",
+    "exponential_weibull": "exponweib", "generalized_extreme": "genextreme", "gompertz": "gompertz", "fisk": "fisk",
+    "burr": "burr12", "mielke": "mielke", "pareto1": "pareto", "pareto2": "lomax", "cauchy": "cauchy", "levy": "levy",
+    "folded_cauchy": "foldcauchy", "wrapped_cauchy": "wrapcauchy", "laplace": "laplace", "log_laplace": "loglaplace",
+    "logistic": "genlogistic", "generalized_half_logistic": "genhalflogistic", "folded_normal": "foldnorm",
+    "power_normal": "powernorm", "power_log_normal": "powerlognorm", "exponential_power": "exponpow",
+    "generalized_exponential": "genexpon", "truncexpon": "truncexpon", "fatigue_life": "fatiguelife",
+    "nakagami": "nakagami", "wald": "recipinvgauss", "alpha": "alpha", "anglit": "anglit", "bradford": "bradford",
+    "reciprocal": "loguniform", "tukey_lambda": "tukeylambda",
 }  # fmt: skip
 
 #: the way out for laws of several numbers
@@ -68,14 +76,14 @@ SALIB: Final[Mapping[str, Callable[..., Table]]] = {
 def law_table(given: LawLike) -> Table:
     """The table by which a study file has a law: that of a distribution of SciPy or chaospy, or of a law.
 
-    Raises LawError for what is no such distribution, or has no table: observations, and laws that are wrapped.
+    Raises LawError for what is no such distribution, or has no table: observations.
     """
     if isinstance(given, Mapping):
         return dict(given)
     law = as_law(given)
     if law.family.name == "discrete":
         return {"dist": "discrete", "values": list(law.data)}
-    if law.data or law.draws or family_named(law.family.name) is None:
+    if law.data or law.draws:
         raise LawError("a study file has no table for it: write a sample or the observations to a CSV and name that, "
                        '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis')  # fmt: skip
     ends = {"lower": law.lower, "upper": law.upper}
@@ -85,8 +93,8 @@ def law_table(given: LawLike) -> Table:
 def as_law(given: LawLike) -> Law:
     """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), SciPy, chaospy, or observations (n,).
 
-    A distribution is taken by its own parameters, so that both tails are those of this package.  One that has no family
-    here keeps its functions.  Observations become a kernel density.
+    A distribution is taken by its own parameters, so that both tails keep their digits.  Observations become a kernel
+    density.
 
     Raises LawError for anything else, several numbers at once, discrete laws, and laws whose tails contradict
     themselves.
@@ -103,7 +111,7 @@ def as_law(given: LawLike) -> Law:
     origin, kind = type(given).__module__.partition(".")[0], type(given).__name__
     if origin == "scipy":
         return _of_scipy(given, kind)
-    if origin == "chaospy" and hasattr(given, "inv") and hasattr(given, "pdf"):
+    if origin == "chaospy" and hasattr(given, "inv"):
         return _of_chaospy(given, kind)
     try:
         values = np.asarray(given, dtype=float)
@@ -130,9 +138,6 @@ def _of_scipy(given: Any, kind: str) -> Law:
     frozen = getattr(given, "dist", None)
     if any("discrete" in base.__name__.lower() for base in type(given).__mro__):
         return _steps(f"{getattr(frozen, 'name', kind)} of SciPy", given.support(), given.pmf)
-    if "rv_histogram" in (kind, type(frozen).__name__):
-        return _wrapped("histogram of SciPy", (given.cdf, given.sf, given.ppf, given.isf, given.pdf),
-                        given.stats(moments="mv"))  # fmt: skip
     if frozen is not None:
         shapes, loc, scale = frozen._parse_args(*given.args, **given.kwds)
         return _by_name(frozen.name, *shapes, loc, scale)
@@ -140,45 +145,35 @@ def _of_scipy(given: Any, kind: str) -> Law:
         return _by_name("norm", given.mean(), given.standard_deviation())
     if kind == "Uniform":
         return _by_name("uniform", given.support()[0], np.subtract(*given.support()[::-1]))
-    if hasattr(given, "icdf"):
-        return _wrapped(f"{kind} of SciPy", (given.cdf, given.ccdf, given.icdf, given.iccdf, given.pdf),
-                        (given.mean(), given.variance()))  # fmt: skip
-    raise LawError(f"{kind} of SciPy: freeze it with its parameters, as scipy.stats.norm(1.0, 0.1), or give "
+    raise LawError(f"{kind} of SciPy: freeze a law with its parameters, as scipy.stats.norm(1.0, 0.1), or give "
                    f"observations; {EACH}")  # fmt: skip
 
 
 def _of_chaospy(given: Any, kind: str) -> Law:
-    """The law of chaospy by its parameters where these are known here, else by its functions."""
     if len(given) != 1:
         raise LawError(f"a joint distribution of chaospy: {EACH}")
     if given.interpret_as_integer:
         return _steps(f"{kind} of chaospy", (given.lower, given.upper), given.pdf)
     if kind == "Trunc":
         law, own = as_law(given._dist), given._parameters
-        if law.family.bounded or not law.family.keys:
+        if law.family.bounded:
             raise LawError(f"{given}: give the law that is truncated by its table, with lower and upper")
         # chaospy's own end of the law, some 8 standard deviations out, truncates nothing
         return as_law(law_table(law) | {key: _number(own[key]) for key in own if own[key] != getattr(given._dist, key)})
-    if kind == "TruncNormal":
-        return as_law(SALIB["truncnorm"](*map(_number, given._dist._parameters.values())))
     shift, scale, standard = 0.0, 1.0, given
     while hasattr(standard, "_dist"):
         first, second = map(_number, standard._parameters.values())  # lower and upper, or shift and scale
         shift += scale * first
         scale *= second - first if "lower" in standard._parameters else second
         standard = standard._dist
-    if (name := CHAOSPY.get(type(standard).__name__)) is not None:
-        shapes = list(map(_number, standard._parameters.values()))
-        if name == "loguniform":
-            shapes = np.exp(shapes).tolist()
-        return _by_name(name, *shapes, shift, scale)
-
-    def shaped(function: Callable[[Array], Any]) -> Callable[[Array], Array]:
-        # chaospy takes values (n,) or (1, n)
-        return lambda values: np.asarray(function(np.ravel(values)), dtype=float).reshape(np.shape(values))
-
-    cdf, ppf = shaped(given.cdf), shaped(given.inv)
-    return _wrapped(f"{kind} of chaospy", (cdf, lambda x: 1.0 - cdf(x), ppf, lambda q: ppf(1.0 - q), shaped(given.pdf)))
+    kind, shapes = type(standard).__name__, standard._parameters.values()
+    if kind == "log_uniform":
+        return _by_name("loguniform", *map(np.exp, shapes), shift, scale)
+    if kind == "trunc_normal":
+        return as_law(SALIB["truncnorm"](*map(_number, shapes)))
+    if kind not in CHAOSPY:
+        raise LawError(f"{given}: give the law of scipy.stats, or observations")
+    return _by_name(CHAOSPY[kind], *shapes, shift, scale)
 
 
 def _by_name(name: str, *given: Any) -> Law:
@@ -189,12 +184,6 @@ def _by_name(name: str, *given: Any) -> Law:
     if (family := family_named(PREFIX + name)) is None:
         raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
     return as_law({"dist": family.name} | dict(zip(family.parameters_of, numbers, strict=True)))
-
-
-def _wrapped(name: str, functions: tuple[Callable[..., Any], ...], moments: tuple[Any, Any] | None = None) -> Law:
-    """The law of functions cdf, sf, ppf, isf, pdf, and of its mean and variance."""
-    form = form_of(name, functions, moments)
-    return checked(Law(family=Family(name=name, form=lambda: (0.0, 1.0, form))))
 
 
 def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:

@@ -1,8 +1,8 @@
 """Standard forms of probability laws on scipy.special: what `Family` and `Law` compute with.
 
 The lower and the upper tail p and q = 1 - p are always both there, so that neither is a difference from the other: each
-keeps its relative accuracy however small it is.  A form is cut off by `truncated`; the functions of a law of somebody
-else, such as SciPy's, become a form by `form_of`, which holds their tails to account.
+keeps its relative accuracy however small it is.  A form is cut off by `truncated`; a law of SciPy becomes a form by
+`form_of`, which holds its tails to account.
 """
 
 from __future__ import annotations
@@ -197,22 +197,15 @@ def beta(a: float, b: float) -> Form:
                    lambda p, a, b: special.betaincinv(a, b, p), pdf, a, b)  # fmt: skip
 
 
-def form_of(
-    name: str, functions: tuple[Callable[..., Any], ...], moments: tuple[Any, Any] | None = None, key: str = ""
-) -> Form:
-    """A form from the functions cdf, sf, ppf, isf, pdf of somebody else, and its mean and variance.
+def form_of(name: str, law: Any, key: str) -> Form:
+    """The form of a frozen law of SciPy.
 
     Raises LawError, for a key, where quantiles and probabilities of a tail do not belong to each other.
     """
-
-    def floats(function: Callable[..., Any]) -> Function:
-        return lambda values: np.asarray(function(values), dtype=float)
-
-    cdf, sf, ppf, isf, pdf = map(floats, functions)
-    mean, variance = map(float, moments or (0.0, 0.0))
+    mean, variance = map(float, law.stats(moments="mv"))
     missing = 1.0 if not math.isfinite(mean) else 2.0 if not math.isfinite(variance) else math.inf
     orders = []
-    for quantile, share, called in ((ppf, cdf, "lower"), (isf, sf, "upper")):
+    for quantile, share, called in ((law.ppf, law.cdf, "lower"), (law.isf, law.sf, "upper")):
         with np.errstate(all="ignore"):
             places = quantile(_TAILS)
             # what both may differ by, as a share: a tenth of the smallest error that a run can ask of a probability
@@ -223,9 +216,6 @@ def form_of(
             raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
                            "its quantile there has another probability")  # fmt: skip
         far = np.abs(quantile(np.array([1e-6, 1e-12])))
-        heavy = far[1] > _HEAVY * far[0]
-        if heavy and moments is None:
-            raise LawError(f"{name} has a heavy tail and unknown moments: give the distribution of scipy.stats")
-        orders.append(missing if heavy else math.inf)
-    return Form(tails=lambda y: (cdf(y), sf(y)), quantile=either(ppf, isf), pdf=pdf, orders=(orders[0], orders[1]),
-                moments=(mean, math.sqrt(variance)) if moments else None)  # fmt: skip
+        orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
+    return Form(tails=lambda y: (law.cdf(y), law.sf(y)), quantile=either(law.ppf, law.isf), pdf=law.pdf,
+                orders=(orders[0], orders[1]), moments=(mean, math.sqrt(variance)))  # fmt: skip
