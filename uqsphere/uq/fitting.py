@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.uq.families import DRAWN, FAMILIES, Family, Keys
+from uqsphere.uq.families import DRAWN, FAMILIES, Keys
 from uqsphere.uq.forms import GAUSS, SMALLEST, Form, LawError
 from uqsphere.uq.law import Law, bounds_of, checked
 from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
@@ -370,12 +370,36 @@ def fitted_law(
         raise LawError("the observations hold values that are not finite numbers", "column")
     elif values[0] == values[-1]:
         raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
-    if how not in ("kde", "steps"):
-        return checked(_member(FAMILIES[how], values, a, b, censored, unbiased=unbiased))
-    if how == "kde" and values.size > MOST_KERNELS:
-        raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
-    width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}
-    return checked(Law(family=FAMILIES["empirical"], parameters=width, lower=a, upper=b, data=tuple(values.tolist())))
+    if how in ("kde", "steps"):
+        if how == "kde" and values.size > MOST_KERNELS:
+            raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
+        width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}
+        found = Law(family=FAMILIES["empirical"], parameters=width, lower=a, upper=b, data=tuple(values.tolist()))
+        return checked(found)
+    family, least, largest = FAMILIES[how], float(values[0]), float(values[-1])
+    if family.bounded and not math.isfinite(b - a):
+        raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
+    if family.bounded and not a < least <= largest < b:
+        raise LawError(f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit")
+    if family.positive and least <= 0.0:
+        raise LawError(f"{how} needs positive observations, the smallest is {least:g}", "fit")
+    found = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
+    try:
+        fitted = _likeliest(found, unbiased)
+    except ValueError as error:
+        raise LawError(f"{how} does not fit the observations: {error}", "fit") from None
+    return checked(fitted)
+
+
+def _likeliest(law: Law, unbiased: bool = False) -> Law:
+    """The law with the parameters of the largest likelihood of its observations; raises ValueError."""
+    name, ends = law.family.name, (law.lower, law.upper)
+    if (kind := LOCATION_SCALE.get(name)) is None:
+        return replace(law, parameters=law.family.parameters(OTHERS[name](np.array(law.data), *ends), *ends))
+    tests = series_behind(law)
+    location, spread = _best(tests, kind)
+    shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
+    return replace(law, parameters=law.family.parameters(kind.parameters(location, kind.shape(shape)), *ends))
 
 
 def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float) -> Law:
@@ -393,31 +417,6 @@ def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence
     hazards = special.gammaincinv(shape, (np.arange(400) + 0.5) / 400.0)
     scales = x.max() * (((x / x.max()) ** modulus).sum() / hazards) ** (1.0 / modulus)
     return law_of_draws([(WEIBULL, 0.0, float(scale), modulus, 0.0) for scale in scales], x.size)
-
-
-def _member(
-    family: Family, values: Array, a: float, b: float, censored: Sequence[float] = (), *, unbiased: bool = False
-) -> Law:
-    """The member of a family that the observations (n,), in rising order, have the largest likelihood by."""
-    name, least, largest = family.name, float(values[0]), float(values[-1])
-    if family.bounded and not math.isfinite(b - a):
-        raise LawError(f"{name} needs lower and upper", "lower" if math.isinf(a) else "upper")
-    if family.bounded and not a < least <= largest < b:
-        raise LawError(f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit")
-    if family.positive and least <= 0.0:
-        raise LawError(f"{name} needs positive observations, the smallest is {least:g}", "fit")
-    law = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
-    try:
-        if (kind := LOCATION_SCALE.get(name)) is not None:
-            tests = series_behind(law)
-            location, spread = _best(tests, kind)
-            shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
-            fitted = kind.parameters(location, kind.shape(shape))
-        else:
-            fitted = OTHERS[name](values, a, b)
-        return replace(law, parameters=family.parameters(fitted, a, b))
-    except ValueError as error:
-        raise LawError(f"{name} does not fit the observations: {error}", "fit") from None
 
 
 def is_fitted(law: object) -> bool:
@@ -478,8 +477,8 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
     family, n = law.family, len(law.data)
     for _ in range(20):
         if family.observed is None:
-            with contextlib.suppress(LawError):
-                again = _member(family, np.sort(law.ppf(generator.random(n))), law.lower, law.upper).parameters
+            with contextlib.suppress(ValueError):
+                again = _likeliest(replace(law, data=tuple(law.ppf(generator.random(n)).tolist()))).parameters
                 return replace(law, parameters={key: law.parameters[key] ** 2 / again[key] for key in again})
         elif np.ptp(sample := np.sort(generator.choice(law.data, n))) > 0.0:
             width = 0.0 if law.is_steps else bandwidth(sample)

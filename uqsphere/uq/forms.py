@@ -59,18 +59,13 @@ def truncated(form: Form, a: float, b: float) -> Form:
     """The form between a and b, from whichever tail is the smaller one: no digits are lost however far out they are."""
     with np.errstate(divide="ignore", over="ignore"):
         (below_a, below_b), (above_a, above_b) = (tail.tolist() for tail in form.tails(np.array([a, b])))
-    if above_a < 0.5:
-        mass = above_a - above_b
-    else:
-        mass = below_b - below_a if below_b < 0.5 else 1.0 - below_a - above_b
+    mass = above_a - above_b if above_a < 0.5 else below_b - below_a
 
     def tails(y: Array) -> tuple[Array, Array]:
         below, above = form.tails(y)
-        lower_side = below <= 0.5
-        p = np.clip(np.where(lower_side, below - below_a, above_a - above) / mass, 0.0, 1.0)
-        q = np.clip(np.where(lower_side, below_b - below, above - above_b) / mass, 0.0, 1.0)
-        low, high = y < a, y > b
-        return np.where(low, 0.0, np.where(high, 1.0, p)), np.where(low, 1.0, np.where(high, 0.0, q))
+        p = (above_a - above if above_a < 0.5 else below - below_a) / mass
+        q = (below_b - below if below_b < 0.5 else above - above_b) / mass
+        return np.clip(p, 0.0, 1.0), np.clip(q, 0.0, 1.0)
 
     def quantile(p: Array, q: Array) -> Array:
         lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
