@@ -217,12 +217,16 @@ class Joint:
         flat = normals.reshape(-1, len(self.names))
         return self.given((), flat, flat).reshape(normals.shape) if self.blocks else normals
 
+    def marginal(self, scores: Array) -> Array:
+        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties them."""
+        physical = np.empty_like(scores)
+        for column, law in enumerate(self.laws):
+            physical[..., column] = law.from_normal(scores[..., column])
+        return physical
+
     def physical(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in force."""
-        found = np.array(self.scores(normals))
-        for column, law in enumerate(self.laws):
-            found[..., column] = law.from_normal(found[..., column])
-        return found
+        return self.marginal(self.scores(normals))
 
     def marginal_scores(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations: 1e-15 lies beyond."""
