@@ -385,6 +385,7 @@ def test_sizes_beyond_half_as_much_need_a_law(
         ((" }", ', platens = "stel" }'), CSV, "did you mean 'steel'"),
         ((" }", ', fit = "kde" }'), CSV, "need a fit"),
         (('"t.csv"', '"../t.csv"'), CSV, "own folder only"),
+        (('"t.csv"', '"a/../t.csv"'), CSV, "own folder only"),
         (('"t.csv"', '"u.csv"'), CSV, 'there is no file "u.csv" beside the study; did you mean'),
     ],
 )

@@ -196,7 +196,7 @@ def _forms(draft: Draft) -> Faults:
             if len(given) == 2:
                 yield Fault(f"{keys[0]} is given too: leave one of {one_of(keys)} out", table, keys[1])
             if not given:
-                ways = [f'{key} = "… {known[key].display}"' if key in known else f'{key} = "…"' for key in keys]
+                ways = [f'{key} = "{f"… {known[key].display}".rstrip() if key in known else "…"}"' for key in keys]
                 ways += ['material = "…" to take it from'] * (keys[0] in ("E", "nu", "density"))
                 ways += ["infinite = true"] * keys[0].endswith("ing_length")
                 meaning = f" ({known[keys[0]].meaning})" if keys[0] in known else ""

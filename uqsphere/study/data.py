@@ -34,15 +34,15 @@ _UNLIKELY: Final = 0.01
 @contextmanager
 def opened(name: str, draft: Draft, key: str = "file", decimal: str | None = None) -> Iterator[Table]:
     """The table of a file in the study's folder; at the end all faults that were noted of it are one Fault."""
-    home = draft.folder.resolve()
+    home, given = draft.folder.resolve(), Path(name)
     try:
-        path = (home / name).resolve()
-        if not path.is_relative_to(home):
+        path = (home / given).resolve()
+        if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
             raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
         if not path.exists():
             near = suggestion(name, [item.name for item in home.iterdir()])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
-        draft.files[Path(name).as_posix()] = path
+        draft.files[given.as_posix()] = path
         found = read_table(path, decimal=decimal or "")
         yield found
         found.finish()
