@@ -66,17 +66,13 @@ def read_model(reference: str) -> ModelFile:
 
 def _described(error: BaseException) -> str:
     """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line 3)"."""
+    others = (str(Path(__file__).parent), sys.prefix, sys.base_prefix, "<")
     places = [
         f" ({Path(frame.filename).name}, line {frame.lineno})"
         for frame in traceback.extract_tb(error.__traceback__)
-        if _is_theirs(frame.filename) and frame.filename[0] != "<"
+        if not frame.filename.startswith(others)
     ]
     return f"{type(error).__name__}: {as_text(error)}{places[-1] if places else ''}"
-
-
-def _is_theirs(file: str) -> bool:
-    """Whether code of a file is the user's."""
-    return not any(Path(file).is_relative_to(place) for place in (Path(__file__).parent, sys.prefix, sys.base_prefix))
 
 
 def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:
@@ -93,19 +89,9 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
             returned = box(columns)
     except (Exception, SystemExit) as error:
         raise ModelRaised(f"the model raised {_described(error)}") from error
-    try:
-        return _table(returned, outputs, len(rows))
-    except ModelError:
-        raise
-    except Exception as error:  # what was returned computes its content as it likes
-        raise ModelError(f"what the model returned cannot be read: {_described(error)}") from error
-
-
-def _table(returned: Any, outputs: Sequence[str], count: int) -> Array:
-    """What a model returned, as numbers (n, q)."""
-    returned = by_index(returned, count)
+    count, returned = len(rows), by_index(returned, len(rows))
     if not isinstance(returned, Mapping) and not hasattr(returned, "columns"):  # nor a DataFrame
-        shape = np.shape(returned)
+        shape = getattr(returned, "shape", ())
         if shape == (count, len(outputs)):
             returned = dict(zip(outputs, np.asanyarray(returned).T, strict=True))
         elif len(outputs) == 1:
@@ -137,8 +123,8 @@ def _column(value: Any, name: str, count: int) -> Array:
         if given.dtype.kind not in "fiubO":
             raise TypeError(f"its type is {given.dtype}; of complex numbers return the real part or the absolute value")
         column: Array = np.ma.filled(given.astype(float), np.nan)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"the model's {name!r} is not an array of numbers: {as_text(error)}") from error
+    except Exception as error:  # what was returned computes its content as it likes
+        raise ModelError(f"the model's {name!r} is not an array of numbers: {_described(error)}") from error
     if count == 1 and column.ndim == 0:
         return column[None]
     if column.shape != (count,):

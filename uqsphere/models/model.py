@@ -19,9 +19,9 @@ from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, UsageError, as_text
 from uqsphere.models.black_box import BlackBox, ModelFile, read_model
 from uqsphere.models.cache import Cache
-from uqsphere.models.rows import Code, EvaluatedRows, Interrupted, NoAnswer, where_of
+from uqsphere.models.rows import FAILED, Died, EvaluatedRows, Interrupted, NoAnswer, where_of
 from uqsphere.models.scene import evaluate_scene
-from uqsphere.models.workers import Given, Here, Processes, Workers, pack, result
+from uqsphere.models.workers import Here, Processes, Task, answer, pack, result
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.study import Study
 from uqsphere.uq.surrogate import columns_of, index_of
@@ -36,6 +36,8 @@ _CALLS: Final = 64
 _WORTH: Final = 2.0
 #: seconds per row below which to evaluate again costs less than to store, and more rows in a call less than more calls
 _QUICK: Final = 1e-4
+#: calls that an executor of the user makes at once, about
+_MANY: Final = 512
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
 #: seconds between two looks at `stop` while answers are waited for
@@ -150,7 +152,10 @@ class Model:
         self._calls, self._seconds, self._rows = 0, 0.0, 0
         self._compared = False
         self._cache: Cache | None = None
-        self._workers: Workers | None = None
+        #: where the black box is called, how many calls it makes at once, and what is sent there for it
+        self._workers: Any = None
+        self._count = 0
+        self._sent: Task | bytes = b""
         means = study.at_means()
         if box is None:
             tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
@@ -161,9 +166,14 @@ class Model:
         self._inputs, self._outputs = [*study.random, *study.fixed], study.outputs
         self._numbers = np.array([means[name] for name in self._inputs])
         box = box if callable(box) else read_model(str(box))
-        self._task: tuple[Any, list[str], tuple[str, ...]] = (box, self._inputs, self._outputs)
+        self._task = (box, self._inputs, self._outputs)
         if self.executor is not None:
-            self._workers = Given(self.executor, pack(*self._task))
+            # the same call twice is two evaluations, which Dask would not make
+            dask = hasattr(self.executor, "get_executor")
+            self._workers = self.executor.get_executor(pure=False) if dask else self.executor
+            self._count, self._sent = _MANY, pack(self._task)
+            if not callable(getattr(self._workers, "submit", None)):
+                raise UsageError(f"an executor has a method submit(), which {type(self.executor).__name__} has not")
         if self.cache_file is not None and isinstance(box, ModelFile):
             self._cache = Cache(self.cache_file, box, self._inputs, self._outputs)
 
@@ -174,8 +184,8 @@ class Model:
         """End processes that were started here, and close the cache."""
         if self._cache is not None:
             self._cache.close()
-        if self._workers is not None:
-            self._workers.close()
+        if isinstance(self._workers, Processes):
+            self._workers.shutdown()
 
     @property
     def seconds_per_row(self) -> float | None:
@@ -268,7 +278,7 @@ class Model:
             """Take the columns that were requested; a row fails where one of them is not finite, or too large."""
             values[places] = answers[:, taken]
             usable = (np.abs(values[places]) <= _LARGEST).all(axis=1)
-            status[places[~usable]] = Code.NOT_FINITE
+            status[places[~usable]] = FAILED
 
         # two sizes, none between: the last digits of a model may depend on the rows of a call, and time does not repeat
         size = _MOST_ROWS if self._calls > 1 and not self._is_slow() else max(1, min(_MOST_ROWS, total // _CALLS))
@@ -279,9 +289,10 @@ class Model:
         try:
             while True:
                 self._check_stop()
-                workers = self._workers if running and self._workers is not None else self._staffed(total)
+                if not running:
+                    self._staff(total)
                 # one call tells what a row takes, before many are handed out
-                while len(running) < (workers.window if self._calls else 1):
+                while len(running) < (2 * self._count + 2 if self._calls else 1):
                     places = again.pop() if again else next(due, None)
                     if places is None:
                         break
@@ -291,7 +302,7 @@ class Model:
                         self.reused += len(answers)
                         places = places[~stored]
                     if len(places):
-                        running[workers.submit(whole(places))] = places
+                        running[self._workers.submit(answer, self._sent, whole(places))] = places
                 if self.progress is not None:
                     self.progress(self.evaluations + self.reused - before, total)
                 if not running:
@@ -306,14 +317,14 @@ class Model:
                         row = int(places[0])
                         if len(places) > 1:
                             again.extend(np.array_split(places, 2))
-                        elif failure.code == Code.DIED and row not in died:
+                        elif isinstance(failure, Died) and row not in died:
                             died.add(row)  # once more: another row may have taken the memory
                             again.append(places)
                         elif analysis.on_failure == "abort":
                             raise ModelError(f"{failure} {where_of(self._inputs, whole(places)[0])}") from failure
                         else:
                             self.evaluations += 1
-                            status[row], failures[row] = failure.code, failure
+                            status[row], failures[row] = FAILED, failure
                         continue
                     self._add_call(seconds, len(places))
                     if cache is not None and self._is_slow():
@@ -345,24 +356,25 @@ class Model:
     def _is_slow(self) -> bool:
         return (self.seconds_per_row or 0.0) >= _QUICK
 
-    def _staffed(self, rows: int) -> Workers:
-        """Where calls are made: a function begins in this process, a file in one of its own, and rows that have proved
-        worth it get more processes. Nothing may be running."""
+    def _staff(self, rows: int) -> None:
+        """Choose where calls are made: a function begins in this process, a file in one of its own, and rows that have
+        proved worth it get more processes. Nothing may be running."""
         limit = self.study.analysis.time_limit
         worth = limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH
         count = self._processes if worth else 1
-        if self._workers is None:
-            here = callable(self.model) and limit is None
-            self._workers = Here(*self._task) if here else Processes(count, pack(*self._task), limit)
-        elif self._workers.count < count:
+        if self._count == 0 and callable(self.model) and limit is None:
+            self._workers, self._count, self._sent = Here(), 1, self._task
+        elif self._count < count:
             try:
-                more = Processes(count, pack(*self._task), limit)
-            except (UsageError, ModelError):  # it cannot be had elsewhere, and goes on where it is
-                self._processes = 1
-            else:
-                self._workers.close()
-                self._workers = more
-        return self._workers
+                packed = pack(self._task)
+            except UsageError:
+                if self._count == 0:
+                    raise
+                self._processes = 1  # it cannot be sent, and goes on where it is
+                return
+            if isinstance(self._workers, Processes):
+                self._workers.shutdown()
+            self._workers, self._count, self._sent = Processes(count, packed, limit), count, packed
 
 
 @lru_cache(maxsize=1)

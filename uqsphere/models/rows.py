@@ -4,23 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 
-
-class Code(IntEnum):
-    """Status of a row that a black box has no answer to; 1 to 5 are those of the impact model."""
-
-    NOT_FINITE = 6
-    RAISED = 8
-    TIME_OVER = 9
-    DIED = 10
-
-
+#: status of a row that a black box has no answer to; 1 to 5 are those of the impact model
+FAILED: Final = 6
 #: inputs that a note names
 _MOST_NAMED: Final = 6
 
@@ -30,11 +21,11 @@ class Interrupted(Exception):
 
 
 class NoAnswer(Exception):
-    """A call of a black box has no answer: its code, and what happened."""
+    """A call of a black box has no answer: what happened."""
 
-    def __init__(self, code: Code, text: str) -> None:
-        super().__init__(text)
-        self.code = code
+
+class Died(NoAnswer):
+    """The process that it ran in ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +34,7 @@ class EvaluatedRows:
 
     values : (n, q), SI, in the order of the columns that were requested; NaN where a row failed.
     censored : (n, q); the value is a lower bound, since the record ended first.
-    status : (n,); 0 for an answer, else a code of `mechanics.scene.STATUS` or `Code`.
+    status : (n,); 0 for an answer, else a code of `mechanics.scene.STATUS` or `FAILED`.
     note : what happened at the first row that failed, and where; empty if none failed.
     """
 

@@ -114,12 +114,7 @@ def solve_scene(
 
 
 def evaluate_scene(
-    study: Study,
-    names: Sequence[str],
-    rows: Array,
-    columns: Sequence[str],
-    *,
-    threads: int | None = None,
+    study: Study, names: Sequence[str], rows: Array, columns: Sequence[str], *, threads: int | None = None
 ) -> EvaluatedRows:
     """Answers of the impact model to rows (n, d).
 
@@ -132,19 +127,18 @@ def evaluate_scene(
 
     try:
         with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
-            answers = solve_scene(scene_at(study, names, rows), study.model.fidelity,
-                                  tolerance=study.model.tolerance,
-                                  threads=threads, quantities=tuple(columns))  # fmt: skip
+            answers = solve_scene(scene_at(study, names, rows), study.model.fidelity, threads=threads,
+                                  tolerance=study.model.tolerance, quantities=tuple(columns))  # fmt: skip
     except ValueError as error:
         raise UsageError(str(error)) from error
     good, none = np.asarray(answered(answers.status)), np.zeros(len(rows), dtype=bool)
     values = np.stack([answers.values[name] for name in columns], axis=1)
-    first = int(np.argmin(good)) if not good.all() else None
+    failed = np.flatnonzero(~good)[:1]
     return EvaluatedRows(
         values=np.where(good[:, None], values, np.nan),
         censored=np.stack([answers.censored.get(name, none) for name in columns], axis=1),
         status=np.where(good, 0, answers.status),
-        note="" if first is None else f"{STATUS[int(answers.status[first])]} {where_of(names, rows[first])}",
+        note="".join(f"{STATUS[int(answers.status[k])]} {where_of(names, rows[k])}" for k in failed),
     )
 
 

@@ -1,22 +1,21 @@
 """Where a black box is called: in this process, in processes that can be ended, or by an executor that the user gave.
 
-Each has `submit(rows)`, which returns a future of `concurrent.futures`, a `count` of processes, and a `window` of calls
-that it takes at once. Where rows are evaluated changes no answer.
+Each has `submit(answer, task, rows)`, which returns a future of `concurrent.futures`. Where rows are evaluated changes
+no answer.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import pickle
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Final, TypeAlias
 
 from loky.backend.context import LokyContext  # type: ignore[import-untyped]
@@ -25,28 +24,28 @@ from pebble import ProcessExpired, ProcessPool
 from threadpoolctl import threadpool_limits
 
 from uqsphere.arrays import Array
-from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError, as_text
-from uqsphere.models.black_box import BlackBox, ModelFile, call_black_box
-from uqsphere.models.rows import Code, NoAnswer
+from uqsphere.errors import ModelError, ModelRaised, UsageError, as_text
+from uqsphere.models.black_box import ModelFile, call_black_box
+from uqsphere.models.rows import Died, NoAnswer
 
 #: exit code in place of 0: pebble would wait for the answer of a process that has ended so
 _ENDED: Final = 256
 
+#: a black box, its inputs and its outputs
+Task: TypeAlias = tuple[Any, Sequence[str], Sequence[str]]
 #: answers (n, outputs), and the seconds that they took
 Timed: TypeAlias = tuple[Array, float]
 
 
-def answer(box: BlackBox, inputs: Sequence[str], outputs: Sequence[str], rows: Array) -> Timed:
+def answer(task: Task | bytes, rows: Array) -> Timed:
     """Answers of a black box to rows (n, inputs)."""
+    box, inputs, outputs = _unpacked(task) if isinstance(task, bytes) else task
     began = time.perf_counter()
     return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
 
 
-def pack(*task: Any) -> bytes:
-    """A black box, its inputs and its outputs, for other processes: a function by value.
-
-    Raises UsageError where what it holds cannot be sent.
-    """
+def pack(task: Task) -> bytes:
+    """A task for other processes: a function by value. Raises UsageError where what it holds cannot be sent."""
     import cloudpickle  # type: ignore[import-untyped]
 
     try:
@@ -57,19 +56,10 @@ def pack(*task: Any) -> bytes:
 
 
 @lru_cache(maxsize=4)
-def _unpacked(packed: bytes) -> tuple[BlackBox, Sequence[str], Sequence[str]]:
-    """What a process was sent; a file is loaded once in the life of the process."""
-    try:
-        box, inputs, outputs = pickle.loads(packed)
-    except Exception as error:  # it imports what it needs
-        text = f"the model cannot be had in another process ({type(error).__name__}: {as_text(error, 120)})"
-        raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
+def _unpacked(packed: bytes) -> Task:
+    """The task that a process was sent; a file is loaded once in the life of the process."""
+    box, inputs, outputs = pickle.loads(packed)
     return box.load() if isinstance(box, ModelFile) else box, inputs, outputs
-
-
-def answer_packed(packed: bytes, rows: Array) -> Timed:
-    """Answers in a process that was sent the model."""
-    return answer(*_unpacked(packed), rows)
 
 
 def result(future: Future[Timed], limit: float | None) -> Timed:
@@ -80,36 +70,26 @@ def result(future: Future[Timed], limit: float | None) -> Timed:
     try:
         return future.result()
     except ModelRaised as error:
-        raise NoAnswer(Code.RAISED, str(error)) from error
+        raise NoAnswer(str(error)) from error
     except Exception as error:
         if limit is not None and isinstance(error, TimeoutError):
-            text = f"the model took longer than analysis.time_limit ({limit:g} s)"
-            raise NoAnswer(Code.TIME_OVER, text) from error
+            raise NoAnswer(f"the model took longer than analysis.time_limit ({limit:g} s)") from error
         if isinstance(error, (ProcessExpired, BrokenProcessPool)) or type(error).__name__ == "KilledWorker":
             code = getattr(error, "exitcode", "unknown")
-            text = f"the model ended the process it ran in (exit code {0 if code == _ENDED else code})"
-            raise NoAnswer(Code.DIED, text) from error
+            raise Died(f"the model ended the process it ran in (exit code {0 if code == _ENDED else code})") from error
         raise
 
 
 class Here:
     """This process: `submit` returns once the rows are evaluated."""
 
-    count = window = 1
-
-    def __init__(self, box: BlackBox, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        self._task = (box, inputs, outputs)
-
-    def submit(self, rows: Array) -> Future[Timed]:
+    def submit(self, call: Callable[[Task, Array], Timed], task: Task, rows: Array) -> Future[Timed]:
         future: Future[Timed] = Future()
         try:
-            future.set_result(answer(*self._task, rows))
+            future.set_result(call(task, rows))
         except ModelError as error:
             future.set_exception(error)
         return future
-
-    def close(self) -> None:
-        """Nothing was started."""
 
 
 def _prepare(parent: int, packed: bytes) -> None:
@@ -125,7 +105,7 @@ def _prepare(parent: int, packed: bytes) -> None:
     if hasattr(os, "setsid"):
         os.setsid()  # Ctrl-C is for the run
         threading.Thread(target=watch, daemon=True).start()
-    with contextlib.suppress(UqsphereError):  # loaded before its calls are timed; the first says again what fails
+    with contextlib.suppress(Exception):  # loaded before its calls are timed; the first says again what fails
         _unpacked(packed)
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     threadpool_limits(limits=1, user_api="blas")
@@ -155,42 +135,16 @@ class Processes:
     """
 
     def __init__(self, count: int, packed: bytes, limit: float | None) -> None:
-        self.count, self.window, self._packed, self._limit = count, 2 * count + 2, packed, limit
-        self._pool = self._new_pool()
+        given = (os.getpid(), packed)
+        self._open = partial(ProcessPool, count, initializer=_prepare, initargs=given, context=_Context())
+        self._pool, self._limit = self._open(), limit
 
-    def _new_pool(self) -> ProcessPool:
-        given = (os.getpid(), self._packed)
-        return ProcessPool(max_workers=self.count, initializer=_prepare, initargs=given, context=_Context())
-
-    def submit(self, rows: Array) -> Future[Timed]:
+    def submit(self, call: Callable[[bytes, Array], Timed], packed: bytes, rows: Array) -> Future[Timed]:
         if not self._pool.active:  # a process died between two calls
-            self.close()
-            self._pool = self._new_pool()
-        return self._pool.schedule(answer_packed, (self._packed, rows), timeout=self._limit)
+            self.shutdown()
+            self._pool = self._open()
+        return self._pool.schedule(call, (packed, rows), timeout=self._limit)
 
-    def close(self) -> None:
+    def shutdown(self) -> None:
         self._pool.stop()  # type: ignore[no-untyped-call]
         self._pool.join()
-
-
-class Given:
-    """An executor of the user, as those of `concurrent.futures`, or a `distributed.Client`. Its errors are its own."""
-
-    count, window = math.inf, 1024
-
-    def __init__(self, executor: Any, packed: bytes) -> None:
-        # the same call twice is two evaluations, which Dask would not make
-        self._executor = executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
-        if not callable(getattr(self._executor, "submit", None)):
-            raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
-        self._packed = packed
-
-    def submit(self, rows: Array) -> Future[Timed]:
-        future: Future[Timed] = self._executor.submit(answer_packed, self._packed, rows)
-        return future
-
-    def close(self) -> None:
-        """The executor is the user's."""
-
-
-Workers: TypeAlias = Here | Processes | Given
