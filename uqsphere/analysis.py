@@ -107,8 +107,7 @@ def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
 
         index = index_of(x)
         y = in_order_of(y, RangeIndex(len(rows)) if index is None else index, "y")
-    with _refusing():
-        values = np.asarray(y, dtype=float)
+    values = np.asarray(y, dtype=float)
     if values.shape != rows.shape[:1]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():

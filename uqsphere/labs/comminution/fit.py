@@ -236,8 +236,8 @@ def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.G
             found = each(x).sum(axis=-1) + prior
         return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(found), found, -np.inf)
 
-    mode, d, n = _mode(model, tests, value), len(model.names), 1 << 12
-    middle, covariance = mode, _curvature(value, mode)
+    mode, covariance = _mode(model, tests, value)
+    middle, d, n = mode, len(mode), 1 << 12
     points, logs, effective = np.empty((0, d)), np.empty(0), 0.0
     for turn in range(_ADAPTING + _MOST):
         root = np.linalg.cholesky(covariance + 1e-12 * np.eye(d))
@@ -260,16 +260,9 @@ def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.G
             "log_likelihood": float(each(mode).sum())}  # fmt: skip
 
 
-def _curvature(value: Callable[[Array], Array], mode: Array, step: float = 0.05) -> Array:
-    """Covariance (d, d) of the normal law with the second differences of `value` at its mode, none wider than 1."""
-    e = step * np.eye(len(mode))
-    corners = [a * b * value(mode + a * e[:, None] + b * e[None]) for a in (1, -1) for b in (1, -1)]
-    bend, axes = np.linalg.eigh(np.nan_to_num(-sum(corners) / (4.0 * step**2), posinf=0.0, neginf=0.0))
-    return np.asarray(axes / np.maximum(bend, 1.0) @ axes.T)
-
-
-def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Array:
-    from scipy.optimize import fmin
+def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """The mode (d,) of the posterior and about its covariance (d, d), 1 in a direction that the tests say nothing of."""
+    from scipy.optimize import minimize
 
     x = np.array([mean for mean, _ in model.priors.values()])
     lead = np.array([name in ("e_inf", "C") or name.startswith("e50_") for name in model.names])
@@ -281,9 +274,9 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> Ar
     def loss(y: Array) -> float:
         return min(-float(value(y)), 1e15)
 
-    for _ in range(3):
-        x = np.asarray(fmin(loss, x, xtol=1e-9, ftol=1e-10, maxiter=4000, disp=False))
-    return x
+    near = minimize(loss, x, method="Nelder-Mead", options={"maxiter": 4000}).x
+    found = minimize(loss, near, method="BFGS")
+    return np.asarray(found.x), np.asarray(found.hess_inv)
 
 
 # --- the fit ------------------------------------------------------------------------------------------------------
