@@ -261,7 +261,7 @@ def sample(model: Model, tests: Specimens, gamma: float | None, rng: np.random.G
 
 
 def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """The mode (d,) of the posterior and about its covariance (d, d), 1 in a direction that the tests say nothing of."""
+    """The mode (d,) of the posterior, and about its covariance (d, d): 1 where the tests say nothing."""
     from scipy.optimize import minimize
 
     x = np.array([mean for mean, _ in model.priors.values()])
