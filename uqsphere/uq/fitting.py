@@ -47,7 +47,7 @@ class LocationScale:
     """A family whose u(x) has a location m and a scale s."""
 
     u: Callable[[Array], Array]  # rising or falling with x
-    parameters: Callable[[Any, Any], dict[str, Any]]  # (m, s), numbers or arrays -> parameters of the family
+    parameters: Callable[[Any, Any], dict[str, Any]]  # (m, s), numbers or arrays -> parameters without defaults
     normal: bool = False  # z is standard normal, else the logarithm of an exponential variable
 
     @property
@@ -131,18 +131,16 @@ class LocationScale:
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {
     "lognormal": LocationScale(normal=True, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}),
-    "weibull": LocationScale(u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m),
-                                                                "threshold": 0.0 * m}),
-}  # fmt: skip
+    "weibull": LocationScale(u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m)}),
+}
 LOCATION_SCALE: Final = {
     **STRENGTHS,
     "normal": LocationScale(normal=True, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}),
     # 1/x is Weibull with the same shape
-    "frechet": LocationScale(u=lambda x: -np.log(x), parameters=lambda m, s: {"shape": 1.0 / s, "scale": np.exp(-m),
-                                                                              "location": 0.0 * m}),
+    "frechet": LocationScale(u=lambda x: -np.log(x), parameters=lambda m, s: {"shape": 1.0 / s, "scale": np.exp(-m)}),
     # the negative of a largest value is the logarithm of a Weibull variable
     "gumbel": LocationScale(u=np.negative, parameters=lambda m, s: {"location": -m, "scale": s}),
-}  # fmt: skip
+}
 
 # --- tests ---------------------------------------------------------------------------------------------------------
 
@@ -463,7 +461,7 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
     centre, inverse = kind.pivots(tests.leaving, count, generator)
     columns = kind.parameters(location - scale * centre, scale * inverse)
     values = np.column_stack(list(columns.values())).tolist()
-    return (replace(law, parameters=dict(zip(columns, row, strict=True))) for row in values)
+    return (replace(law, parameters={**law.parameters, **dict(zip(columns, row, strict=True))}) for row in values)
 
 
 def _made_again(law: Law, generator: np.random.Generator) -> Law:
@@ -471,8 +469,8 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
     kernel density or a step function, drawn with repetition.
 
     The estimate of a scale or a rate is in a fixed ratio to the truth, that of a shape nearly so: the ratio turned
-    round is exact for the first, and takes out the bias of the second.  The law itself where 20 samples cannot be
-    fitted.
+    round is exact for the first, and takes out the bias of the second (ranges of 95 % from 6 to 30 tests then hold the
+    probability of 5 % in 92 to 97 of 100 gamma and beta laws).  The law itself where 20 samples cannot be fitted.
     """
     family, n = law.family, len(law.data)
     for _ in range(20):
@@ -489,9 +487,7 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
 def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     """The law that is the mean of the laws of draws (n, 5) of a posterior that rests on so many tests, in SI.
 
-    A draw is (kind, least, scale, shape, bound), as in `observed`: kind 0 a lognormal law with the median
-    `scale` and the standard deviation `shape` of its logarithm, with an upper end scale/bound where bound is not 0;
-    kind 1 a Weibull law with the threshold `least`, `scale` and modulus `shape`.  `possible_laws` gives single draws.
+    A draw is (kind, least, scale, shape, bound), as `observed` has it.  `possible_laws` gives single draws.
 
     >>> law = law_of_draws([(0.0, 0.0, 2.0, 0.1, 0.0), (0.0, 0.0, 2.0, 0.2, 0.0)], 12)
     >>> law.ppf(np.array([0.5])).round(6).tolist(), count_tests(law)

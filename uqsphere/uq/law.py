@@ -18,7 +18,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
 from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, no_density, truncated
 
-#: sum of the weights of a discrete law
+#: sum of the weights of a discrete law: shares to a hundredth of a percent
 _MOST_STEPS: Final = 10_000
 
 
