@@ -7,7 +7,7 @@ import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from uqsphere.errors import Problem, StudyError, as_text
+from uqsphere.errors import Problem, StudyError, UsageError, as_text
 from uqsphere.files import read_given
 from uqsphere.units import bare_number
 
@@ -152,7 +152,7 @@ def lines_of(text: str) -> dict[Place, int]:
         key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
         if key is None:
             continue
-        parts: Place = parts_of(key[2]) if header else (*table, *parts_of(key[2]))
+        parts: Place = _parts(key[2]) if header else (*table, *_parts(key[2]))
         if header:
             table = (*parts, seen[parts]) if key[1] == "[[" else parts
             seen[parts] += 1
@@ -162,7 +162,7 @@ def lines_of(text: str) -> dict[Place, int]:
     return found
 
 
-def parts_of(text: str) -> tuple[str, ...]:
+def _parts(text: str) -> tuple[str, ...]:
     """The parts of a dotted key."""
     return tuple(part[1] or part[2] or part[3] for part in re.finditer(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text))
 
@@ -175,6 +175,68 @@ def refusal(path: Path, text: str, faults: Iterable[Fault], overridden: Sequence
         note = " (set by --set)" if any(fault.at[: len(one)] == one for one in overridden) else ""
         problems.add(Problem(line=line, path=path_of(fault.at), message=f"{fault}{note}"))
     return StudyError(str(path), list(problems))
+
+
+# --- values set from outside a file, and tables as its text -----------------------------------------------------------
+
+
+def set_value(data: dict[str, Any], text: str) -> Place:
+    """Put ``PATH=VALUE`` into the tables of a file; returns the place.
+
+    VALUE is a TOML value, else a text; ``null`` takes out what stands there.  UsageError where there is no such place.
+    """
+    path, sign, value = (part.strip() for part in text.partition("="))
+    parts, place = _parts(path), list[str | int]()
+    if not sign or not parts:
+        raise UsageError(f"found {shown(text)}: PATH=VALUE is required, such as striker.speed=0.6 m/s")
+    try:
+        held = tomllib.loads(f"value = {value}")["value"]
+    except (ValueError, RecursionError):
+        held = value
+    node: Any = data
+    try:
+        for part in parts:
+            if place:
+                may_add = isinstance(node, dict) and value != "null"
+                node = node.setdefault(place[-1], {}) if may_add else node[place[-1]]
+            place.append(int(part) if isinstance(node, list) else part)
+        if value == "null":
+            del node[place[-1]]
+        else:
+            node[place[-1]] = held
+    except (LookupError, TypeError, ValueError):
+        raise UsageError(f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study") from None
+    return tuple(place)
+
+
+def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) -> str:
+    """The text of a file that holds some tables; `default` makes what TOML has of any other value, or raises.
+
+    UsageError with the place of a value for which that raises a ValueError.
+
+    >>> print(toml_text({"seed": 1, "inputs": {"x": {"mean": 0.0}}}, str), end="")
+    seed = 1
+    <BLANKLINE>
+    [inputs.x]
+    mean = 0.0
+    """
+    import tomli_w
+
+    def plain(value: Any, *place: str | int) -> Any:
+        if isinstance(value, Mapping):
+            return {str(key): plain(part, *place, str(key)) for key, part in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(part, *place, k) for k, part in enumerate(value)]
+        if isinstance(value, str | bool | int | float):
+            return value
+        if isinstance(value, Path) or hasattr(value, "tolist"):
+            return str(value) if isinstance(value, Path) else value.tolist()
+        try:
+            return plain(default(value), *place)
+        except ValueError as error:
+            raise UsageError(f"{path_of(place)} ({type(value).__name__}): {error}") from None
+
+    return tomli_w.dumps(plain(tables))
 
 
 # --- what pydantic finds, in these words -----------------------------------------------------------------------------

@@ -20,11 +20,13 @@ __all__ = [
     "INPUTS",
     "OUTPUTS",
     "display_unit",
+    "format_bounds",
     "format_conservative",
     "format_estimate",
     "format_probability",
     "format_value",
     "lookup",
+    "plain_quantity",
 ]
 
 #: the unit that is read in place of a larger one
@@ -37,7 +39,19 @@ def lookup(name: str) -> Quantity:
     if found is None and (entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)):
         # the demand of a criterion goes by the names of criterion and limit, and what is carried of a quantity too
         return replace(entry, name=name)
-    return found or Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
+    return found or plain_quantity(name)
+
+
+def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
+    """The entry of a number without unit: a black-box input, say."""
+    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name)
+
+
+def format_bounds(quantity: Quantity) -> str:
+    """Where the values of a quantity must lie."""
+    low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
+    way = f"lie from {low} to {high}" if quantity.closed else f"lie between {low} and {high}, both excluded"
+    return f"{quantity.meaning} must {way if math.isfinite(quantity.upper) else f'be above {low}'}"
 
 
 def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:

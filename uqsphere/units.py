@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from uqsphere.arrays import Values
 
@@ -163,6 +163,17 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             raise UnitError(f'{text!r}: a tip speed needs the rotor\'s diameter: write "{number} rpm at 0.9 m"')
         raise UnitError(f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})")
     return _finite(float(number) * table[unit], text)
+
+
+def likely_unit(raw: Any, quantity: Quantity) -> str:
+    """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
+    try:
+        bare = float(raw)
+    except (TypeError, ValueError, OverflowError):
+        return quantity.display
+    (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
+    usual = (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high)
+    return next(usual, quantity.display)
 
 
 def bare_number(value: float) -> str:

@@ -25,11 +25,11 @@ from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.mechanics.scene import Scene
-from uqsphere.quantities import format_value, lookup
+from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.data import pulse_of
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
-from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
+from uqsphere.study.number import Number, number_of, numbers_of, value_of
 from uqsphere.study.study import Study, strength_name
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 

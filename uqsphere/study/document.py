@@ -21,7 +21,8 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.study.number import Number, number_of, numbers_of, plain_quantity, value_of
+from uqsphere.quantities import plain_quantity
+from uqsphere.study.number import Number, number_of, numbers_of, value_of
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 

@@ -16,10 +16,10 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.mechanics.rigs import LAW, sphere_body
-from uqsphere.quantities import INPUTS, lookup
+from uqsphere.quantities import INPUTS, lookup, plain_quantity
 from uqsphere.study.data import fit, is_tests, observations, warn_of_rows
 from uqsphere.study.document import Draft, LimitTable, Observations
-from uqsphere.study.number import Number, number_of, plain_quantity, value_of, warn_unusual
+from uqsphere.study.number import Number, number_of, value_of, warn_unusual
 from uqsphere.study.study import Limit, Tested
 from uqsphere.units import UNITS
 from uqsphere.uq import Law

@@ -9,12 +9,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from uqsphere.documents import Fault, Place, parse_text, parts_of, path_of, read_text, refusal, shown
-from uqsphere.errors import UsageError
+from uqsphere.documents import Fault, Place, parse_text, read_text, refusal, set_value, shown, toml_text
 from uqsphere.study.check import BOX_STAGES, STAGES, Faults, resolve
 from uqsphere.study.document import Draft
 from uqsphere.study.study import Study
-from uqsphere.uq import LawError
 from uqsphere.uq.foreign import law_table
 
 
@@ -36,11 +34,11 @@ def load_study(
     <Study 'Two tables': 1 random input, black box>
     """
     if isinstance(path, Mapping):
-        text, path = toml_text(path), "study.toml"
+        text, path = toml_text(path, law_table), "study.toml"
     path = Path(path)
     text = read_text(path) if text is None else text
     data = parse_text(text, path)
-    overridden = [_override(data, one) for one in overrides]
+    overridden = [set_value(data, one) for one in overrides]
     draft = Draft(folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs")))
     for stage in BOX_STAGES if draft.box else STAGES:
         faults: list[Fault] = []
@@ -75,65 +73,3 @@ def _removed(node: Any, ways: Mapping[str, str], above: Place = ()) -> Faults:
 def _ways_out() -> dict[str, str]:
     ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
     return {pattern: way for way, patterns in ways.items() for pattern in patterns}
-
-
-# --- values set from outside the file, and tables as a text -----------------------------------------------------------
-
-
-def _override(data: dict[str, Any], text: str) -> Place:
-    """Put ``PATH=VALUE`` into `data`; VALUE is a TOML value, else a text; ``null`` takes out what stands there."""
-    path, sign, value = (part.strip() for part in text.partition("="))
-    parts, place = parts_of(path), list[str | int]()
-    if not sign or not parts:
-        raise UsageError(f"found {shown(text)}: PATH=VALUE is required, such as striker.speed=0.6 m/s")
-    try:
-        held = tomllib.loads(f"value = {value}")["value"]
-    except (ValueError, RecursionError):
-        held = value
-    node: Any = data
-    try:
-        for part in parts:
-            if place:
-                may_add = isinstance(node, dict) and value != "null"
-                node = node.setdefault(place[-1], {}) if may_add else node[place[-1]]
-            place.append(int(part) if isinstance(node, list) else part)
-        if value == "null":
-            del node[place[-1]]
-        else:
-            node[place[-1]] = held
-    except (LookupError, TypeError, ValueError):
-        raise UsageError(f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study") from None
-    return tuple(place)
-
-
-def toml_text(tables: Mapping[str, object]) -> str:
-    """The text of a study file that holds some tables, of texts, numbers, truths, lists, tables and laws.
-
-    A law is one of this package, or a frozen distribution of scipy.stats or chaospy: it stands there as its table.
-    Raises UsageError for any other value, with its place.
-
-    >>> print(toml_text({"seed": 1, "inputs": {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}}), end="")
-    seed = 1
-    <BLANKLINE>
-    [inputs.x]
-    dist = "normal"
-    mean = 0.0
-    sd = 1.0
-    """
-    import tomli_w
-
-    def plain(value: Any, *place: str | int) -> Any:
-        if isinstance(value, Mapping):
-            return {str(key): plain(part, *place, str(key)) for key, part in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(part, *place, k) for k, part in enumerate(value)]
-        if isinstance(value, str | bool | int | float):
-            return value
-        if isinstance(value, Path) or hasattr(value, "tolist"):
-            return str(value) if isinstance(value, Path) else value.tolist()
-        try:
-            return plain(law_table(value), *place)
-        except LawError as error:
-            raise UsageError(f"{path_of(place)} ({type(value).__name__}): {error}") from None
-
-    return tomli_w.dumps(plain(tables))

@@ -12,8 +12,8 @@ import numpy as np
 
 from uqsphere.documents import Fault, Place, one_of, shown, suggestion, unknown, within
 from uqsphere.mechanics.bars import END_COEFFICIENTS
-from uqsphere.quantities import INPUTS, format_value
-from uqsphere.units import UNITS, Quantity, UnitError, parse_value
+from uqsphere.quantities import INPUTS, format_bounds, format_value, plain_quantity
+from uqsphere.units import Quantity, UnitError, likely_unit, parse_value
 from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 
@@ -39,24 +39,12 @@ class Number:
         return self.value.nominal_mean() if isinstance(self.value, Law) else self.value
 
 
-def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
-    """The entry of a number without unit: a black-box input, say."""
-    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name)
-
-
 @cache
 def numbers_of(table: str) -> dict[str, Quantity]:
     """The numbers that a table of a scene can have, by their keys; those of inserts stand among those of the bars."""
     start = "bars.insert_" if table == "insert" else f"{table}."
     numbers = {name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)}
     return {key: entry for key, entry in numbers.items() if not key.startswith("insert_")}
-
-
-def bounds_in_words(quantity: Quantity) -> str:
-    """Where the values of a quantity must lie."""
-    low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
-    way = f"lie from {low} to {high}" if quantity.closed else f"lie between {low} and {high}, both excluded"
-    return f"{quantity.meaning} must {way if math.isfinite(quantity.upper) else f'be above {low}'}"
 
 
 def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
@@ -66,23 +54,12 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
             raise Fault(f"{unknown('end', raw, END_COEFFICIENTS)}; a number from -1 to 1 is known too")
         return END_COEFFICIENTS[raw]
     try:
-        value = parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
+        value = parse_value(raw, quantity.dimension, likely_unit(raw, quantity))
     except UnitError as error:
         raise Fault(str(error)) from None
     if bounded and not quantity.allows(value):
-        raise Fault(f"found {shown(raw)}: {bounds_in_words(quantity)}")
+        raise Fault(f"found {shown(raw)}: {format_bounds(quantity)}")
     return value
-
-
-def _likely_unit(raw: Any, quantity: Quantity) -> str:
-    """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
-    try:
-        bare = float(raw)
-    except (TypeError, ValueError, OverflowError):
-        return quantity.display
-    (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
-    usual = (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high)
-    return next(usual, quantity.display)
 
 
 def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Number:
@@ -139,10 +116,10 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
     name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
-        raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {bounds_in_words(quantity)}")
+        raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {format_bounds(quantity)}")
     for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
-            raise Fault(f"{format_value(end, name)}: {bounds_in_words(quantity)}", key)
+            raise Fault(f"{format_value(end, name)}: {format_bounds(quantity)}", key)
     cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, law.given.get("cov", 0.0))
     if cov > 1.0:
         share = ' 15 % is written "15 %" or 0.15' * ("cov" in law.given)
@@ -155,4 +132,4 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     if outside > NOTABLE:
         effect = "these samples count as failed evaluations; " if name in INPUTS else ""
         draft.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
-                          f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
+                          f"({format_bounds(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
