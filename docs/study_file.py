@@ -13,8 +13,8 @@ from typing import Final
 from uqsphere.documents import Table, table_in
 from uqsphere.mechanics.forms import needs_of
 from uqsphere.study.check import FORMS
-from uqsphere.study.document import RIG_TABLES, SCENE, Document, Observations
-from uqsphere.study.number import numbers_of
+from uqsphere.study.document import RIG_TABLES, SCENE, Document
+from uqsphere.study.values import Observations, numbers_of
 from uqsphere.units import UNITS, typed_units
 from uqsphere.uq.families import FAMILIES
 

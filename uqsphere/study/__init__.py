@@ -6,8 +6,8 @@ from pathlib import Path
 
 from uqsphere.study.document import Margins, json_schema, limit_of
 from uqsphere.study.load import load_study
-from uqsphere.study.number import NOTABLE
 from uqsphere.study.study import Limit, Study, strength_name
+from uqsphere.study.values import NOTABLE
 
 __all__ = [
     "NOTABLE", "Limit", "Margins", "Study", "json_schema", "limit_of", "load_study", "shipped_studies", "strength_name",

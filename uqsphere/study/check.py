@@ -26,11 +26,10 @@ from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import format_value, lookup, plain_quantity
-from uqsphere.study.data import pulse_of
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
-from uqsphere.study.number import Number, number_of, numbers_of, value_of
 from uqsphere.study.study import Study, strength_name
+from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
 Faults = Iterator[Fault]

@@ -21,8 +21,7 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.quantities import plain_quantity
-from uqsphere.study.number import Number, number_of, numbers_of, value_of
+from uqsphere.study.values import Number, Observations, Positive, key, number_of, numbers_of, percent, value_of
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 
@@ -58,10 +57,6 @@ def _fixed(name: str) -> Any:
     return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(_fixed_schema(part.dimension))
 
 
-def _percent(raw: Any) -> Any:
-    return value_of(raw, plain_quantity("share")) if isinstance(raw, str) and raw.rstrip().endswith("%") else raw
-
-
 def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if (twice := next((k for k, value in enumerate(values) if value in values[:k]), None)) is not None:
         raise Fault(f"{shown(values[twice])} is named twice", twice)
@@ -73,17 +68,11 @@ def _several(least: int = 1, most: int = 200) -> Any:
     return Field(min_length=least, max_length=most, strict=False), AfterValidator(_unique)
 
 
-def key(meaning: str, default: Any = None) -> Any:
-    """A key: its meaning in one clause, and its default; one without (...) must be given."""
-    return Field(default=default, description=meaning)
-
-
 #: a value, with its unit where it has one, or a distribution
 Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
-Share = Annotated[float, Field(gt=0.0, lt=1.0), BeforeValidator(_percent)]
+Share = Annotated[float, Field(gt=0.0, lt=1.0), BeforeValidator(percent)]
 Shares = Annotated[tuple[Share, ...], *_several()]
-Positive = Annotated[float, Field(gt=0.0), BeforeValidator(_percent)]
 Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
@@ -201,41 +190,6 @@ class LimitTable(Table):
         if self.energy_is is not None and self.criterion != "specific_energy":
             raise Fault("energy_is belongs to the criterion specific_energy: leave it out", "energy_is")
         return self
-
-
-class Discrete(Table):
-    """A distribution of some values, each by its weight."""
-
-    dist: Literal["discrete"]
-    values: Annotated[tuple[Any, ...], Field(strict=False)]
-    weights: Annotated[tuple[float, ...], Field(strict=False)] | None = None
-
-
-class Observations(Table):
-    """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
-
-    dist: Literal["empirical"] | None = key("may be left out where a file is named")
-    file: str | None = key("CSV or .xlsx beside the study")
-    draws: str | None = key(
-        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
-        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`")  # fmt: skip
-    decimal: Literal[".", ","] | None = key("decimal mark, where a column can be read both ways")
-    column: str | None = key("column of observations, in the quantity itself")
-    unit: str | None = key("its unit, if the heading has none")
-    force: str | None = key("in place of `column`: forces at which spheres broke between platens")
-    force_unit: str | None = key("unit of the forces, if the heading has none")
-    diameter: str | None = key("required with `force`: column of their diameters, or one length")
-    diameter_unit: str | None = key("unit of the diameters, if the heading has none")
-    rate: str | None = key("column of loading rates, with their unit in the heading")
-    platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars")
-    censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
-    count: str | None = key("column of numbers of equal tests; without it one a row")
-    modulus: Positive | None = key("Weibull modulus of the tests that is known; then few failures, or none, are enough")
-    fit: str | None = key("`kde`, `steps`, or a distribution; without it `weibull` of forces, else `kde`")
-    unbiased: bool = key("takes the bias of few tests out of the modulus or the scatter", False)
-    synthetic: bool = key("the observations are synthetic, so that no verdict is established by them", False)
-    lower: Any = None
-    upper: Any = None
 
 
 _KEYS: Final = {"lower", "upper"}.union(*(family.keys for family in FAMILIES.values()))

@@ -17,10 +17,10 @@ from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, lookup, plain_quantity
-from uqsphere.study.data import fit, is_tests, observations, warn_of_rows
-from uqsphere.study.document import Draft, LimitTable, Observations
-from uqsphere.study.number import Number, number_of, value_of, warn_unusual
-from uqsphere.study.study import Limit, Tested
+from uqsphere.study import values
+from uqsphere.study.document import Draft, LimitTable
+from uqsphere.study.study import Limit
+from uqsphere.study.values import Number, Observations, Tested, number_of, value_of
 from uqsphere.units import UNITS
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
@@ -102,7 +102,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         (meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
          f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: leave it out"),
         (draft.plastic and pressure and meant is None, _PRESSURES),
-        (draft.plastic and pressure and meant == "pressure" and is_tests(table.strength),
+        (draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength),
          'forces at failure become pressures by Hertz: write strength_is = "hertz"'),
         (draft.plastic and quantity == "first_peak" and meant == "hertz",
          'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"'),
@@ -124,9 +124,9 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
     entry = lookup(limit.quantity)
     usual = _CONTACT if entry.place == "contact" else _USUAL.get(entry.dimension, (0.0, math.inf))
     entry = replace(entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual)
-    if is_tests(table.strength):
+    if values.is_tests(table.strength):
         found = _tested(draft, declared(Observations, table.strength), limit, place)
-        warn_unusual(found.mean, entry, draft, place)
+        values.warn_unusual(found.mean, entry, draft, place)
         return found
     found = number_of(table.strength, entry, draft, place)
     compare_sizes(replace(limit, tested=found.tested), _radii(draft), draft, (*place, "draws"))
@@ -142,9 +142,10 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         raise Fault(f"a force at failure is no measure of {limit.quantity}: name a criterion", "force")
     kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
     sphere = _sphere(draft, platens)
-    found, rows, columns, stopped = observations(table, draft, force="force", diameter="length", rate="loading_rate")
+    found, rows, columns, stopped = values.observations(table, draft, force="force", diameter="length",
+                                                        rate="loading_rate")  # fmt: skip
     force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
-    warn_of_rows(found, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
+    values.warn_of_rows(found, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
     warn_of_tests(table, force, diameter, radii[0], draft, place)
 
     power, mean = _POWERS.get(limit.criterion or limit.quantity, 2.0), float(diameter.mean())
@@ -152,7 +153,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
     def by_size(exponent: float) -> tuple[Law, float]:
-        law = fit(force * (mean / diameter) ** exponent, stopped, table, kind)
+        law = values.fit(force * (mean / diameter) ** exponent, stopped, table, kind)
         return law, power - flaws / (modulus_of(law) or math.inf) if power else power
 
     law, exponent = _agreeing(by_size, power)
@@ -176,7 +177,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
                     "strength: take another criterion")  # fmt: skip
 
     def by_value(modulus: float) -> tuple[Law, float]:
-        law = fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
+        law = values.fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
         return law, modulus_of(law) or modulus
 
     law = _agreeing(by_value, 8.0)[0] if limit.needs_modulus else by_value(8.0)[0]

@@ -21,6 +21,7 @@ from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.document import Analysis, Document, Gauge, Margins, ModelChoice
+from uqsphere.study.values import Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
 from uqsphere.uq.families import Family
 
@@ -30,25 +31,6 @@ if TYPE_CHECKING:
 
     from uqsphere.results import Run
     from uqsphere.uq.interop import SalibDesign
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tested:
-    """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
-
-    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.  platens: E [Pa],
-    infinite if rigid, and nu.  sphere: as `uqsphere.mechanics.crushing` takes it.  law: of the force at
-    failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power.  The draws of a lab
-    have a diameter and an exponent alone.
-    """
-
-    diameter: float
-    forces: tuple[float, ...] = ()
-    diameters: tuple[float, ...] = ()
-    platens: tuple[float, float] = (math.inf, 0.3)
-    sphere: Mapping[str, float] = field(default_factory=dict)
-    law: Law | None = None
-    exponent: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,394 @@
+"""A number of a study in SI: a fixed value, a distribution that a table describes, or what a file beside it tells.
+
+Such a file has a column of observations, crushing tests, draws of a fit, or the pulse of a record.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from uqsphere.arrays import Array, Flags, Places
+from uqsphere.documents import Fault, Place, Table, declared, one_of, shown, suggestion, unknown, within
+from uqsphere.errors import AccessError, UsageError
+from uqsphere.mechanics.bars import END_COEFFICIENTS
+from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
+from uqsphere.quantities import INPUTS, format_bounds, format_value, plain_quantity
+from uqsphere.tables import Table as Cells
+from uqsphere.tables import TableError, read_table, unit_in_heading
+from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value
+from uqsphere.uq import Law, LawError, discrete_law, make_law
+from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
+from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests, outliers, probability_of
+from uqsphere.uq.observed import LOGNORMAL, WEIBULL
+
+if TYPE_CHECKING:
+    from uqsphere.study.document import Draft, Pulse
+
+#: a share of a law outside what has a meaning that is worth a warning
+NOTABLE: Final = 1e-6
+#: fewer observations than these are worth a warning
+_FEW: Final = 10
+#: keys that a column or tests need, with an example
+_EXAMPLES: Final = {"file": "tests.csv", "column": "strength", "force": "F", "diameter": "D"}
+#: a fit less likely than this is worth a warning
+_UNLIKELY: Final = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tested:
+    """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
+
+    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.  platens: E [Pa],
+    infinite if rigid, and nu.  sphere: as `uqsphere.mechanics.crushing` takes it.  law: of the force at
+    failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power.  The draws of a lab
+    have a diameter and an exponent alone.
+    """
+
+    diameter: float
+    forces: tuple[float, ...] = ()
+    diameters: tuple[float, ...] = ()
+    platens: tuple[float, float] = (math.inf, 0.3)
+    sphere: Mapping[str, float] = field(default_factory=dict)
+    law: Law | None = None
+    exponent: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number:
+    """A number in SI: value or law, whether its data are synthetic, tests behind it."""
+
+    value: float | Law
+    synthetic: bool = False
+    tested: Tested | None = None
+
+    @property
+    def mean(self) -> float:
+        """The value, or the law's mean before truncation."""
+        return self.value.nominal_mean() if isinstance(self.value, Law) else self.value
+
+
+@cache
+def numbers_of(table: str) -> dict[str, Quantity]:
+    """The numbers that a table of a scene can have, by their keys; those of inserts stand among those of the bars."""
+    start = "bars.insert_" if table == "insert" else f"{table}."
+    numbers = {name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)}
+    return {key: entry for key, entry in numbers.items() if not key.startswith("insert_")}
+
+
+def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
+    """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
+    if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
+        if raw not in END_COEFFICIENTS:
+            raise Fault(f"{unknown('end', raw, END_COEFFICIENTS)}; a number from -1 to 1 is known too")
+        return END_COEFFICIENTS[raw]
+    try:
+        value = parse_value(raw, quantity.dimension, likely_unit(raw, quantity))
+    except UnitError as error:
+        raise Fault(str(error)) from None
+    if bounded and not quantity.allows(value):
+        raise Fault(f"found {shown(raw)}: {format_bounds(quantity)}")
+    return value
+
+
+def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Number:
+    """Value or law of what a file has; warns of what is unusual, and raises Fault."""
+    if not isinstance(raw, Mapping):
+        found = Number(value=value_of(raw, quantity))
+    elif "file" in raw or "draws" in raw or raw.get("dist") in ("empirical", "discrete"):
+        found = law_of_data(raw, quantity, draft, place)
+    else:
+        found = _member(raw, quantity)
+    warn_unusual(found.mean, quantity, draft, place)
+    if isinstance(found.value, Law):
+        _check_law(found.value, quantity, draft, place)
+    return found
+
+
+def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -> None:
+    """Warn of a value (SI) outside the usual range of its quantity."""
+    if not quantity.plausible[0] <= value <= quantity.plausible[1]:
+        said, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        draft.warn(place, f"{said} is unusual (usual: {low} to {high}); is the unit right?")
+
+
+def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
+    """The law of a table with `dist`, and its parameters in SI; raises Fault."""
+    kind = raw.get("dist")
+    if (family := family_named(kind) if isinstance(kind, str) else None) is None:
+        near = suggestion(kind, FAMILIES) or suggestion(next(iter(raw), ""), ["dist"])
+        said = f'a distribution is required, such as {{ dist = "normal", … }}, known: {one_of(FAMILIES)}{near}'
+        raise Fault(said, *["dist"] * ("dist" in raw))
+    keys = (*family.keys, "lower", "upper")
+    given: dict[str, float] = {}
+    for key in (key for key in raw if key != "dist"):
+        if key not in keys:
+            said = f"{shown(key)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
+            raise Fault(said + suggestion(key, keys), key)
+        entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
+        if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
+            entry = replace(entry, plausible=(0.0, math.inf))
+        with within(key):
+            given[key] = value_of(raw[key], entry, bounded=False)
+    given = {key: given[key] for key in keys if key in given}
+    bounds = given.pop("lower", None), given.pop("upper", None)
+    try:
+        return Number(value=make_law(family.name, given, *bounds))
+    except LawError as error:
+        unit = f" (numbers in {quantity.unit})" * (error.key in ("", *DIMENSIONAL) and quantity.unit != "")
+        raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
+
+
+def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None:
+    """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
+    name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
+    if not quantity.allows(centre):
+        raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {format_bounds(quantity)}")
+    for key, end in ends.items() if law.family.bounded else ():
+        if not quantity.lower <= end <= quantity.upper:
+            raise Fault(f"{format_value(end, name)}: {format_bounds(quantity)}", key)
+    cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, law.given.get("cov", 0.0))
+    if cov > 1.0:
+        share = ' 15 % is written "15 %" or 0.15' * ("cov" in law.given)
+        draft.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
+    if (mean := law.given.get("mean")) is not None and not law.lower <= mean <= law.upper:
+        key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
+        said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
+        draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
+    outside = float(law.cdf(np.array([quantity.lower]))[0] + law.sf(np.array([quantity.upper]))[0])
+    if outside > NOTABLE:
+        effect = "these samples count as failed evaluations; " if name in INPUTS else ""
+        draft.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
+                          f"({format_bounds(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
+
+
+# --- what a file tells -------------------------------------------------------------------------------------------
+
+
+def percent(raw: Any) -> Any:
+    return value_of(raw, plain_quantity("share")) if isinstance(raw, str) and raw.rstrip().endswith("%") else raw
+
+
+def key(meaning: str, default: Any = None) -> Any:
+    """A key: its meaning in one clause, and its default; one without (...) must be given."""
+    return Field(default=default, description=meaning)
+
+
+Positive = Annotated[float, Field(gt=0.0), BeforeValidator(percent)]
+
+
+class Discrete(Table):
+    """A distribution of some values, each by its weight."""
+
+    dist: Literal["discrete"]
+    values: Annotated[tuple[Any, ...], Field(strict=False)]
+    weights: Annotated[tuple[float, ...], Field(strict=False)] | None = None
+
+
+class Observations(Table):
+    """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
+
+    dist: Literal["empirical"] | None = key("may be left out where a file is named")
+    file: str | None = key("CSV or .xlsx beside the study")
+    draws: str | None = key(
+        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
+        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`")  # fmt: skip
+    decimal: Literal[".", ","] | None = key("decimal mark, where a column can be read both ways")
+    column: str | None = key("column of observations, in the quantity itself")
+    unit: str | None = key("its unit, if the heading has none")
+    force: str | None = key("in place of `column`: forces at which spheres broke between platens")
+    force_unit: str | None = key("unit of the forces, if the heading has none")
+    diameter: str | None = key("required with `force`: column of their diameters, or one length")
+    diameter_unit: str | None = key("unit of the diameters, if the heading has none")
+    rate: str | None = key("column of loading rates, with their unit in the heading")
+    platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars")
+    censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
+    count: str | None = key("column of numbers of equal tests; without it one a row")
+    modulus: Positive | None = key("Weibull modulus of the tests that is known; then few failures, or none, are enough")
+    fit: str | None = key("`kde`, `steps`, or a distribution; without it `weibull` of forces, else `kde`")
+    unbiased: bool = key("takes the bias of few tests out of the modulus or the scatter", False)
+    synthetic: bool = key("the observations are synthetic, so that no verdict is established by them", False)
+    lower: Any = None
+    upper: Any = None
+
+
+@contextmanager
+def opened(name: str, draft: Draft, key: str = "file", decimal: str | None = None) -> Iterator[Cells]:
+    """The table of a file in the study's folder; at the end all faults that were noted of it are one Fault."""
+    home, given = draft.folder.resolve(), Path(name)
+    try:
+        path = (home / given).resolve()
+        if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
+            raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
+        if not path.exists():
+            near = suggestion(name, [item.name for item in home.iterdir()])
+            raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
+        draft.files[given.as_posix()] = path
+        found = read_table(path, decimal=decimal or "")
+        yield found
+        found.finish()
+    except TableError as fault:
+        raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
+    except Fault:
+        raise
+    except (AccessError, UsageError, OSError, RuntimeError, ValueError):
+        raise Fault(f"{shown(name)} cannot be read as a file", key) from None
+
+
+@contextmanager
+def _blamed(*keys: str, otherwise: str) -> Iterator[None]:
+    """Turns the fault of a law into one at the key that is to blame, if it is one of these."""
+    try:
+        yield
+    except LawError as error:
+        raise Fault(error.message, error.key if error.key in keys else otherwise) from None
+
+
+# --- distributions -------------------------------------------------------------------------------------------------
+
+
+def is_tests(raw: Any) -> bool:
+    """Whether a strength is written as forces at which spheres broke."""
+    return isinstance(raw, Mapping) and ("force" in raw or "diameter" in raw) and not {"column", "draws"} & set(raw)
+
+
+def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place: Place) -> Number:
+    """The distribution of weighted values, of a column, or of draws; raises Fault."""
+    if raw.get("dist") == "discrete":
+        if place[0] == "limits":
+            raise Fault("a strength has a density, or is a column of observations: discrete is for inputs", "dist")
+        weighted = declared(Discrete, raw)
+        with within("values"):
+            values = [value_of(one, quantity) for one in weighted.values]
+        with _blamed("values", "weights", otherwise=""):
+            return Number(value=discrete_law(values, weighted.weights))
+    table = declared(Observations, raw)
+    if table.draws is not None:
+        return _drawn(table.draws, table, quantity, draft)
+    if is_tests(raw):
+        raise Fault("forces at failure belong to the strength of a limit of the impact model", "force")
+    found, rows, columns, stopped = observations(table, draft, column=quantity.dimension)
+    bounds = [None if end is None else value_of(end, quantity, bounded=False) for end in (table.lower, table.upper)]
+    warn_of_rows(found, rows, columns["column"], stopped, draft, place)
+    law = fit(columns["column"], stopped, table, table.fit, *bounds)
+    return Number(value=law, synthetic=table.synthetic)
+
+
+def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
+    """The mean of the distributions that a fit allows, each a draw of its parameters."""
+    kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, {}
+    dimensions = {"scale": quantity.dimension, "least": quantity.dimension, "diameter": "length"}
+    with opened(name, draft, "draws", table.decimal) as found:
+        words = found.texts("distribution", "draws")
+        found.refuse("draws", f"distribution: {one_of(kinds)} is required", np.array([w not in kinds for w in words]))
+        for key in ("least", "scale", "shape", "bound", "tests", "diameter", "size_exponent"):
+            dimension = dimensions.get(key, "number")
+            needed = key in ("scale", "shape") or any(unit_in_heading(h, dimension)[0] == key for h in found.headings)
+            unit = table.unit if dimension == quantity.dimension else None
+            columns[key] = found.numbers(key, dimension, unit, key="draws") if needed else np.zeros(len(found))
+        least, scale, shape, bound, tests, size, exponent = columns.values()
+        wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
+        found.refuse("draws", "scale and shape above 0, least from 0, bound from 0 to below 1 are required", wrong)
+    draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
+    tested = Tested(diameter=float(size[0]), exponent=float(exponent.mean())) if size[0] > 0.0 else None
+    return Number(value=law_of_draws(draws.tolist(), int(tests[0])), synthetic=table.synthetic, tested=tested)
+
+
+def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[Cells, Places, dict[str, Array], Flags]:
+    """Tests of a file by the keys that name its columns: the table, the row of each test, columns and stops (n,).
+
+    A row is as many tests as its count says; a key that the table lacks has no column.  Raises Fault.
+    """
+    for key in ("file", *dimensions):
+        if getattr(table, key) is None and key in _EXAMPLES:
+            raise Fault(f'{key} is missing: add {key} = "{_EXAMPLES[key]}"')
+    columns = {}
+    with opened(str(table.file), draft, decimal=table.decimal) as found:
+        for key, dimension in dimensions.items():
+            name, unit = getattr(table, key), getattr(table, "unit" if key == "column" else f"{key}_unit", None)
+            if key == "diameter" and name[:1].isdigit():
+                columns[key] = np.full(len(found), value_of(name, INPUTS["bars.diameter"]))
+            elif name is not None:
+                columns[key] = found.numbers(name, dimension, unit, key=key)
+        stopped = np.zeros(len(found), dtype=bool)
+        if table.censored is not None:
+            stopped = found.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
+        many = np.ones(len(found)) if table.count is None else found.numbers(table.count, key="count")
+        found.refuse("count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0))
+        found.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
+        for key in columns.keys() & {"force", "diameter"}:
+            found.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
+    rows = np.repeat(np.arange(len(found)), many.astype(int))
+    return found, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
+
+
+def fit(data: Array, stopped: Flags, table: Observations, kind: str | None, lower: float | None = None,
+        upper: float | None = None, *, slope: float = 1.0) -> Law:  # fmt: skip
+    """The law of some observations; raises Fault.  `slope`: they are forces to this power, which have the modulus."""
+    modulus = None if table.modulus is None else table.modulus / slope
+    if modulus is None and (len(data) < 2 or stopped.all()):
+        said = f"all {len(data)} tests were stopped" if len(data) > 1 else f"found {len(data)} observation"
+        raise Fault(f"{said}: two failures or more are required, or a known Weibull modulus: modulus = …", "file")
+    with _blamed("fit", "lower", "upper", otherwise="file"):
+        return fitted_law(data[~stopped].tolist(), kind, lower, upper, censored=data[stopped].tolist(),
+                          unbiased=table.unbiased, modulus=modulus)  # fmt: skip
+
+
+def warn_of_rows(found: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place) -> None:
+    """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a shape of no fit."""
+    said = list(found.notes)
+    if far := outliers(x, ~stopped):
+        lines = [f"line {found.lines[rows[k]]} ({ratio:.3g} times the median)" for k, ratio in [*far.items()][:5]]
+        said.append(f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal point?")
+    if (~stopped).sum() >= 6:
+        with suppress(ValueError):
+            tests = make_tests(x, stopped)
+            if (p := max(probability_of(tests, law) for law in STRENGTHS.values())) < _UNLIKELY:
+                said.append(f"{found.name}: neither a Weibull nor a lognormal distribution fits (p = {p:.2g}): mixed "
+                            "or faulty rows?")  # fmt: skip
+    if len(x) < _FEW:
+        said.append(f"{len(x)} observations: what so few leave open is large; {_FEW} or more are a start")
+    for text in said:
+        draft.warn((*place, "file"), text)
+
+
+# --- the pulse of a clean record ------------------------------------------------------------------------------------
+
+_MENDED: Final = "uqsphere shpb records cuts, mends and writes such a file"
+
+
+def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
+    """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the lab's."""
+    with opened(str(table.file), draft) as found:
+        columns = table.columns or tuple(found.headings[:2])
+        if len(columns) != 2:
+            raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
+        time_unit, unit = table.units or (None, None)
+        volts = unit in UNITS["voltage"] or (unit is None and found.unit_of(columns[1], "voltage") is not None)
+        time = found.numbers(columns[0], "time", time_unit)
+        strain = (table.factor or 1.0) * found.numbers(columns[1], "voltage" if volts else "strain", unit)
+        found.refuse("", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0)
+    if volts and table.factor is None:
+        raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
+    notes = list(found.notes)
+    if -strain.min() > strain.max():
+        strain = -strain
+        notes.append("the largest strain is negative: compression is taken as positive")
+    try:
+        pulse, misfit = measured_pulse(time, strain)
+    except ValueError as error:
+        raise Fault(f"{error}; {_MENDED}", "file") from None
+    if misfit > 0.02:
+        said = f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy"
+        notes.append(f"{said}; {_MENDED}")
+    for note in notes:
+        draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
+    return pulse
