@@ -21,7 +21,7 @@ from uqsphere.models.black_box import BlackBox, ModelFile, read_model
 from uqsphere.models.cache import Cache
 from uqsphere.models.rows import FAILED, Died, EvaluatedRows, Interrupted, NoAnswer, where_of
 from uqsphere.models.scene import evaluate_scene
-from uqsphere.models.workers import Here, Processes, Task, answer, pack, result
+from uqsphere.models.workers import Task, Workers, result
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.study import Study
 from uqsphere.uq.surrogate import columns_of, index_of
@@ -36,8 +36,6 @@ _CALLS: Final = 64
 _WORTH: Final = 2.0
 #: seconds per row below which to evaluate again costs less than to store, and more rows in a call less than more calls
 _QUICK: Final = 1e-4
-#: calls that an executor of the user makes at once, about
-_MANY: Final = 512
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
 #: seconds between two looks at `stop` while answers are waited for
@@ -152,10 +150,6 @@ class Model:
         self._calls, self._seconds, self._rows = 0, 0.0, 0
         self._compared = False
         self._cache: Cache | None = None
-        #: where the black box is called, how many calls it makes at once, and what is sent there for it
-        self._workers: Any = None
-        self._count = 0
-        self._sent: Task | bytes = b""
         means = study.at_means()
         if box is None:
             tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
@@ -166,14 +160,8 @@ class Model:
         self._inputs, self._outputs = [*study.random, *study.fixed], study.outputs
         self._numbers = np.array([means[name] for name in self._inputs])
         box = box if callable(box) else read_model(str(box))
-        self._task = (box, self._inputs, self._outputs)
-        if self.executor is not None:
-            # the same call twice is two evaluations, which Dask would not make
-            dask = hasattr(self.executor, "get_executor")
-            self._workers = self.executor.get_executor(pure=False) if dask else self.executor
-            self._count, self._sent = _MANY, pack(self._task)
-            if not callable(getattr(self._workers, "submit", None)):
-                raise UsageError(f"an executor has a method submit(), which {type(self.executor).__name__} has not")
+        task: Task = (box, self._inputs, self._outputs)
+        self._workers = Workers(task, self.executor, study.analysis.time_limit)
         if self.cache_file is not None and isinstance(box, ModelFile):
             self._cache = Cache(self.cache_file, box, self._inputs, self._outputs)
 
@@ -184,8 +172,8 @@ class Model:
         """End processes that were started here, and close the cache."""
         if self._cache is not None:
             self._cache.close()
-        if isinstance(self._workers, Processes):
-            self._workers.shutdown()
+        if self.study.black_box:
+            self._workers.close()
 
     @property
     def seconds_per_row(self) -> float | None:
@@ -292,7 +280,7 @@ class Model:
                 if not running:
                     self._staff(total)
                 # one call tells what a row takes, before many are handed out
-                while len(running) < (2 * self._count + 2 if self._calls else 1):
+                while len(running) < (2 * self._workers.count + 2 if self._calls else 1):
                     places = again.pop() if again else next(due, None)
                     if places is None:
                         break
@@ -302,7 +290,7 @@ class Model:
                         self.reused += len(answers)
                         places = places[~stored]
                     if len(places):
-                        running[self._workers.submit(answer, self._sent, whole(places))] = places
+                        running[self._workers.submit(whole(places))] = places
                 if self.progress is not None:
                     self.progress(self.evaluations + self.reused - before, total)
                 if not running:
@@ -357,24 +345,18 @@ class Model:
         return (self.seconds_per_row or 0.0) >= _QUICK
 
     def _staff(self, rows: int) -> None:
-        """Choose where calls are made: a function begins in this process, a file in one of its own, and rows that have
-        proved worth it get more processes. Nothing may be running."""
+        """Have as many processes as rows are worth: a function begins in this process, a file in one of its own.
+        Nothing may be running."""
         limit = self.study.analysis.time_limit
         worth = limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH
-        count = self._processes if worth else 1
-        if self._count == 0 and callable(self.model) and limit is None:
-            self._workers, self._count, self._sent = Here(), 1, self._task
-        elif self._count < count:
+        count = self._processes if worth else 0 if callable(self.model) else 1
+        if self._workers.count < count:
             try:
-                packed = pack(self._task)
+                self._workers.hire(count)
             except UsageError:
-                if self._count == 0:
+                if limit is not None:
                     raise
-                self._processes = 1  # it cannot be sent, and goes on where it is
-                return
-            if isinstance(self._workers, Processes):
-                self._workers.shutdown()
-            self._workers, self._count, self._sent = Processes(count, packed, limit), count, packed
+                self._processes = 0  # the function cannot be sent, and goes on where it is
 
 
 @lru_cache(maxsize=1)

@@ -1,8 +1,4 @@
-"""Where a black box is called: in this process, in processes that can be ended, or by an executor that the user gave.
-
-Each has `submit(answer, task, rows)`, which returns a future of `concurrent.futures`. Where rows are evaluated changes
-no answer.
-"""
+"""Where a black box is called: in this process, in processes that can be ended, or by an executor of the user."""
 
 from __future__ import annotations
 
@@ -12,10 +8,10 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
 from loky.backend.context import LokyContext  # type: ignore[import-untyped]
@@ -28,6 +24,8 @@ from uqsphere.errors import ModelError, ModelRaised, UsageError, as_text
 from uqsphere.models.black_box import ModelFile, call_black_box
 from uqsphere.models.rows import Died, NoAnswer
 
+#: calls that an executor of the user is given at once, about
+_MANY: Final = 512
 #: exit code in place of 0: pebble would wait for the answer of a process that has ended so
 _ENDED: Final = 256
 
@@ -80,18 +78,6 @@ def result(future: Future[Timed], limit: float | None) -> Timed:
         raise
 
 
-class Here:
-    """This process: `submit` returns once the rows are evaluated."""
-
-    def submit(self, call: Callable[[Task, Array], Timed], task: Task, rows: Array) -> Future[Timed]:
-        future: Future[Timed] = Future()
-        try:
-            future.set_result(call(task, rows))
-        except ModelError as error:
-            future.set_exception(error)
-        return future
-
-
 def _prepare(parent: int, packed: bytes) -> None:
     """Set up a process: what it prints goes to stderr; with its parent it ends, and what it has started."""
 
@@ -128,23 +114,51 @@ class _Context(LokyContext):  # type: ignore[misc]
     Process = _Process
 
 
-class Processes:
-    """Processes of this machine, by pebble: one that dies, or exceeds the limit of time [s], is replaced.
+class Workers:
+    """Where a black box is called. Where it is changes no answer.
 
-    They are started as loky does it, which does not run the user's main module again.
+    executor : of the user, as those of `concurrent.futures`, or a `distributed.Client`; its errors are its own.
+    limit : seconds that a call in processes of this machine may take.
+    count : those processes, by pebble: one that dies, or exceeds the limit, is replaced. They are started as loky does
+        it, which does not run the user's main module again. 0 for this process.
     """
 
-    def __init__(self, count: int, packed: bytes, limit: float | None) -> None:
-        given = (os.getpid(), packed)
-        self._open = partial(ProcessPool, count, initializer=_prepare, initargs=given, context=_Context())
-        self._pool, self._limit = self._open(), limit
+    def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
+        # the same call twice is two evaluations, which Dask would not make
+        self._executor = executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
+        if executor is not None and not callable(getattr(self._executor, "submit", None)):
+            raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
+        self._task, self._packed = task, b"" if executor is None else pack(task)
+        self._limit = limit
+        self._pool: ProcessPool | None = None
+        self.count = 0 if executor is None else _MANY
 
-    def submit(self, call: Callable[[bytes, Array], Timed], packed: bytes, rows: Array) -> Future[Timed]:
-        if not self._pool.active:  # a process died between two calls
-            self.shutdown()
-            self._pool = self._open()
-        return self._pool.schedule(call, (packed, rows), timeout=self._limit)
+    def hire(self, count: int) -> None:
+        """Have so many processes of this machine; nothing may be running. Raises UsageError as `pack`."""
+        self._packed = pack(self._task)
+        self.close()
+        self.count = count
 
-    def shutdown(self) -> None:
-        self._pool.stop()  # type: ignore[no-untyped-call]
-        self._pool.join()
+    def submit(self, rows: Array) -> Future[Timed]:
+        """A future of the answers to rows (n, inputs); in this process they are there when it returns."""
+        future: Future[Timed] = Future()
+        if self._executor is not None:
+            future = self._executor.submit(answer, self._packed, rows)
+        elif self.count:
+            if self._pool is None or not self._pool.active:  # or a process died between two calls
+                self.close()
+                given = (os.getpid(), self._packed)
+                self._pool = ProcessPool(self.count, initializer=_prepare, initargs=given, context=_Context())
+            future = self._pool.schedule(answer, (self._packed, rows), timeout=self._limit)
+        else:
+            try:
+                future.set_result(answer(self._task, rows))
+            except ModelError as error:
+                future.set_exception(error)
+        return future
+
+    def close(self) -> None:
+        """End the processes of this machine."""
+        if self._pool is not None:
+            self._pool.stop()  # type: ignore[no-untyped-call]
+            self._pool.join()
