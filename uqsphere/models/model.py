@@ -264,9 +264,10 @@ class Model:
 
         def settle(places: Places, answers: Array) -> None:
             """Take the columns that were requested; a row fails where one of them is not finite, or too large."""
-            values[places] = answers[:, taken]
-            usable = (np.abs(values[places]) <= _LARGEST).all(axis=1)
-            status[places[~usable]] = FAILED
+            values[places] = part = answers[:, taken]
+            unusable = ~(np.abs(part) <= _LARGEST)
+            if unusable.any():
+                status[places[unusable.any(axis=1)]] = FAILED
 
         # two sizes, none between: the last digits of a model may depend on the rows of a call, and time does not repeat
         size = _MOST_ROWS if self._calls > 1 and not self._is_slow() else max(1, min(_MOST_ROWS, total // _CALLS))
