@@ -32,7 +32,7 @@ DIMENSIONAL: Final = frozenset({"mean", "sd", "scale", "location", "threshold", 
 _POSITIVE: Final = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Family:
     """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are the law's own."""
 
@@ -49,14 +49,10 @@ class Family:
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
     observed: Callable[[Law], Form] | None = None
 
-    def __repr__(self) -> str:
-        return f"<family {self.name}>"
-
     @property
     def keys(self) -> tuple[str, ...]:
         """Every key of the parameters, without lower and upper, in the order of the alternatives."""
-        seen = dict.fromkeys(key for keys in self.alternatives for key in keys)
-        return tuple(seen | dict.fromkeys(self.optional))
+        return tuple(dict.fromkeys((*(key for keys in self.alternatives for key in keys), *self.optional)))
 
     @property
     def parameters_of(self) -> tuple[str, ...]:

@@ -91,12 +91,8 @@ def either(ppf: Function, isf: Function) -> Quantile:
 
 def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.inf) -> Form:
     """A form that is the same for -y."""
-
-    def quantile(p: Array, q: Array) -> Array:
-        y = ppf(np.minimum(p, q))
-        return np.where(p <= 0.5, y, -y)
-
-    return Form(tails=lambda y: (cdf(y), cdf(-y)), quantile=quantile, pdf=pdf, orders=(order, order))
+    return Form(tails=lambda y: (cdf(y), cdf(-y)), quantile=either(ppf, lambda q: -ppf(q)), pdf=pdf,
+                orders=(order, order))  # fmt: skip
 
 
 def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
