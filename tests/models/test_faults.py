@@ -22,7 +22,6 @@ import pytest
 
 from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.models import model as module
-from uqsphere.models.black_box import ModelFile
 from uqsphere.models.cache import Cache
 from uqsphere.models.model import Model
 from uqsphere.models.rows import FAILED, Interrupted
@@ -552,8 +551,8 @@ def test_rows_of_a_quick_model_are_not_stored(place: Path) -> None:
 
 
 def test_records_hold_every_bit(place: Path) -> None:
-    def opened(path: Path, source: bytes) -> Cache:
-        return Cache(path, ModelFile(Path("box.py"), "f", source), ("b", "a"), ("y",))
+    def opened(path: Path, model: bytes) -> Cache:
+        return Cache(path, model, ("b", "a"), ("y",))
 
     cache = opened(place / "cache", b"one")
     rows = np.array([[1.0, -0.0], [np.inf, 5e-324], [1e308, np.nan], [0.0, 0.0]])
@@ -566,6 +565,20 @@ def test_records_hold_every_bit(place: Path) -> None:
     assert stored.tolist() == [True, True, True, False]
     assert read.tobytes() == answers.tobytes()
     assert not opened(moved, b"another").read(rows)[1].any()
+
+
+def test_a_function_is_known_by_its_value_in_another_process(place: Path) -> None:
+    script = """
+import sys
+from uqsphere.models.black_box import identity_of
+space = {"n": len(sys.argv)}
+exec("def f(x):\\n    return n * x['a']", space)
+print(identity_of(space["f"]).hex())
+"""
+    (place / "script.py").write_text(script)
+    commands = [[sys.executable, str(place / "script.py"), *more] for more in ([], [], ["other"])]
+    said = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for command in commands]
+    assert said[0] == said[1] != said[2]
 
 
 @pytest.fixture(autouse=True)

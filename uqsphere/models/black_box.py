@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import sys
 import traceback
@@ -62,6 +63,21 @@ def read_model(reference: str) -> ModelFile:
         return ModelFile(Path(file).resolve(), name, Path(file).read_bytes())
     except OSError as error:
         raise AccessError(f"the model file {file} cannot be read: {error.strerror}") from error
+
+
+def identity_of(box: ModelFile | BlackBox) -> bytes:
+    """What tells a model from another: of a file its content, of a function its value and the file that it is from.
+
+    Empty for a function that cannot be pickled.  What either reads or imports besides is not seen.
+    """
+    if isinstance(box, ModelFile):
+        return box.name.encode() + b"\0" + box.source
+    import cloudpickle  # type: ignore[import-untyped]
+
+    file = getattr(sys.modules.get(str(getattr(box, "__module__", ""))), "__file__", None)
+    with contextlib.suppress(Exception):  # what a function holds refuses as it likes
+        return bytes(cloudpickle.dumps(box)) + (Path(file).read_bytes() if file else b"")
+    return b""
 
 
 def _described(error: BaseException) -> str:

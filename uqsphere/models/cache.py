@@ -17,7 +17,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import AccessError, as_text
-from uqsphere.models.black_box import ModelFile
 
 _TABLE: Final = "CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, answer BLOB) WITHOUT ROWID"
 #: seconds that another run is waited for
@@ -25,14 +24,14 @@ _WAIT: Final = 30.0
 
 
 class Cache:
-    """Answers of a black box by the content of its file, its inputs and their numbers, and its outputs.
+    """Answers of a black box by `black_box.identity_of` it, its inputs and their numbers, and its outputs.
 
-    What its file reads or imports is not seen. Every method raises AccessError where the cache cannot be used.
+    Every method raises AccessError where the cache cannot be used.
     """
 
-    def __init__(self, path: Path, model: ModelFile, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    def __init__(self, path: Path, model: bytes, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         self.path, self._outputs = path, len(outputs)
-        self._about = hashlib.blake2b(repr((model.source, model.name, inputs, outputs)).encode()).digest()
+        self._about = hashlib.blake2b(repr((model, inputs, outputs)).encode()).digest()
         with self._access():
             if path.is_symlink():
                 raise sqlite3.Error("it is a link, which is not followed")

@@ -17,7 +17,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, UsageError, as_text
-from uqsphere.models.black_box import BlackBox, ModelFile, read_model
+from uqsphere.models.black_box import BlackBox, identity_of, read_model
 from uqsphere.models.cache import Cache
 from uqsphere.models.rows import FAILED, Died, EvaluatedRows, Interrupted, NoAnswer, where_of
 from uqsphere.models.scene import evaluate_scene
@@ -111,7 +111,7 @@ class Model:
         its own, which may hang or die; a function in this process, or by value in others where it is slow.
     executor : anything with submit(), such as a pool of `concurrent.futures` or a `distributed.Client` (black boxes).
     threads : threads of the impact model, processes of a slow black box; all processors if None.
-    cache_file : where answers of a slow FILE.py:FUNCTION are kept; a function cannot be told from another.
+    cache_file : where answers of a slow black box are kept, by `identity_of` it.
     stop : checked between two calls of the model; once it is true, `Interrupted` is raised.
     progress : called with the rows that are done and the rows in all.
     evaluations, reused : rows that were evaluated, and that came from the cache.
@@ -162,8 +162,8 @@ class Model:
         box = box if callable(box) else read_model(str(box))
         task: Task = (box, self._inputs, self._outputs)
         self._workers = Workers(task, self.executor, study.analysis.time_limit)
-        if self.cache_file is not None and isinstance(box, ModelFile):
-            self._cache = Cache(self.cache_file, box, self._inputs, self._outputs)
+        if self.cache_file is not None and (identity := identity_of(box)):
+            self._cache = Cache(self.cache_file, identity, self._inputs, self._outputs)
 
     def __enter__(self) -> Self:
         return self
