@@ -32,13 +32,8 @@ from uqsphere.uq.chaos.select import Order, Path, folds_of, forward_selection, s
 NORMS: Final = (0.75, 1.0, 0.5)
 #: share of the variance below which a larger set would only cost time
 ENOUGH: Final = 1e-18
-#: a logarithm must bring the error below this share, and a grown
-#: set below its own: what has more ways to be lucky has to help measurably (tests/campaigns/chaos.py)
-HELPS, GROWS = 0.8, 0.9
-#: of y and ln y the one within this factor of the least error goes on, a factor 2 of amplitude
-CLEAR: Final = 4.0
-#: terms at most: more take time and gain nothing on the 22 functions of tests/campaigns/chaos.py
-MOST_TERMS: Final = 256
+#: terms at most, and candidates for them: more take time and gain nothing in tests/campaigns/chaos.py
+MOST_TERMS, MOST_CANDIDATES = 256, 800
 
 
 class Basis(NamedTuple):
@@ -137,11 +132,7 @@ class Choice:
 
 
 def _candidates(n: int) -> int:
-    return min(max(400, 3 * n), 800)
-
-
-def _most_terms(n: int) -> int:
-    return max(min(n // 2, MOST_TERMS), 1)
+    return min(max(400, 3 * n), MOST_CANDIDATES)
 
 
 def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> Chaos:
@@ -184,7 +175,7 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     logs = (True, False) if one_sign and not plain else (False,)
     targets = [Target(outputs=outputs, folds=folds, log=log) for log in logs]
     best = _grow(_best(targets, bases), tables) if bases else None
-    if best is None or best.error >= 0.99:
+    if best is None or best.error >= 1.0:
         return constant
     target, order = best.target, np.argsort(best.terms.any(axis=1), kind="stable")  # the constant first
     coefficients = best.coefficients[order] * target.scale[1]
@@ -195,15 +186,9 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
 
 
 def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
-    """The terms with the least error of all bases: selected, else whole sets.  Of two targets one that is far off on a
-    set of no more terms than samples is not searched."""
+    """The terms with the least error of all bases: selected, else whole sets."""
     n, found = targets[0].outputs.size, list[Choice]()
-    most = _most_terms(n)
-    if len(targets) > 1:
-        size = max([size for size in bases[0].sizes if size <= n] or bases[0].sizes[:1])
-        looks = [target.forward(Basis(bases[0].terms[:size], bases[0].rows[:size]), most).error for target in targets]
-        near = max(CLEAR * min(looks), ENOUGH)
-        targets = [target for target, look in zip(targets, looks, strict=True) if look <= near]
+    most = max(min(n // 2, MOST_TERMS), 1)
     for basis in bases:
         found += [_search(target, basis, most) for target in targets]
         if min(one.error for one in found) < ENOUGH:
@@ -212,7 +197,7 @@ def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
         # a whole set is no choice that few samples could mislead
         most = max(most, min(2 * n // 3, MOST_TERMS))
         found += [target.whole(basis, most) for target in targets for basis in bases]
-    return min(found, key=lambda one: one.error / HELPS**one.target.log)
+    return min(found, key=lambda one: one.error)
 
 
 def _search(target: Target, basis: Basis, most: int) -> Choice:
@@ -242,8 +227,8 @@ def _grow(found: Choice, tables: Sequence[Array]) -> Choice:
         both = np.unique(np.concatenate([near[: max(_candidates(n) - len(above), 1)], above]), axis=0)
         for terms in (near, both):
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
-            trial = found.target.forward(Basis(terms, products(tables, terms)), _most_terms(n))
-            if trial.error < GROWS * found.error:
+            trial = found.target.forward(Basis(terms, products(tables, terms)), max(min(n // 2, MOST_TERMS), 1))
+            if trial.error < found.error:
                 found = trial
                 break
         else:
