@@ -24,7 +24,7 @@ PARTS: Final = frozenset({"study", "inputs", "answers", "verdicts", "checks", "a
 #: files that a run may have written; another folder is not written into
 OWN: Final = frozenset({
     "study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "history.csv", "log.txt",
-    SUMS, ".lock", "cache.sqlite", "cache.sqlite-journal", "cache.sqlite.damaged",
+    SUMS, ".lock", "cache.sqlite", "cache.sqlite-journal",
 })  # fmt: skip
 #: what a folder begins with in which files wait until all are written
 PART: Final = ".part-"

@@ -213,7 +213,9 @@ class Observations(Table):
     censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
     count: str | None = key("column of numbers of equal tests; without it one a row")
     modulus: Positive | None = key("Weibull modulus of the tests that is known; then few failures, or none, are enough")
-    fit: str | None = key("`kde`, `steps`, or a distribution; without it `weibull` of forces, else `kde`")
+    fit: str | None = key(
+        "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, `rayleigh`, `gamma` or "
+        "`beta`; without it `weibull` of forces, else `kde`")  # fmt: skip
     unbiased: bool = key("takes the bias of few tests out of the modulus or the scatter", False)
     synthetic: bool = key("the observations are synthetic, so that no verdict is established by them", False)
     lower: Any = None
