@@ -112,6 +112,10 @@ _HINTS: Final = {
 }
 
 
+#: reading a key of many parts takes a time that grows with the square of its length
+_DOTS: Final = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
+
+
 def read_text(path: Path) -> str:
     """The text of an input file: at most 1 MiB of UTF-8; a byte order mark is dropped."""
     try:
@@ -125,7 +129,9 @@ def read_text(path: Path) -> str:
 def parse_text(text: str, path: Path) -> dict[str, Any]:
     """TOML text → plain values; raises StudyError for a fault of syntax with its line."""
     try:
-        return tomllib.loads(text)
+        if not (dots := _DOTS.search(text)):
+            return tomllib.loads(text)
+        line, said = text[: dots.start()].count("\n") + 1, "a dotted key goes more than 12 levels deep"
     except RecursionError:
         line, said = 1, "brackets are nested deeper than any study needs"
     except ValueError as error:  # a fault of syntax, or a number that Python does not read
@@ -147,7 +153,7 @@ def lines_of(text: str) -> dict[Place, int]:
     found: dict[Place, int] = {}
     table: Place = ()
     seen: Counter[Place] = Counter()
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(text.split("\n"), 1):
         header = re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line)
         key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
         if key is None:
@@ -173,7 +179,7 @@ def refusal(path: Path, text: str, faults: Iterable[Fault], overridden: Sequence
     for fault in faults:
         line = next((lines[fault.at[:n]] for n in range(len(fault.at), 0, -1) if fault.at[:n] in lines), 1)
         note = " (set by --set)" if any(fault.at[: len(one)] == one for one in overridden) else ""
-        problems.add(Problem(line=line, path=path_of(fault.at), message=f"{fault}{note}"))
+        problems.add(Problem(line=line, path=as_text(path_of(fault.at)), message=f"{fault}{note}"))
     return StudyError(str(path), list(problems))
 
 
@@ -181,10 +187,7 @@ def refusal(path: Path, text: str, faults: Iterable[Fault], overridden: Sequence
 
 
 def set_value(data: dict[str, Any], text: str) -> Place:
-    """Put ``PATH=VALUE`` into the tables of a file; returns the place.
-
-    VALUE is a TOML value, else a text; ``null`` takes out what stands there.  UsageError where there is no such place.
-    """
+    """Put ``PATH=VALUE``, a TOML value or a text, into tables, or take out what is ``null``; returns the place."""
     path, sign, value = (part.strip() for part in text.partition("="))
     parts, place = _parts(path), list[str | int]()
     if not sign or not parts:
@@ -199,13 +202,14 @@ def set_value(data: dict[str, Any], text: str) -> Place:
             if place:
                 may_add = isinstance(node, dict) and value != "null"
                 node = node.setdefault(place[-1], {}) if may_add else node[place[-1]]
-            place.append(int(part) if isinstance(node, list) else part)
+            place.append(int(part) if isinstance(node, list) and part.isdecimal() else part)
         if value == "null":
             del node[place[-1]]
         else:
             node[place[-1]] = held
-    except (LookupError, TypeError, ValueError):
-        raise UsageError(f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study") from None
+    except (LookupError, TypeError):
+        near = suggestion(place[-1], node) if isinstance(node, dict) else ""
+        raise UsageError(f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study{near}") from None
     return tuple(place)
 
 
@@ -229,18 +233,22 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
             return [plain(part, *place, k) for k, part in enumerate(value)]
         if isinstance(value, str | bool | int | float):
             return value
-        if isinstance(value, Path) or hasattr(value, "tolist"):
-            return str(value) if isinstance(value, Path) else value.tolist()
+        if isinstance(value, Path):
+            return str(value)
         try:
-            return plain(default(value), *place)
+            return plain(value.tolist() if hasattr(value, "tolist") else default(value), *place)
         except ValueError as error:
             raise UsageError(f"{path_of(place)} ({type(value).__name__}): {error}") from None
 
-    return tomli_w.dumps(plain(tables))
+    try:
+        return tomli_w.dumps(plain(tables))
+    except (RecursionError, TypeError, ValueError) as error:
+        raise UsageError(f"tables that no file can hold: {error}") from None
 
 
 # --- what pydantic finds, in these words -----------------------------------------------------------------------------
 
+_MEMBER: Final = re.compile(r"\[key\]|(literal|tuple|list|dict|nullable|function-[a-z]+|constrained-[a-z]+)\[.*\]")
 _WORDS: Final = {
     r"\w+ should ": "it must ", "a valid tuple": "an array", "a valid dictionary.*": "a table",
     "a valid boolean": "true or false", "a valid string": "a text in quotes", " after validation.*": "",
@@ -271,7 +279,7 @@ def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
     found: dict[Place, Fault] = {}
     for fault in error.errors(include_url=False):
         # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys, "[key]"
-        place = tuple(part for part in fault["loc"] if "[" not in str(part))
+        place = tuple(part for part in fault["loc"] if not _MEMBER.fullmatch(str(part)))
         if not any(other[: len(place)] == place for other in found):
             at = getattr(fault.get("ctx", {}).get("error"), "at", ())
             found[place] = Fault(_text(kind, fault, place), *place, *at)

@@ -16,18 +16,9 @@ from uqsphere.mechanics.scene import INPUTS
 from uqsphere.units import UNITS, Quantity
 
 __all__ = [
-    "DEMANDS",
-    "INPUTS",
-    "OUTPUTS",
-    "display_unit",
-    "format_bounds",
-    "format_conservative",
-    "format_estimate",
-    "format_probability",
-    "format_value",
-    "lookup",
-    "plain_quantity",
-]
+    "DEMANDS", "INPUTS", "OUTPUTS", "display_unit", "format_bounds", "format_conservative", "format_estimate",
+    "format_probability", "format_value", "lookup", "plain_quantity",
+]  # fmt: skip
 
 #: the unit that is read in place of a larger one
 SMALLER = {"m": "mm", "kN": "N"}
@@ -44,7 +35,8 @@ def lookup(name: str) -> Quantity:
 
 def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
     """The entry of a number without unit: a black-box input, say."""
-    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name)
+    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name,
+                    plausible=(-math.inf, math.inf))  # fmt: skip
 
 
 def format_bounds(quantity: Quantity) -> str:

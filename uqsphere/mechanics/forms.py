@@ -1,4 +1,4 @@
-"""Which numbers a table of a scene needs by its kind, and which others it may have: the one list of it."""
+"""Which numbers a table of a scene needs by its kind, and which others it may have; a study asks for a little more."""
 
 from __future__ import annotations
 

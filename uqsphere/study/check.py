@@ -56,7 +56,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
     own = {name: number.value for name, number in draft.numbers.items() if not name.startswith("limits.")}
     return Study(
-        title=as_text(document.title or path.stem), seed=document.seed, path=path, text=text, black_box=draft.box,
+        title=as_text(document.title) or path.stem, seed=document.seed, path=path, text=text, black_box=draft.box,
         fixed={name: value for name, value in own.items() if not isinstance(value, Law)},
         random={name: value for name, value in own.items() if isinstance(value, Law)},
         made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
@@ -365,7 +365,8 @@ def _margins(draft: Draft) -> Faults:
             with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
                 compare_sizes(limit, radii, draft, ("margins", "between"))
-    draft.margins = table.model_copy(update={"solve": solve, "between": tuple(ends)})
+    wanted = tuple(sorted(table.for_probability))
+    draft.margins = table.model_copy(update={"solve": solve, "between": tuple(ends), "for_probability": wanted})
     if not isinstance(number.value, Law) or solve in strengths:
         return
     for index, value in enumerate(ends):

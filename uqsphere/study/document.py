@@ -21,7 +21,7 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.study.values import Number, Observations, Positive, key, number_of, numbers_of, percent, value_of
+from uqsphere.study.values import Number, Observations, Positive, keyed, number_of, numbers_of, percent, value_of
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 
@@ -71,7 +71,8 @@ def _several(least: int = 1, most: int = 200) -> Any:
 #: a value, with its unit where it has one, or a distribution
 Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
-Share = Annotated[float, Field(gt=0.0, lt=1.0), BeforeValidator(percent)]
+_Part = Annotated[float, Field(gt=0.0, lt=1.0)]
+Share = Annotated[_Part, BeforeValidator(percent, json_schema_input_type=_Part | str)]
 Shares = Annotated[tuple[Share, ...], *_several()]
 Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
@@ -91,73 +92,73 @@ Methods = Annotated[
 class Body(Table):
     """What touches the sphere, or the sphere itself."""
 
-    material: str | None = key("name of `uqsphere list materials`, for the numbers that are not given")
+    material: str | None = keyed("name of `uqsphere list materials`, for the numbers that are not given")
 
 
 class Bars(Body):
     """Both bars, alike in material and diameter."""
 
-    infinite: bool = key("no reflections", False)
-    rigid_contact: bool = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
+    infinite: bool = keyed("no reflections", False)
+    rigid_contact: bool = keyed("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 
 
 class Pulse(Table):
     """The incident pulse; each shape has keys of its own."""
 
-    preset: Literal[*PRESETS] | None = key("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
-    shape: Literal[*SHAPES, "measured"] = key("shape of the pulse", "rectangular")  # type: ignore[valid-type]
-    file: str | None = key("`measured`: table of time and strain (compression positive), a file beside the study")
-    columns: Pair | None = key("`measured`: names of both columns; without it the first two")
-    units: Pair | None = key("`measured`: units of time, and of strain or volts; without it those of the headings")
-    factor: float | None = key("`measured`: strain of one volt")
+    preset: Literal[*PRESETS] | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
+    shape: Literal[*SHAPES, "measured"] = keyed("shape of the pulse", "rectangular")  # type: ignore[valid-type]
+    file: str | None = keyed("`measured`: table of time and strain (compression positive), a file beside the study")
+    columns: Pair | None = keyed("`measured`: names of both columns; without it the first two")
+    units: Pair | None = keyed("`measured`: units of time, and of strain or volts; without it those of the headings")
+    factor: Positive | None = keyed("`measured`: strain of one volt")
 
 
 class Contact(Table):
     """The law of the contacts."""
 
-    law: Literal["hertz", "plastic"] = key('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
+    law: Literal["hertz", "plastic"] = keyed('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
 
 
 class Rig(Table):
     """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
-    kind: Literal[*RIGS] = key("what loads the sphere", "bars")  # type: ignore[valid-type]
+    kind: Literal[*RIGS] = keyed("what loads the sphere", "bars")  # type: ignore[valid-type]
 
 
 class Struck(Body):
     """A target or an anvil."""
 
-    kind: Literal["thick", "plate", "bar", "mass"] = key("a plate bends, a bar is struck at its end", "thick")
+    kind: Literal["thick", "plate", "bar", "mass"] = keyed("a plate bends, a bar is struck at its end", "thick")
 
 
 class Hammer(Body):
     """A weight that falls."""
 
-    shape: Literal["ball"] | None = key('hammer: `"ball"`: mass and `face_radius` follow from the `diameter`')
+    shape: Literal["ball"] | None = keyed('hammer: `"ball"`: mass and `face_radius` follow from the `diameter`')
 
 
 class Rod(Body):
     """A long rod that a sphere rests on."""
 
-    gauge: Length | None = key("rod: distance of the gauge from the sphere, for `history`")
+    gauge: Length | None = keyed("rod: distance of the gauge from the sphere, for `history`")
 
 
 class Gauge(Table):
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Literal["incident", "receiving", "rod"] = key('`"incident"`, `"receiving"`, or `"rod"` of a load cell', ...)
-    position: Length = key("distance from the sphere", ...)
+    bar: Literal["incident", "receiving", "rod"] = keyed('`"incident"`, `"receiving"`, or `"rod"` of a load cell', ...)
+    position: Length = keyed("distance from the sphere", ...)
 
 
 class ModelChoice(Table):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
-    fidelity: Literal["full", "massless", "linear"] = key('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
-    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = key("relative error of the integration", 1e-6)
-    first_loading_only: bool = key("end the record when the first reflected wave is back", False)
-    whole_record: bool = key("go on after the first loss of contact, to the horizon (bars)", False)
-    horizon: Seconds | None = key("latest end of the record; without it eight round trips of the longer bar")
-    compare_with_paper: bool = key("adds the paper's printed massless formulas and the corrected ones", False)
+    fidelity: Literal["full", "massless", "linear"] = keyed('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
+    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = keyed("relative error of the integration", 1e-6)
+    first_loading_only: bool = keyed("end the record when the first reflected wave is back", False)
+    whole_record: bool = keyed("go on after the first loss of contact, to the horizon (bars)", False)
+    horizon: Seconds | None = keyed("latest end of the record; without it eight round trips of the longer bar")
+    compare_with_paper: bool = keyed("adds the paper's printed massless formulas and the corrected ones", False)
 
 
 # --- limits and what is asked --------------------------------------------------------------------------------------
@@ -166,22 +167,22 @@ class ModelChoice(Table):
 class LimitTable(Table):
     """A strength, and the quantity or criterion that is held against it."""
 
-    quantity: str | None = key("a quantity of `uqsphere list quantities`")
-    criterion: Literal[*CRITERIA] | None = key("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
-    strength: Num = key("value, distribution, or a file with tests or draws", ...)
-    strength_is: Literal["hertz", "pressure"] | None = key(
+    quantity: str | None = keyed("a quantity of `uqsphere list quantities`")
+    criterion: Literal[*CRITERIA] | None = keyed("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
+    strength: Num = keyed("value, distribution, or a file with tests or draws", ...)
+    strength_is: Literal["hertz", "pressure"] | None = keyed(
         'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the true one')  # fmt: skip
-    aim: Literal["survive", "break"] = key("the quantity must stay below the strength, or exceed it", "survive")
-    target: Share | None = key('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Num = key("factor on the quantity for what the model leaves out; may scatter", 1.0)
-    fracture: bool | None = key("whether exceeding it breaks the sphere; without it the quantity decides")
-    energy_is: Literal["contact", "sphere", "input"] | None = key(
+    aim: Literal["survive", "break"] = keyed("the quantity must stay below the strength, or exceed it", "survive")
+    target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
+    model_factor: Num = keyed("factor on the quantity for what the model leaves out; may scatter", 1.0)
+    fracture: bool | None = keyed("whether exceeding it breaks the sphere; without it the quantity decides")
+    energy_is: Literal["contact", "sphere", "input"] | None = keyed(
         "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered")  # fmt: skip
-    modulus: Annotated[float, *_fixed("modulus")] | None = key("of a weakest link, unless the strength has it")
-    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = key("volume of a volume strength")
-    reference_area: Annotated[float, *_fixed("reference_area")] | None = key("area of a surface strength")
-    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = key("upper bound of a fracture energy")
-    rate_0: Annotated[float, *_fixed("rate_0")] | None = key("strain rate at which a slow strength is doubled")
+    modulus: Annotated[float, *_fixed("modulus")] | None = keyed("of a weakest link, unless the strength has it")
+    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = keyed("volume of a volume strength")
+    reference_area: Annotated[float, *_fixed("reference_area")] | None = keyed("area of a surface strength")
+    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = keyed("upper bound of a fracture energy")
+    rate_0: Annotated[float, *_fixed("rate_0")] | None = keyed("strain rate at which a slow strength is doubled")
 
     @checked(mode="after")
     def _one_demand(self) -> LimitTable:
@@ -199,7 +200,7 @@ _of_laws: dict[str, Any] = {
     **dict.fromkeys(sorted(_KEYS), (float | str, None)),
 }
 #: what the schema says of a distribution in a table
-Distribution: Any = create_model("Distribution", __base__=Observations, **_of_laws)
+Distribution: Any = create_model("Distribution", __base__=Observations, __cls_kwargs__={"extra": "allow"}, **_of_laws)
 
 
 def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -> Number | None:
@@ -216,18 +217,18 @@ def _with_numbers(table: str, words: type[Table]) -> type[Table]:
         fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
         kinds = Distribution | fixed | Literal[*known] if known else Distribution | fixed
         mark = BeforeValidator(partial(_read, quantity=quantity, place=(table, name)), json_schema_input_type=kinds)
-        numbers[name] = Annotated[Any, mark], key(quantity.meaning)
+        numbers[name] = Annotated[Any, mark], keyed(quantity.meaning)
     return create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
 
 
 class Dependence(Table):
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
-    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = key("random numbers, two or more", ...)
-    spearman: Correlation | None = key("Spearman's rank correlation; required, or `kendall`")
-    kendall: Correlation | None = key("Kendall's rank correlation, in its place")
-    copula: Literal["gaussian", "student_t"] = key('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
-    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = key("degrees of freedom of a `student_t`")
+    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = keyed("random numbers, two or more", ...)
+    spearman: Correlation | None = keyed("Spearman's rank correlation; required, or `kendall`")
+    kendall: Correlation | None = keyed("Kendall's rank correlation, in its place")
+    copula: Literal["gaussian", "student_t"] = keyed('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
+    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = keyed("degrees of freedom of a `student_t`")
 
 
 class Accuracy(Table):
@@ -249,22 +250,22 @@ class Budget(Table):
 class Analysis(Table):
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
-    quantities: Annotated[tuple[str, ...], *_several()] = key(
+    quantities: Annotated[tuple[str, ...], *_several()] = keyed(
         "answered to this accuracy; without it `p_max` and `contact_duration`, or all outputs of a black box", ()
     )
-    accuracy: Accuracy = key(
+    accuracy: Accuracy = keyed(
         "half-widths of 95 % intervals, mean and quantile over the standard deviation, probability relative; `{ mean = "
         "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`", Accuracy.model_construct())  # fmt: skip
-    budget: Budget = key('at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct())
-    quantiles: Shares = key("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Methods = key(f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",))
-    second_order: bool = key("Sobol' indices of all pairs of inputs as well", False)
-    failure_modes: Literal["all", "given"] = key("`all`: those of a rock that have no limit, too", "all")
-    on_failure: Literal["abort", "bound", "drop"] | Share = key(
+    budget: Budget = keyed('at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct())
+    quantiles: Shares = keyed("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
+    methods: Methods = keyed(f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",))
+    second_order: bool = keyed("Sobol' indices of all pairs of inputs as well", False)
+    failure_modes: Literal["all", "given"] = keyed("`all`: those of a rock that have no limit, too", "all")
+    on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %, '
         'a share such as `"5 %"` up to that', "abort")  # fmt: skip
-    cost: Seconds | None = key("time of one evaluation of a black box; without it measured")
-    time_limit: Seconds | None = key("longest time of one evaluation of a black box; a longer one has failed")
+    cost: Seconds | None = keyed("time of one evaluation of a black box; without it measured")
+    time_limit: Seconds | None = keyed("longest time of one evaluation of a black box; a longer one has failed")
 
     @property
     def policy(self) -> str:
@@ -288,9 +289,9 @@ class Margins(Table):
     limit, all its values in proportion; of a `Study` it lies between two values in SI.
     """
 
-    solve: str = key('the free number: `"striker.speed"`, `"limits.NAME.strength"`', ...)
-    between: Annotated[tuple[Any, ...], *_several(2, 2)] = key("lowest and highest value", ...)
-    for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
+    solve: str = keyed('the free number: `"striker.speed"`, `"limits.NAME.strength"`', ...)
+    between: Annotated[tuple[Any, ...], *_several(2, 2)] = keyed("lowest and highest value", ...)
+    for_probability: Shares = keyed("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
 
     @property
     def limit(self) -> str | None:
@@ -301,14 +302,14 @@ class Margins(Table):
 class Outputs(Table):
     """What a black box answers."""
 
-    names: Annotated[tuple[Name, ...], *_several()] = key('names of the outputs, `["y"]`; required', ())
+    names: Annotated[tuple[Name, ...], *_several()] = keyed('names of the outputs, `["y"]`; required', ())
 
 
 class Words(Table):
     """A study file, without the numbers of the scene."""
 
-    title: str = key("heading of the report, without it the file's name; not part of the study's hash", "")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = key("the same seed gives the same answers", 0)
+    title: str = keyed("heading of the report, without it the file's name; not part of the study's hash", "")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = keyed("the same seed gives the same answers", 0)
     sphere: Body = Body.model_construct()
     bars: Bars = Bars.model_construct()
     striker: Body = Body.model_construct()

@@ -119,8 +119,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
 def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
     """A strength: a number or law in the unit of the demand, or what tests tell of it; raises Fault."""
     if draft.box:
-        entry = replace(plain_quantity(limit.quantity), plausible=(-math.inf, math.inf))
-        return number_of(table.strength, entry, draft, place)
+        return number_of(table.strength, plain_quantity(limit.quantity), draft, place)
     entry = lookup(limit.quantity)
     usual = _CONTACT if entry.place == "contact" else _USUAL.get(entry.dimension, (0.0, math.inf))
     entry = replace(entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual)
@@ -219,10 +218,13 @@ def warn_of_tests(
     table: Observations, force: Array, diameter: Array, radius: float, draft: Draft, place: Place
 ) -> None:
     """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them usual."""
-    size, tension = np.median(diameter) / (2.0 * radius), np.median(0.9 * force / np.square(diameter))
+    size, tension = diameter / (2.0 * radius), np.median(0.9 * force / np.square(diameter))
+    far = (size > 3.0) | (size < 1.0 / 3.0)
+    first = int(np.argmax(far))
     for key, typical, (low, high), units, given, said in (
-        ("diameter", size, (1.0 / 3.0, 3.0), UNITS["length"], table.diameter_unit,
-         f"the diameters are more than three times off the sphere's, the first {1e3 * diameter[0]:.4g} mm"),
+        ("diameter", size[first], (1.0 / 3.0, 3.0), UNITS["length"], table.diameter_unit,
+         f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, the first "
+         f"{1e3 * diameter[first]:.4g} mm"),
         ("force", tension, _TENSION, UNITS["force"], table.force_unit,
          f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to {1e-6 * _TENSION[1]:g} MPa"),
     ):  # fmt: skip

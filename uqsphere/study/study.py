@@ -113,6 +113,7 @@ class Study:
             from uqsphere.study.load import load_study
             from uqsphere.uq.foreign import of_salib
 
+            given = {key: table for key, table in given.items() if table is not None}
             outputs, inputs = given.get("outputs"), given.get("inputs")
             if isinstance(outputs, str | list | tuple):
                 given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}

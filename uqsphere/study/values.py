@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.documents import Fault, Place, Table, declared, one_of, shown, suggestion, unknown, within
@@ -163,26 +163,31 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
         draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
-    outside = float(law.cdf(np.array([quantity.lower]))[0] + law.sf(np.array([quantity.upper]))[0])
+    low = np.nextafter(quantity.lower, -np.inf) if quantity.closed else quantity.lower
+    outside = float(law.cdf(np.array([low]))[0] + law.sf(np.array([quantity.upper]))[0])
     if outside > NOTABLE:
         effect = "these samples count as failed evaluations; " if name in INPUTS else ""
         draft.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
                           f"({format_bounds(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
 
 
-# --- what a file tells -------------------------------------------------------------------------------------------
+# --- tables of data -------------------------------------------------------------------------------------------------
 
 
 def percent(raw: Any) -> Any:
     return value_of(raw, plain_quantity("share")) if isinstance(raw, str) and raw.rstrip().endswith("%") else raw
 
 
-def key(meaning: str, default: Any = None) -> Any:
+def keyed(meaning: str, default: Any = None) -> Any:
     """A key: its meaning in one clause, and its default; one without (...) must be given."""
     return Field(default=default, description=meaning)
 
 
-Positive = Annotated[float, Field(gt=0.0), BeforeValidator(percent)]
+#: a number above zero, or a percentage of such
+Positive = Annotated[
+    float, Field(gt=0.0),
+    BeforeValidator(percent, json_schema_input_type=Annotated[float, Field(gt=0.0)] | str),
+]  # fmt: skip
 
 
 class Discrete(Table):
@@ -193,33 +198,50 @@ class Discrete(Table):
     weights: Annotated[tuple[float, ...], Field(strict=False)] | None = None
 
 
+#: keys that go with draws, forces of tests, and a column
+_TAKEN: Final = {
+    "draws": "unit", "column": "file unit censored count modulus fit unbiased lower upper",
+    "force": "file force_unit diameter diameter_unit rate platens censored count modulus fit unbiased",
+}  # fmt: skip
+
+
 class Observations(Table):
     """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
 
-    dist: Literal["empirical"] | None = key("may be left out where a file is named")
-    file: str | None = key("CSV or .xlsx beside the study")
-    draws: str | None = key(
+    dist: Literal["empirical"] | None = keyed("may be left out where a file is named")
+    file: str | None = keyed("CSV or .xlsx beside the study")
+    draws: str | None = keyed(
         "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
         "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`")  # fmt: skip
-    decimal: Literal[".", ","] | None = key("decimal mark, where a column can be read both ways")
-    column: str | None = key("column of observations, in the quantity itself")
-    unit: str | None = key("its unit, if the heading has none")
-    force: str | None = key("in place of `column`: forces at which spheres broke between platens")
-    force_unit: str | None = key("unit of the forces, if the heading has none")
-    diameter: str | None = key("required with `force`: column of their diameters, or one length")
-    diameter_unit: str | None = key("unit of the diameters, if the heading has none")
-    rate: str | None = key("column of loading rates, with their unit in the heading")
-    platens: Any = key('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars")
-    censored: str | None = key("column of flags: 1 for a test stopped before a failure (right-censored)")
-    count: str | None = key("column of numbers of equal tests; without it one a row")
-    modulus: Positive | None = key("Weibull modulus of the tests that is known; then few failures, or none, are enough")
-    fit: str | None = key(
+    decimal: Literal[".", ","] | None = keyed("decimal mark, where a column can be read both ways")
+    column: str | None = keyed("column of observations, in the quantity itself")
+    unit: str | None = keyed("its unit, if the heading has none")
+    force: str | None = keyed("in place of `column`: forces at which spheres broke between platens")
+    force_unit: str | None = keyed("unit of the forces, if the heading has none")
+    diameter: str | None = keyed("required with `force`: column of their diameters, or one length")
+    diameter_unit: str | None = keyed("unit of the diameters, if the heading has none")
+    rate: str | None = keyed("column of loading rates, with their unit in the heading")
+    platens: Any = keyed('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars")
+    censored: str | None = keyed("column of flags: 1 for a test stopped before a failure (right-censored)")
+    count: str | None = keyed("column of numbers of equal tests; without it one a row")
+    modulus: Positive | None = keyed(
+        "Weibull modulus of the tests that is known; then few failures, or none, are enough"
+    )
+    fit: str | None = keyed(
         "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, `rayleigh`, `gamma` or "
         "`beta`; without it `weibull` of forces, else `kde`")  # fmt: skip
-    unbiased: bool = key("takes the bias of few tests out of the modulus or the scatter", False)
-    synthetic: bool = key("the observations are synthetic, so that no verdict is established by them", False)
+    unbiased: bool = keyed("takes the bias of few tests out of the modulus or the scatter", False)
+    synthetic: bool = keyed("the observations are synthetic, so that no verdict is established by them", False)
     lower: Any = None
     upper: Any = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Observations:
+        kind = "force" if self.column is None and (self.force or self.diameter) else "column"
+        kind = "draws" if self.draws is not None else kind
+        if strange := sorted(self.model_fields_set - {"dist", "decimal", "synthetic", kind, *_TAKEN[kind].split()}):
+            raise Fault(f"{strange[0]} does not belong to {kind} = …: leave one of them out", strange[0])
+        return self
 
 
 @contextmanager
@@ -231,7 +253,7 @@ def opened(name: str, draft: Draft, key: str = "file", decimal: str | None = Non
         if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
             raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
         if not path.exists():
-            near = suggestion(name, [item.name for item in home.iterdir()])
+            near = suggestion(name, [item.name for item in home.iterdir()] if home.is_dir() else [])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
         draft.files[given.as_posix()] = path
         found = read_table(path, decimal=decimal or "")
@@ -266,7 +288,7 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     """The distribution of weighted values, of a column, or of draws; raises Fault."""
     if raw.get("dist") == "discrete":
         if place[0] == "limits":
-            raise Fault("a strength has a density, or is a column of observations: discrete is for inputs", "dist")
+            raise Fault("strengths and model factors have a density, or are a column: discrete is for inputs", "dist")
         weighted = declared(Discrete, raw)
         with within("values"):
             values = [value_of(one, quantity) for one in weighted.values]
@@ -317,7 +339,8 @@ def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[
         for key, dimension in dimensions.items():
             name, unit = getattr(table, key), getattr(table, "unit" if key == "column" else f"{key}_unit", None)
             if key == "diameter" and name[:1].isdigit():
-                columns[key] = np.full(len(found), value_of(name, INPUTS["bars.diameter"]))
+                with within("diameter"):
+                    columns[key] = np.full(len(found), value_of(name, INPUTS["bars.diameter"]))
             elif name is not None:
                 columns[key] = found.numbers(name, dimension, unit, key=key)
         stopped = np.zeros(len(found), dtype=bool)
@@ -380,6 +403,8 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
         found.refuse("", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0)
     if volts and table.factor is None:
         raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
+    if not volts and table.factor is not None:
+        raise Fault("factor is the strain of one volt, and this is a strain: leave it out", "factor")
     notes = list(found.notes)
     if -strain.min() > strain.max():
         strain = -strain
