@@ -61,6 +61,9 @@ CASES = [
     file("a NUL", 'title = "x"\nseed = \0 1\n', "NUL byte", at="seed"),
     file("brackets without end", f"seed = 1\nx = {DEEP}\n", 'unknown key "x"', at="x ="),
     file("tables without end", "x = " + "{a=" * 3000 + "1" + "}" * 3000, "nested"),
+    file("dots without end", ".".join("a" * 5000) + " = 1\n", "dotted key", "12"),
+    one("strange keys of a table", "tolerance = 1e-6", '"m[0]" = 2\n"m[1]" = 3', 'unknown key "m[0]"', at="[model]",
+        count=2),
     file("an integer without end", "seed = " + "9" * 5000, "4300 digits"),
     # syntax
     one("a quantity without quotes", 'length = "0.8 m"', "length = 0.8 m", "not valid TOML", '"0.8 m"'),

@@ -383,6 +383,8 @@ def test_sizes_beyond_half_as_much_need_a_law(
         ((', diameter = "D", diameter_unit = "mm"', ""), CSV, "diameter is missing"),
         (("censored", "cencored"), CSV, "did you mean 'censored'"),
         ((" }", ', platens = "stel" }'), CSV, "did you mean 'steel'"),
+        ((" }", ', lower = "1 GPa" }'), CSV, "strength.lower: lower does not belong to force = …"),
+        (('diameter = "D", diameter_unit = "mm"', 'diameter = "20 furlong"'), CSV, "diameter: unknown unit"),
         ((" }", ', fit = "kde" }'), CSV, "need a fit"),
         (('"t.csv"', '"../t.csv"'), CSV, "own folder only"),
         (('"t.csv"', '"a/../t.csv"'), CSV, "own folder only"),
@@ -413,6 +415,7 @@ IMPLAUSIBLE = {
     "a decimal slip": (("", ""), ["11.9,28300", *ROWS[1:]], "line 2 (11.3 times the median): far from the other rows"),
     "a slip of a diameter": (("", ""), ["119,2830", *ROWS[1:]], "line 2 (0.0119 times the median): far from the other"),
     "rows pasted twice": (("", ""), ROWS * 2, "repeat earlier rows: pasted twice?"),
+    "one wide sphere": (("", ""), [*ROWS, "119,2830"], "1 of 13 diameters are more than three times off"),
     "a mean row": (("", ""), [*ROWS, "11.9,2486"], "line 14 is the mean of the rows above"),
 }  # fmt: skip
 

@@ -252,7 +252,8 @@ def test_overrides(load: Load) -> None:
 @pytest.mark.parametrize(
     "override",
     ["", "x", "=1", "a..b=1", "a.=1", ".a=1", "striker.length.mean=1 m", "dependence[7].spearman=0", "sphere[0]=1",
-     "a.b.c.d.e.f.g.h.i.j=1", "margins.sove=null", "limit=null", "dependence[7]=null", "seed.a=null"],
+     "a.b.c.d.e.f.g.h.i.j=1", "dependence.-1.spearman=0", "margins.sove=null", "limit=null", "dependence[7]=null",
+     "seed.a=null"],
 )  # fmt: skip
 def test_override_that_is_none(load: Load, override: str) -> None:
     with pytest.raises((UsageError, StudyError)):
@@ -271,8 +272,13 @@ def test_python_dict_and_text_are_one_study(tmp_path: Path) -> None:
     assert python.outputs == ("y",)
     with pytest.raises(StudyError, match=r"study.toml:1: inputs.x: .* did you mean 'dist'"):
         Study(inputs={"x": {"dits": "normal"}}, outputs="y")
-    with pytest.raises(UsageError, match=r"inputs\.x .*found object"):
-        Study(inputs={"x": object()}, outputs="y")
+    endless: list[object] = []
+    endless.append(endless)
+    for value, says in ((object(), r"inputs\.x .*found object"), (1j, "found complex"), (10**5000, "no file can hold"),
+                        (endless, "no file can hold")):  # fmt: skip
+        with pytest.raises(UsageError, match=says):
+            Study(inputs={"x": value}, outputs="y")
+    assert Study(inputs={"x1": 2.0}, outputs="y", title=None).title == "study"
 
 
 def test_schema_and_page() -> None:

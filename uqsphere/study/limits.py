@@ -188,7 +188,8 @@ def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tu
     from scipy.optimize import fixed_point
 
     try:
-        return fitted(float(fixed_point(lambda x: fitted(float(x))[1], number, xtol=1e-10, maxiter=60)))
+        agreed = fixed_point(lambda x: fitted(float(x))[1], number, xtol=1e-11, maxiter=200, method="iteration")
+        return fitted(float(agreed))
     except RuntimeError:
         raise Fault("no modulus agrees with itself: give it by the key modulus") from None
 
