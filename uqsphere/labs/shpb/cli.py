@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from uqsphere.documents import load_document
-from uqsphere.errors import UsageError
+from uqsphere.errors import UsageError, as_text
 from uqsphere.labs.files import csv_text, finish, table
 from uqsphere.labs.shpb.document import RecordDocument
 
@@ -55,7 +55,7 @@ def _records(chosen: argparse.Namespace) -> int:
         if not chosen.json:
             print("".join(f"{path.name}: {c.step}: {c.text}\n" for c in test.changes), end="", file=sys.stderr)
         contents.append({"file": str(path), "title": asked.title, **sheet.document(test)})
-        texts.append(f"{asked.title or path.name}\n" + table(sheet.rows(test)))
+        texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
         best = test.peaks["B"]
         diameter = asked.specimen.diameter
         lines.append([path.stem, "" if diameter is None else f"{diameter * 1e3:.6g}", f"{best.value * 1e-3:.5g}",
