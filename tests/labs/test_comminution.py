@@ -167,6 +167,15 @@ def test_the_size_law_holds_the_truth_and_its_diagnostics_settle(fitted: Fit) ->
     assert set(np.unique(fitted.posterior.law)) == {0, 1}
 
 
+def test_tests_that_do_not_overlap_show_no_scatter() -> None:
+    energy, broke = [50.0, 100.0, 200.0, 400.0], np.array([False, False, True, True])
+    with pytest.raises(UsageError, match="do not show how strengths scatter"):
+        fit(specimens(0.01, energy, broke, exact=False), document(tests={"law": "lognormal"}))
+    given = document(tests={"law": "lognormal", "prior": {"sigma": {"log_mean": -0.7, "log_sd": 0.3}}})
+    (size,) = fit(specimens(0.01, energy, broke, exact=False), given).content["sizes"]
+    assert 50.0 < size["breaks_half"]["value"] < 400.0
+
+
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
     assert lines[0] == "distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent"

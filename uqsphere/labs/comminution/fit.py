@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Values
+from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
 from uqsphere.labs.comminution.tests import Specimens
@@ -282,9 +283,24 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tu
 # --- the fit ------------------------------------------------------------------------------------------------------
 
 
+def _overlap(tests: Specimens) -> bool:
+    """Whether some particle survived more than broke another of its size, was hit again, or told its own energy."""
+    groups = [np.abs(np.log(tests.diameter / size)) < 0.006 for size in tests.sizes]
+    pairs = [(tests.last[near & ~tests.broke], tests.last[near & tests.broke]) for near in groups]
+    crossed = [survived.max(initial=0.0) >= broken.min(initial=np.inf) for survived, broken in pairs]
+    return bool((tests.repeated | (tests.exact & tests.broke)).any() or any(crossed))
+
+
 def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
-    """The posterior of the tests, and what is to be said of it."""
+    """The posterior of the tests, and what is to be said of it.
+
+    Raises UsageError for tests of which nothing follows: without a prior any law without scatter agrees with them.
+    """
     want = asked.tests
+    if not _overlap(tests) and not {"sigma", "modulus"} & set(want.prior):
+        raise UsageError("no particle survived an energy that broke another one of its size: such tests do not show "
+                         "how strengths scatter; test more between those energies, or give a prior of sigma and "
+                         "modulus")  # fmt: skip
     names = ("lognormal", "weibull") if want.law == "average" else (want.law,)
     gamma = want.gamma if isinstance(want.gamma, float) else None
     models = [model_of(law, asked, tests) for law in names]
