@@ -428,6 +428,11 @@ def test_implausible_tests_are_warned_of(load: Load, change: tuple[str, str], ro
     assert any(says in text for text in odd) if says else odd == [], odd
 
 
+def test_a_size_law_that_does_not_agree_is_refused(load: Load) -> None:
+    with pytest.raises(StudyError, match="check the diameters"):
+        load(FORCES, "\n".join(["D,F", *ROWS, "119,283000"]), 'criterion = "core_tension"', PELLET)
+
+
 def test_a_shape_that_no_law_has_is_warned_of(load: Load) -> None:
     rng = np.random.default_rng(5)
     rows = [

@@ -187,11 +187,12 @@ def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tu
     """A law that needs a number, and the number that it gives: of the size law, of a weakest link; raises Fault."""
     from scipy.optimize import fixed_point
 
+    start = fitted(number)[1]  # what is wrong with the tests themselves is said first
     try:
-        agreed = fixed_point(lambda x: fitted(float(x))[1], number, xtol=1e-11, maxiter=200, method="iteration")
+        agreed = fixed_point(lambda x: fitted(float(x))[1], start, xtol=1e-11, maxiter=200, method="iteration")
         return fitted(float(agreed))
-    except RuntimeError:
-        raise Fault("no modulus agrees with itself: give it by the key modulus") from None
+    except (Fault, RuntimeError):
+        raise Fault("no modulus agrees with itself: check the diameters, or give the key modulus") from None
 
 
 def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: Place) -> None:
