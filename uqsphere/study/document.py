@@ -333,6 +333,7 @@ class Words(Table):
     margins: Margins | None = None
 
 
+#: the tables of the scene: their words stand above, their numbers are those of `INPUTS`
 _scene: dict[str, Any] = {
     name: (kind, kind.model_construct())
     for name in SCENE

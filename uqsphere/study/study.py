@@ -145,7 +145,7 @@ class Study:
     @property
     def demands(self) -> dict[str, tuple[str, Mapping[str, float]]]:
         """Quantities that a limit's criterion adds: name -> criterion and its parameters."""
-        return {limit.quantity: (limit.criterion, limit.parameters) for limit in self.limits if limit.criterion}
+        return {limit.quantity: limit.demand for limit in self.limits if not isinstance(limit.demand, str)}
 
     def laws(self) -> dict[str, Law]:
         """Every random variable and its law: inputs in file order, then strengths and model factors."""
