@@ -80,7 +80,7 @@ def cost(study: Study) -> str:
         long = "" if price is None else f", {first * price:,.0f} s by analysis.cost"
         return f"a run begins with {first:,} model runs{long}; one too slow for its budget has one design of fewer runs"
     design = Design.of(study)
-    with Model(design.study, threads=1) as model:
+    with Model(design.judged, threads=1) as model:
         names = design.inputs
         rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names)) if names else np.zeros((1, 0))
         model.evaluate(names, rows, design.columns)

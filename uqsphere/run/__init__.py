@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.errors import UsageError
+from uqsphere.errors import UqsphereError, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
 from uqsphere.results import Answers, Run
@@ -39,11 +39,13 @@ from uqsphere.run.progress import Progress, watched
 from uqsphere.run.tables import Tables
 from uqsphere.run.verdict import verdicts
 from uqsphere.run.write import results_of, samples_of, written
-from uqsphere.study import Study
+from uqsphere.study import Study, load_study
 
 __all__ = ["run"]
 
 ANALYSES = (distributions, limits, fragility, indices, drivers, fracture)
+#: changed keys that a refusal names
+SHOWN_CHANGES = 5
 
 
 def run(
@@ -109,7 +111,7 @@ def _run(
     def stage(done: int, total: int) -> None:
         progress(evaluator.evaluations + evaluator.reused, math.nan, f"{done:,} of {total:,} rows of a table")
 
-    evaluator = Model(design.study, model if evaluated is None else evaluated.model, executor=executor,
+    evaluator = Model(design.judged, model if evaluated is None else evaluated.model, executor=executor,
                       threads=threads, cache_file=cache, stop=stop, progress=stage)  # fmt: skip
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     with threadpool_limits(limits=1, user_api="blas"), evaluator:
@@ -171,9 +173,27 @@ def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
     if fresh:
         clear(folder)
         return
-    if (folder / "results.json").exists():
-        known = read_results(folder)["study"].get("hash")
-        if known != study.hash:
-            raise FolderError(
-                f"{folder} holds another study: choose another folder with --out, or replace it with --fresh"
-            )
+    if not (folder / "results.json").exists():
+        return
+    stored = read_results(folder)["study"]
+    if stored.get("hash") == study.hash:
+        return
+    changed = _changed_keys(folder, stored["overrides"], study)
+    raise FolderError(
+        f"{folder} holds another study{changed}: choose another folder with --out, or replace it with --fresh"
+    )
+
+
+def _changed_keys(folder: Path, overrides: list[str], study: Study) -> str:
+    """What a study has otherwise than the one that a folder holds; empty where the stored one cannot be read."""
+    try:
+        text = (folder / "study.toml").read_text(encoding="utf-8")
+        before = load_study(folder / "files" / "study.toml", overrides, text=text)
+    except (OSError, UqsphereError):
+        return ""
+    keys = before.changed_keys(study)
+    if not keys:
+        return ""
+    listed = ", ".join(keys[:SHOWN_CHANGES])
+    more = f" and {len(keys) - SHOWN_CHANGES} more" if len(keys) > SHOWN_CHANGES else ""
+    return f" (changed: {listed}{more})"

@@ -61,7 +61,7 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
                     runs=state.demands.size, method="epistemic", note=note)  # fmt: skip
         return p
 
-    for limit in design.study.limits:
+    for limit in design.judged.limits:
         law, laws = strength_of(limit), _possible_strengths(design, limit, LAWS)
         if not isinstance(law, Law) or laws is None:
             continue
@@ -162,7 +162,7 @@ def _under_plastic_contact(design: Design, sample: Sample, further: Mapping[str,
     fixed = {name: value for name, value in (further or {}).items() if name not in design.inputs}
     rows = np.column_stack([sample.inputs[:, :, : len(design.inputs)].reshape(sample.size, -1),
                             *(np.full(sample.size, value) for value in fixed.values())])  # fmt: skip
-    found = rows_under_plastic_contact(design.study, (*design.inputs, *fixed), rows, design.columns)
+    found = rows_under_plastic_contact(design.judged, (*design.inputs, *fixed), rows, design.columns)
     if found is None:
         return None
     shape, values = sample.scores.shape[:2], np.where(found.good[:, None], found.values, np.nan)

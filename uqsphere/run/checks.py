@@ -50,7 +50,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     if not design.study.black_box:
         rows = (np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
                 if design.inputs else np.zeros((1, 0)))  # fmt: skip
-        results, grades = checked_rows(design.study, design.inputs, rows, design.columns)
+        results, grades = checked_rows(design.judged, design.inputs, rows, design.columns)
         weights = {
             limit.name: np.ravel(failure_given_inputs(state_of(design, limit, head), limit.aim))
             for limit in design.limits

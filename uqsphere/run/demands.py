@@ -88,7 +88,7 @@ def with_test_forces(
         own = moving[name] if name in moving else sample.input(name) if name in sample.names else means[name]
         return np.broadcast_to(np.asarray(own, dtype=float), shape).ravel()
 
-    for limit in design.study.limits if limits is None else limits:
+    for limit in design.judged.limits if limits is None else limits:
         if not by_force(limit):
             continue
         value = sample.answer(limit.quantity) * _factor(limit, sample)

@@ -30,15 +30,15 @@ VALUES: Final = 25
 class Design:
     """A study with the limits of all its failure modes, and the columns that they need.
 
-    study : the study; behind its own limits stand those of the modes with assumed strengths
-    limits : the limits of the study file
+    study : the study, as the user gave it
+    judged : the study that the model evaluates: behind its own limits stand those of `modes`
     modes : failure modes that the file has no limit for, judged with strengths of the library
     not_judged : other failure modes, and why they are not judged
     columns : quantities that are evaluated at every point
     """
 
     study: Study
-    limits: tuple[Limit, ...]
+    judged: Study
     modes: tuple[FailureMode, ...]
     not_judged: Mapping[str, str]
     columns: tuple[str, ...]
@@ -52,13 +52,18 @@ class Design:
         modes = tuple(mode for mode in found.assumed if mode.called not in unanswered)
         wide = _with_limits(study, [mode.limit for mode in modes])
         columns = dict.fromkeys([*study.analysis.quantities, *(limit.quantity for limit in wide.limits)])
-        return cls(study=wide, limits=study.limits, modes=modes, not_judged={**found.not_judged, **unanswered},
+        return cls(study=study, judged=wide, modes=modes, not_judged={**found.not_judged, **unanswered},
                    columns=tuple(columns))  # fmt: skip
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """The limits of the study file."""
+        return self.study.limits
 
     @cached_property
     def joint(self) -> Joint:
         """All random variables with their dependence: inputs, model factors and strengths."""
-        return self.study.inputs()
+        return self.judged.inputs()
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:

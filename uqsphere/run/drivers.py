@@ -33,7 +33,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
     sample = tables.sample.head(min(tables.sample.count, MOST))
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
-    for limit in design.study.limits:
+    for limit in design.judged.limits:
         state, subject = state_of(design, limit, sample), design.subject(limit)
         moved, tie = np.zeros(gradients.shape), state.tie
         for k, column in enumerate(tie.columns if tie is not None else ()):

@@ -40,7 +40,7 @@ def fracture(design: Design, tables: Tables) -> Answers:
     shape = drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
     rows = np.stack([sample.input(name).ravel()[flat] for name in design.inputs], axis=1)
-    found = fractures_of(design.study, design.inputs, rows, [limit.quantity for limit in limits],
+    found = fractures_of(design.judged, design.inputs, rows, [limit.quantity for limit in limits],
                          drawn.shares.reshape(len(limits), -1).T)  # fmt: skip
     first = found.first.reshape(shape)
     for k, limit in enumerate(limits):

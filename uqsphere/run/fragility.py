@@ -36,7 +36,7 @@ def fragility(design: Design, tables: Tables) -> Answers:
     if margins is None or (margins.limit is None and not tables.line):
         return answers
     unit = lookup(margins.solve).unit
-    for limit in design.study.limits:
+    for limit in design.judged.limits:
         subject, runs = design.subject(limit), sum(sample.size for sample in tables.line.values()) or tables.sample.size
         found = curve_of(design, tables, limit)
         for value, p, low, high in found.curve:

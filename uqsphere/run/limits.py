@@ -21,7 +21,7 @@ from uqsphere.uq.limit_state import reliability_index, safety_factor, tails
 def limits(design: Design, tables: Tables) -> Answers:
     """Fracture and failure probability, reliability index, strength over demand and design point of every limit."""
     answers = Answers()
-    for limit in design.study.limits:
+    for limit in design.judged.limits:
         subject, runs = design.subject(limit), tables.sample.size
         failed = failure(design, tables, limit)
         exceeded = failed if limit.aim == "survive" else complement(failed)

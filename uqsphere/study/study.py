@@ -138,9 +138,23 @@ class Study:
     @property
     def hash(self) -> str:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments or layout."""
-        meaning = {key: value for key, value in self.resolved().items() if key not in ("title", "gauges")}
-        text = json.dumps(meaning, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+        text = json.dumps(self._meaning(), sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def changed_keys(self, other: Study) -> list[str]:
+        """The dotted keys whose meaning differs in another study; those that leave the hash alone are not among them.
+
+        >>> box = {"outputs": "y", "seed": 1}
+        >>> Study(inputs={"x": 1.0}, **box).changed_keys(Study(inputs={"x": 2.0}, **box))
+        ['x']
+        """
+        before, after = (_keys(study._meaning()) for study in (self, other))
+        changed = [key for key in {**before, **after} if before.get(key, ...) != after.get(key, ...)]
+        # the order of the variables follows from the variables
+        return [key for key in changed if key != "order"] or changed
+
+    def _meaning(self) -> dict[str, Json]:
+        return {key: value for key, value in self.resolved().items() if key not in ("title", "gauges")}
 
     @property
     def demands(self) -> dict[str, tuple[str, Mapping[str, float]]]:
@@ -223,6 +237,23 @@ class Study:
 Study.__signature__ = Signature(  # type: ignore[attr-defined]
     [Parameter(key, Parameter.KEYWORD_ONLY, default=None) for key in Document.model_fields]
 )
+
+
+def _keys(meaning: Mapping[str, Json]) -> dict[str, Json]:
+    """The values of a study by their dotted keys: numbers by their paths, parts of tables by table and key."""
+    keys: dict[str, Json] = {}
+    for table, content in meaning.items():
+        if table in ("fixed", "random", "options") and isinstance(content, dict):
+            keys |= content
+        elif table == "limits" and isinstance(content, list):
+            for limit in content:
+                assert isinstance(limit, dict)
+                keys |= {f"limits.{limit['name']}.{key}": value for key, value in limit.items() if key != "name"}
+        elif isinstance(content, dict):
+            keys |= {f"{table}.{key}": value for key, value in content.items()}
+        else:
+            keys[table] = content
+    return keys
 
 
 def plain(value: Any) -> Json:
