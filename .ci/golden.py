@@ -13,24 +13,41 @@ import sys
 from pathlib import Path
 
 STUDIES = (
-    "granite", "granite_10mm_test", "granite_three_ways", "glass_bead_small_bar", "limestone_margin",
-    "limestone_three_ways", "limestone_drop_weight", "limestone_ball_slow", "quartz_load_cell",
-    "blackbox", "ishigami",
-)  # fmt: skip
+    "granite",
+    "granite_10mm_test",
+    "granite_three_ways",
+    "glass_bead_small_bar",
+    "limestone_margin",
+    "limestone_three_ways",
+    "limestone_drop_weight",
+    "limestone_ball_slow",
+    "quartz_load_cell",
+    "blackbox",
+    "ishigami",
+)
 MODELS = {"blackbox": "blackbox.py:model", "ishigami": "ishigami.py:ishigami"}
 #: loose, so that all twelve take a few minutes
 ACCURACY = "analysis.accuracy={ mean = 0.01, quantile = 0.05, sobol = 0.02, probability = 0.05 }"
 #: answers that stand on the page; curves and drivers are figures
 SEEN = (
-    "mean", "sd", "quantile", "sobol_first", "sobol_total", "censored_share", "failure_probability",
-    "reliability_index", "margin",
-)  # fmt: skip
+    "mean",
+    "sd",
+    "quantile",
+    "sobol_first",
+    "sobol_total",
+    "censored_share",
+    "failure_probability",
+    "reliability_index",
+    "margin",
+)
 #: intervals may grow by this factor
 GROWTH = 1.5
 #: where an interval has no width, values may differ by this share, and a width below this share of the value is none
 EXACT = 1e-3
 
-Row = list[str | float | None]  # subject, answer, at, value, low, high; a verdict has its word as value
+Row = list[
+    str | float | None
+]  # subject, answer, at, value, low, high; a verdict has its word as value
 
 
 def rows_of(results: dict) -> list[Row]:
@@ -43,7 +60,14 @@ def rows_of(results: dict) -> list[Row]:
     for row in results["answers"]:
         assumed = str(row["at"]).startswith(("assumed:", "tests"))
         if row["answer"] in SEEN and not assumed:
-            rows.append([row["subject"], row["answer"], row["at"], *(short(row[k]) for k in ("value", "low", "high"))])
+            rows.append(
+                [
+                    row["subject"],
+                    row["answer"],
+                    row["at"],
+                    *(short(row[k]) for k in ("value", "low", "high")),
+                ]
+            )
     for name, verdict in results["verdicts"].items():
         rows.append([f"limits.{name}", "verdict", "", verdict["verdict"], None, None])
     return rows
@@ -63,14 +87,19 @@ def make(out: Path, names: list[str]) -> None:
         model = str(shipped[name].parent / MODELS[name]) if name in MODELS else None
         found = uqsphere.run(uqsphere.load_study(shipped[name], [ACCURACY]), model, threads=1)
         table[name] = rows_of(found.results)
-        print(f"{name}: {len(table[name])} rows, {found.results['accuracy']['runs']:,} model runs", file=sys.stderr)
+        print(
+            f"{name}: {len(table[name])} rows, {found.results['accuracy']['runs']:,} model runs",
+            file=sys.stderr,
+        )
     write(out, table)
 
 
 def write(out: Path, table: dict[str, list[Row]]) -> None:
     parts = []
     for name, rows in table.items():
-        parts.append(f"{json.dumps(name)}: [\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]")
+        parts.append(
+            f"{json.dumps(name)}: [\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]"
+        )
     out.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
 
 

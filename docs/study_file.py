@@ -24,7 +24,11 @@ Rows = list[tuple[str, ...]]
 
 def build_page(page: str) -> str:
     """The page with every table anew."""
-    return re.sub(r"(?m)^<!-- (.+?) -->\n(?:\|.*\n)*", lambda found: f"<!-- {found[1]} -->\n{_table(found[1])}", page)
+    return re.sub(
+        r"(?m)^<!-- (.+?) -->\n(?:\|.*\n)*",
+        lambda found: f"<!-- {found[1]} -->\n{_table(found[1])}",
+        page,
+    )
 
 
 def _table(what: str) -> str:
@@ -40,24 +44,34 @@ def _table(what: str) -> str:
 def units() -> Rows:
     """Units by dimension."""
     named = [name for name in UNITS if name not in ("number", "mass_per_energy")]
-    return [(name.replace("_", " "), re.sub(r"([^, ]+)", r"`\1`", typed_units(name))) for name in named]
+    return [
+        (name.replace("_", " "), re.sub(r"([^, ]+)", r"`\1`", typed_units(name))) for name in named
+    ]
 
 
 def laws() -> Rows:
     """Distributions and the parameters that they take."""
     rows = []
     for family in (one for one in FAMILIES.values() if not one.observed):
-        sets = " or ".join(" ".join(f"`{key}`" for key in keys) for keys in family.alternatives if keys)
+        sets = " or ".join(
+            " ".join(f"`{key}`" for key in keys) for keys in family.alternatives if keys
+        )
         rows.append((f"`{family.name}`", sets + " `lower` `upper`" * family.bounded))
     return [
         *rows,
-        ("`discrete`", "`values`, a list, and if need be `weights`, whole numbers: 2, 3 and 5 for 20, 30 and 50 %"),
+        (
+            "`discrete`",
+            "`values`, a list, and if need be `weights`, whole numbers: 2, 3 and 5 for 20, 30 and 50 %",
+        ),
     ]
 
 
 def rigs() -> Rows:
     """The tables of each rig."""
-    return [(f"`{rig}`", ", ".join(f"`[{name}]`" for name in names)) for rig, names in RIG_TABLES.items()]
+    return [
+        (f"`{rig}`", ", ".join(f"`[{name}]`" for name in names))
+        for rig, names in RIG_TABLES.items()
+    ]
 
 
 def keys(tables: list[str]) -> Rows:
@@ -69,11 +83,19 @@ def keys(tables: list[str]) -> Rows:
         for key, entry in kind.model_fields.items():
             quantity = numbers_of(name).get(key) if name in SCENE else None
             if quantity is not None:
-                meaning = re.sub(rf" of the (other sphere|weight|{name})(?![\w']| that)", "", quantity.meaning)
+                meaning = re.sub(
+                    rf" of the (other sphere|weight|{name})(?![\w']| that)", "", quantity.meaning
+                )
                 rows.setdefault(key, (f"`{key}`", _needed(tables, key), meaning))
             elif entry.description:
                 none = entry.default in (None, (), "") or isinstance(entry.default, Table)
-                usual = "required" if entry.is_required() else "–" if none else f"`{json.dumps(entry.default)}`"
+                usual = (
+                    "required"
+                    if entry.is_required()
+                    else "–"
+                    if none
+                    else f"`{json.dumps(entry.default)}`"
+                )
                 rows.setdefault(key, (f"`{key}`", usual, entry.description))
     return list(rows.values())
 

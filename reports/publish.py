@@ -48,7 +48,9 @@ def main(names: list[str]) -> None:
         rows[name] = publish(name)
     text = "# Published pages\n\nOpen `report.html` in a browser. Made again by `python -m reports.publish`.\n\n"
     text += "| page | question | model runs | verdict |\n|---|---|---|---|\n"
-    index.write_text(text + "\n".join(rows[name] for name in REPORTS if name in rows) + "\n", "utf-8")
+    index.write_text(
+        text + "\n".join(rows[name] for name in REPORTS if name in rows) + "\n", "utf-8"
+    )
 
 
 if __name__ == "__main__":

@@ -6,9 +6,19 @@ from pathlib import Path
 import uqsphere
 
 LAYERS = (
-    "arrays errors", "units files documents tables materials", "mechanics uq", "quantities", "study", "models",
-    "results", "run", "report", "bench analysis labs", "cli", "__init__ __main__",
-)  # fmt: skip
+    "arrays errors",
+    "units files documents tables materials",
+    "mechanics uq",
+    "quantities",
+    "study",
+    "models",
+    "results",
+    "run",
+    "report",
+    "bench analysis labs",
+    "cli",
+    "__init__ __main__",
+)
 #: a run draws its own page, and an opened run its plots; a study hands rows that were answered elsewhere to a run
 LATE = {("results", "report"), ("run", "report"), ("study", "results"), ("study", "run")}
 
@@ -19,7 +29,10 @@ def test_rooms_import_only_what_stands_before_them() -> None:
     for path in root.rglob("*.py"):
         room = path.relative_to(root).parts[0].removesuffix(".py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "uqsphere"):
+            if not (
+                isinstance(node, ast.ImportFrom)
+                and (node.module or "").partition(".")[0] == "uqsphere"
+            ):
                 continue
             names = [alias.name for alias in node.names]
             for other in [node.module.split(".")[1]] if "." in (node.module or "") else names:

@@ -32,7 +32,9 @@ kind = "%s"
 
 
 def box(model: Callable[[Any], Any], inputs: dict[str, Any], **keys: Any) -> Any:
-    return uqsphere.run(Study(inputs=inputs, outputs="y", seed=1, **keys), lambda x: {"y": model(x)})
+    return uqsphere.run(
+        Study(inputs=inputs, outputs="y", seed=1, **keys), lambda x: {"y": model(x)}
+    )
 
 
 def indices(run: Any, order: str) -> dict[str, Any]:
@@ -47,15 +49,32 @@ def indices(run: Any, order: str) -> dict[str, Any]:
     ("limit", "inputs", "right"),
     [
         # five of seven inputs idle; linear; two regions; nothing survives
-        (lambda r: 0.8 * r["wall"] - r["pit"], {**{f"n{k}": N for k in range(5)}, "wall": stats.norm(12.7, 0.3175),
-         "pit": stats.lognorm(0.25, 0, 4.5)}, 5.97714e-4),
-        (lambda r: 4.0 - r["a"] - r["b"], {"a": N, "b": N}, float(stats.norm.sf(4.0 / math.sqrt(2.0)))),
-        (lambda r: np.minimum(np.where(r["x"] > 3.5, 4 - r["x"], 0.85 - 0.1 * r["x"]),
-                              np.where(r["y"] > 2, 0.5 - 0.1 * r["y"], 2.3 - r["y"])), {"x": N, "y": N}, 3.19579e-5),
+        (
+            lambda r: 0.8 * r["wall"] - r["pit"],
+            {
+                **{f"n{k}": N for k in range(5)},
+                "wall": stats.norm(12.7, 0.3175),
+                "pit": stats.lognorm(0.25, 0, 4.5),
+            },
+            5.97714e-4,
+        ),
+        (
+            lambda r: 4.0 - r["a"] - r["b"],
+            {"a": N, "b": N},
+            float(stats.norm.sf(4.0 / math.sqrt(2.0))),
+        ),
+        (
+            lambda r: np.minimum(
+                np.where(r["x"] > 3.5, 4 - r["x"], 0.85 - 0.1 * r["x"]),
+                np.where(r["y"] > 2, 0.5 - 0.1 * r["y"], 2.3 - r["y"]),
+            ),
+            {"x": N, "y": N},
+            3.19579e-5,
+        ),
         (lambda r: r["x"] - 5000.0, {"x": N}, 1.0),
         (lambda r: 3.9 - r["n"] - r["u"], {"n": stats.randint(1, 4), "u": U}, 1 / 30),
     ],
-)  # fmt: skip
+)
 def test_failure_probabilities(limit: Any, inputs: Any, right: float) -> None:
     found = A.failure_probability(limit, inputs, seed=0).probability
     assert found.low <= right <= found.high
@@ -69,7 +88,10 @@ def test_failure_probabilities(limit: Any, inputs: Any, right: float) -> None:
         (lambda r: np.full(len(r["a"]), np.nan), 1.0),
         (lambda r: np.where(r["a"] > 2.0, np.nan, 5.0), float(stats.norm.sf(2.0))),
         (lambda r: np.where(r["b"] > 3.0, np.nan, 3.5 - r["b"]), float(stats.norm.sf(3.0))),
-        (lambda r: np.where(r["a"] > 3.7, np.nan, 4.2 - r["b"]), float(stats.norm.sf(3.7) + stats.norm.sf(4.2))),
+        (
+            lambda r: np.where(r["a"] > 3.7, np.nan, 4.2 - r["b"]),
+            float(stats.norm.sf(3.7) + stats.norm.sf(4.2)),
+        ),
     ],
 )
 def test_rows_without_an_answer_are_never_survival(limit: Any, truth: float) -> None:
@@ -81,24 +103,40 @@ def test_a_ball_on_a_flat_by_the_book() -> None:
     """a_max and p_max of two textbook balls; the shortest study of platens is valid as it stands."""
     face = '[%s]\nE = "%%s"\nnu = 0.3\ndensity = "7850 kg/m3"\n'
     rows = PLATENS % ("1 GPa", "8 mm", "platens") + face % "platens" + 'force = "%s"\n'
-    found = uqsphere.evaluate(load_study(text=rows % ("1000 TPa", "188.49556 N")), {}, ("p_max", "a_max"))
+    found = uqsphere.evaluate(
+        load_study(text=rows % ("1000 TPa", "188.49556 N")), {}, ("p_max", "a_max")
+    )
     assert found["a_max"][0] == pytest.approx(1.00964e-3, rel=5e-6)
     assert found["p_max"][0] == pytest.approx(88.2904e6, rel=5e-6)
-    steel = load_study(text=rows.replace("1 GPa", "200 GPa").replace("8 mm", "25 mm") % ("200 GPa", "500 N"))
+    steel = load_study(
+        text=rows.replace("1 GPa", "200 GPa").replace("8 mm", "25 mm") % ("200 GPa", "500 N")
+    )
     run = uqsphere.run(steel)
-    assert run.answers.set_index(["subject", "answer"])["value"]["p_max", "mean"] == pytest.approx(1.23188e9, rel=5e-6)
+    assert run.answers.set_index(["subject", "answer"])["value"]["p_max", "mean"] == pytest.approx(
+        1.23188e9, rel=5e-6
+    )
     radius = (3.0 / (4.0 * math.pi * 7850.0)) ** (1.0 / 3.0)
-    text = PLATENS % ("200 GPa", f"{radius} m", "impact") + f'speed = "{math.sqrt(2 * 9.81 * 0.5)} m/s"\n'
+    text = (
+        PLATENS % ("200 GPa", f"{radius} m", "impact")
+        + f'speed = "{math.sqrt(2 * 9.81 * 0.5)} m/s"\n'
+    )
     drop = load_study(text=text + face % "target" % "200 GPa")
     fell = uqsphere.evaluate(drop, {}, ("P_max", "p_max", "time_to_first_loss")).iloc[0]
-    for name, right in (("P_max", 65.8227e3), ("p_max", 5.40464e9), ("time_to_first_loss", 175.061e-6)):
+    for name, right in (
+        ("P_max", 65.8227e3),
+        ("p_max", 5.40464e9),
+        ("time_to_first_loss", 175.061e-6),
+    ):
         assert fell[name] == pytest.approx(right, rel=5e-5)
 
 
 def test_a_constant_output_has_no_scatter_and_no_indices() -> None:
     run = box(lambda x: 192.53 + 0.0 * x["a"], {"a": U, "b": U})
     assert run.answers.set_index("answer")["value"]["sd"] == 0.0
-    assert all(math.isnan(row["value"]) and "does not vary" in row["note"] for row in indices(run, "first").values())
+    assert all(
+        math.isnan(row["value"]) and "does not vary" in row["note"]
+        for row in indices(run, "first").values()
+    )
 
 
 def test_groups_are_refused_by_name_and_copies_share_the_effect() -> None:
@@ -110,7 +148,11 @@ def test_groups_are_refused_by_name_and_copies_share_the_effect() -> None:
     z[:, 2] = r * z[:, 0] + math.sqrt(1.0 - r * r) * z[:, 2]
     x = 10.0 * stats.norm.cdf(z)
     found = A.sobol_indices(x, x.sum(axis=1) + 100.0, joint)
-    for order, right in (("shapley", (0.4, 0.2, 0.4)), ("first", (0.8, 0.2, 0.8)), ("total", (0.0, 0.2, 0.0))):
+    for order, right in (
+        ("shapley", (0.4, 0.2, 0.4)),
+        ("first", (0.8, 0.2, 0.8)),
+        ("total", (0.0, 0.2, 0.0)),
+    ):
         assert [e.value for e in found[order].values()] == pytest.approx(right, abs=2e-3)
 
 
@@ -119,7 +161,11 @@ def test_groups_are_refused_by_name_and_copies_share_the_effect() -> None:
 
 def test_a_discrete_input_has_its_indices_and_probability() -> None:
     law = {"dist": "discrete", "values": [1, 2, 3], "weights": [1, 2, 1]}
-    run = box(lambda x: x["n"] + x["u"], {"n": law, "u": U}, limits={"high": {"quantity": "y", "strength": 3.5}})
+    run = box(
+        lambda x: x["n"] + x["u"],
+        {"n": law, "u": U},
+        limits={"high": {"quantity": "y", "strength": 3.5}},
+    )
     truth = (1 / 2) / (1 / 2 + 1 / 12)
     assert indices(run, "first")["n"]["low"] < truth < indices(run, "first")["n"]["high"]
     assert run.probability("high")["low"] < 1 / 8 < run.probability("high")["high"]
@@ -129,7 +175,11 @@ def test_a_discrete_input_has_its_indices_and_probability() -> None:
 def test_a_discrete_uniform_of_other_packages_is_one() -> None:
     import chaospy
 
-    for given in (stats.randint(1, 4), chaospy.DiscreteUniform(1, 3), {"dist": "discrete", "values": [1, 2, 3]}):
+    for given in (
+        stats.randint(1, 4),
+        chaospy.DiscreteUniform(1, 3),
+        {"dist": "discrete", "values": [1, 2, 3]},
+    ):
         (law,) = A.joint({"n": given}).laws
         assert law.data == (1.0, 2.0, 3.0)
         study = Study(inputs={"n": given, "u": U}, outputs="y")
@@ -139,31 +189,78 @@ def test_a_discrete_uniform_of_other_packages_is_one() -> None:
 # --- each refusal by its own reason -----------------------------------------------------------------------------------
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "binomial": (lambda: A.joint({"n": stats.binom(3, 0.3)}), "discrete, and its values are not equally probable"),
-    "shares as weights": (lambda: A.joint({"n": {"dist": "discrete", "values": [1, 2], "weights": [0.5, 0.5]}}),
-                          "whole numbers"),
+    "binomial": (
+        lambda: A.joint({"n": stats.binom(3, 0.3)}),
+        "discrete, and its values are not equally probable",
+    ),
+    "shares as weights": (
+        lambda: A.joint({"n": {"dist": "discrete", "values": [1, 2], "weights": [0.5, 0.5]}}),
+        "whole numbers",
+    ),
     "one value": (lambda: A.joint({"n": {"dist": "discrete", "values": [1, 1]}}), "no scatter"),
-    "a discrete strength": (lambda: Study(inputs={"a": U}, outputs="y", limits={"l": {"quantity": "y", "strength": {
-        "dist": "discrete", "values": [1, 2]}}}), "discrete is for inputs"),
-    "expansion of a discrete input": (lambda: A.chaos(X, X[:, 0], {"a": stats.randint(0, 3), "b": U}), "is discrete"),
-    "swapped bounds": (lambda: A.joint({"x": {"dist": "uniform", "lower": 5518.0, "upper": 5408.0}}), "must be below"),
-    "overflow": (lambda: A.joint({"x": {"dist": "lognormal", "log_mean": 500, "log_sd": 270}}), "floating point"),
-    "negative logarithm": (lambda: A.joint({"x": {"dist": "loguniform", "lower": -1, "upper": 10}}), "positive"),
-    "impossible ties": (lambda: A.joint(dict.fromkeys("abc", N), {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),
-                        "not positive definite"),
-    "one name twice": (lambda: A.joint({"num_vars": 2, "names": ["a", "a"], "bounds": [[0, 1], [0, 1]]}), "different"),
-    "fewer names": (lambda: A.joint({"num_vars": 3, "names": ["a", "b"], "bounds": [[0, 1]] * 3}), "num_vars is 3"),
-    "groups": (lambda: A.joint({"num_vars": 2, "names": ["a", "b"], "groups": ["g", "g"], "bounds": [[0, 1]] * 2}),
-               "groups of SALib"),
+    "a discrete strength": (
+        lambda: Study(
+            inputs={"a": U},
+            outputs="y",
+            limits={"l": {"quantity": "y", "strength": {"dist": "discrete", "values": [1, 2]}}},
+        ),
+        "discrete is for inputs",
+    ),
+    "expansion of a discrete input": (
+        lambda: A.chaos(X, X[:, 0], {"a": stats.randint(0, 3), "b": U}),
+        "is discrete",
+    ),
+    "swapped bounds": (
+        lambda: A.joint({"x": {"dist": "uniform", "lower": 5518.0, "upper": 5408.0}}),
+        "must be below",
+    ),
+    "overflow": (
+        lambda: A.joint({"x": {"dist": "lognormal", "log_mean": 500, "log_sd": 270}}),
+        "floating point",
+    ),
+    "negative logarithm": (
+        lambda: A.joint({"x": {"dist": "loguniform", "lower": -1, "upper": 10}}),
+        "positive",
+    ),
+    "impossible ties": (
+        lambda: A.joint(
+            dict.fromkeys("abc", N), {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}
+        ),
+        "not positive definite",
+    ),
+    "one name twice": (
+        lambda: A.joint({"num_vars": 2, "names": ["a", "a"], "bounds": [[0, 1], [0, 1]]}),
+        "different",
+    ),
+    "fewer names": (
+        lambda: A.joint({"num_vars": 3, "names": ["a", "b"], "bounds": [[0, 1]] * 3}),
+        "num_vars is 3",
+    ),
+    "groups": (
+        lambda: A.joint(
+            {"num_vars": 2, "names": ["a", "b"], "groups": ["g", "g"], "bounds": [[0, 1]] * 2}
+        ),
+        "groups of SALib",
+    ),
     "no model": (lambda: A.failure_probability(3, AB), "a model is a function"),
     "raises everywhere": (lambda: A.failure_probability(lambda r: r["c"], AB), "KeyError: 'c'"),
     "text": (lambda: A.failure_probability(lambda r: "x", AB), "real numbers"),
     "complex": (lambda: A.failure_probability(lambda r: 1j * r["a"], AB), "real numbers"),
-    "no accuracy": (lambda: A.failure_probability(lambda r: r["a"], AB, accuracy=math.nan), "accuracy"),
-    "strength nan": (lambda: A.fragility(lambda r: r["a"], AB, free="v", levels=[1, 2], strength=math.nan), "strength"),
-    "probability 2": (lambda: A.fragility(lambda r: r["a"], AB, free="v", levels=[1, 2], strength=1.0,
-                                          probabilities=[2]), "between 0 and 1, found 2"),
-}  # fmt: skip
+    "no accuracy": (
+        lambda: A.failure_probability(lambda r: r["a"], AB, accuracy=math.nan),
+        "accuracy",
+    ),
+    "strength nan": (
+        lambda: A.fragility(lambda r: r["a"], AB, free="v", levels=[1, 2], strength=math.nan),
+        "strength",
+    ),
+    "probability 2": (
+        lambda: A.fragility(
+            lambda r: r["a"], AB, free="v", levels=[1, 2], strength=1.0, probabilities=[2]
+        ),
+        "between 0 and 1, found 2",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", REFUSED)

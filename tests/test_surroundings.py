@@ -16,8 +16,17 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.mechanics.integrator import compiled
 
-WHOLE = {"SHA256SUMS", "answers.csv", "cache.sqlite", "figures", "log.txt", "report.html",
-                                "results.json", "samples.csv", "study.toml"}  # fmt: skip
+WHOLE = {
+    "SHA256SUMS",
+    "answers.csv",
+    "cache.sqlite",
+    "figures",
+    "log.txt",
+    "report.html",
+    "results.json",
+    "samples.csv",
+    "study.toml",
+}
 STUDY = """
 title = "%s"
 seed = 1
@@ -54,42 +63,107 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     "a full terminal": (f"{RUN} > /dev/full", 6, "No space left", WHOLE),
     # the interpreter and the machine
     "-O -W error": (f"$PY -O -W error {RUN[4:]}", 0, "probability", WHOLE),
-    "2 GB, one core, 40 files": (f"ulimit -v 2000000 -n 40; taskset -c 0 {RUN}", 0, "probability", WHOLE),
+    "2 GB, one core, 40 files": (
+        f"ulimit -v 2000000 -n 40; taskset -c 0 {RUN}",
+        0,
+        "probability",
+        WHOLE,
+    ),
     # files
     "a full disk": (f"ulimit -f 4; {RUN}", 6, "disk I/O error", {"cache.sqlite", "log.txt"}),
     "a full disk later": (
-        f"{DONE}; ulimit -f 4; {RUN} && exit 1; {UQ} verify s-results", 0, "as it was written", WHOLE),
+        f"{DONE}; ulimit -f 4; {RUN} && exit 1; {UQ} verify s-results",
+        0,
+        "as it was written",
+        WHOLE,
+    ),
     "no place": (f"{RUN} --out /proc/x", 6, "/proc/x", None),
     "a file in its place": (f"{RUN} --out box.py", 5, "is no folder", None),
-    "files of another": (f"mkdir s-results; touch s-results/thesis; {RUN}", 5, "'thesis', which is of", {"thesis"}),
+    "files of another": (
+        f"mkdir s-results; touch s-results/thesis; {RUN}",
+        5,
+        "'thesis', which is of",
+        {"thesis"},
+    ),
     "two at once": (
         f"SLOW=0.02 {RUN} >/dev/null 2>&1 & until test -e s-results/cache.sqlite; do sleep 0.1; done; "
-        f"{RUN}; code=$?; kill $!; exit $code", 5, "in use by another run", None),
+        f"{RUN}; code=$?; kill $!; exit $code",
+        5,
+        "in use by another run",
+        None,
+    ),
     "killed, and again": (
         f"SLOW=0.001 {RUN} & for k in $(seq 400); do sleep 0.1; test $(cat s-results/cache* | wc -c) -gt 60000 && "
-        f"break; done; kill -9 $!; wait; {RUN} --json | grep reused", 0, '"reused": [1-9]', WHOLE),
+        f"break; done; kill -9 $!; wait; {RUN} --json | grep reused",
+        0,
+        '"reused": [1-9]',
+        WHOLE,
+    ),
     "moved and copied": (
         f"{DONE}; mv s-results m; cp -r m s-results; {UQ} report m && {UQ} verify m --again --model box.py:f && "
-        f"{UQ} compare m s-results", 0, "(?s)answers are the same.*no answer moved", WHOLE),
+        f"{UQ} compare m s-results",
+        0,
+        "(?s)answers are the same.*no answer moved",
+        WHOLE,
+    ),
     "a log that is a link": (
-        f"mkdir s-results; echo mine > t; ln -s ../t s-results/log.txt; {RUN}; wc -l t", 0, "(?m)^1 t$", WHOLE),
-    "a log that is a pipe": (f"mkdir s-results; mkfifo s-results/log.txt; {RUN}", 0, "probability", WHOLE),
+        f"mkdir s-results; echo mine > t; ln -s ../t s-results/log.txt; {RUN}; wc -l t",
+        0,
+        "(?m)^1 t$",
+        WHOLE,
+    ),
+    "a log that is a pipe": (
+        f"mkdir s-results; mkfifo s-results/log.txt; {RUN}",
+        0,
+        "probability",
+        WHOLE,
+    ),
     "a link to elsewhere": (
-        f"mkdir t; {DONE}; rm -r s-results/figures; ln -s ../t s-results/figures; {UQ} report s-results", 5,
-        "is a link, which is not followed", WHOLE),
-    **{f"results {name}": (f"{DONE}; {damage} s-results/results.json; {UQ} report s-results; {RUN}", 5,
-                           f"(?s){says}.*{says}.*--fresh", WHOLE)
-       for name, damage, says in (("truncated", "truncate -s 500", "is damaged"),
-                                  ("changed", "sed -i s/value/valve/", "not as it was written"),
-                                  ("of another version", "sed -i s/n.:.2/n\\\":1/", "of another version"))},
-    "a cache that is none": (f"mkdir s-results; echo x > s-results/cache.sqlite; {RUN}", 6, "not a database.*--fresh",
-                             {"cache.sqlite", "log.txt"}),
+        f"mkdir t; {DONE}; rm -r s-results/figures; ln -s ../t s-results/figures; {UQ} report s-results",
+        5,
+        "is a link, which is not followed",
+        WHOLE,
+    ),
+    **{
+        f"results {name}": (
+            f"{DONE}; {damage} s-results/results.json; {UQ} report s-results; {RUN}",
+            5,
+            f"(?s){says}.*{says}.*--fresh",
+            WHOLE,
+        )
+        for name, damage, says in (
+            ("truncated", "truncate -s 500", "is damaged"),
+            ("changed", "sed -i s/value/valve/", "not as it was written"),
+            ("of another version", 'sed -i s/n.:.2/n\\":1/', "of another version"),
+        )
+    },
+    "a cache that is none": (
+        f"mkdir s-results; echo x > s-results/cache.sqlite; {RUN}",
+        6,
+        "not a database.*--fresh",
+        {"cache.sqlite", "log.txt"},
+    ),
     # the study
-    "CRLF and a mark": (r"sed -i '1s/^/\xef\xbb\xbf/;s/$/\r/' s.toml; " + CHECK, 0, "Größe µ: .* valid", None),
+    "CRLF and a mark": (
+        r"sed -i '1s/^/\xef\xbb\xbf/;s/$/\r/' s.toml; " + CHECK,
+        0,
+        "Größe µ: .* valid",
+        None,
+    ),
     "UTF-16": (f"iconv -t UTF-16 s.toml > t; mv t s.toml; {RUN}", 2, "as UTF-8", None),
-    "a megabyte": (f"(printf '# '; head -c 1000000 /dev/zero | tr '\\0' x) >> s.toml; {CHECK}", 0, "is valid", None),
-    "an escape": (rf"sed -i 's/^title.*/title = \"\\u001b[31m\"/' s.toml; {CHECK}", 0, r"\?\[31m: .* valid", None),
-}  # fmt: skip
+    "a megabyte": (
+        f"(printf '# '; head -c 1000000 /dev/zero | tr '\\0' x) >> s.toml; {CHECK}",
+        0,
+        "is valid",
+        None,
+    ),
+    "an escape": (
+        rf"sed -i 's/^title.*/title = \"\\u001b[31m\"/' s.toml; {CHECK}",
+        0,
+        r"\?\[31m: .* valid",
+        None,
+    ),
+}
 
 
 def shell(place: Path, command: str, study: str, done: Path | None = None) -> tuple[int, str]:
@@ -103,7 +177,9 @@ def shell(place: Path, command: str, study: str, done: Path | None = None) -> tu
         "DONE": str(done),
         "PYTHONDONTWRITEBYTECODE": "x",
     }
-    told = subprocess.run(["bash", "-c", command], cwd=place, env=env, capture_output=True, timeout=300, check=False)
+    told = subprocess.run(
+        ["bash", "-c", command], cwd=place, env=env, capture_output=True, timeout=300, check=False
+    )
     return told.returncode, (told.stdout + told.stderr).decode()
 
 
@@ -120,7 +196,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", CASES)
 def test_surroundings(tmp_path: Path, name: str, finished: Path) -> None:
     command, code, says, files = CASES[name]
-    ended, text = shell(tmp_path, command, STUDY % ("Größe µ", NORMAL % "a" + NORMAL % "b"), done=finished)
+    ended, text = shell(
+        tmp_path, command, STUDY % ("Größe µ", NORMAL % "a" + NORMAL % "b"), done=finished
+    )
     assert ended == code, text
     assert re.search(says, text), text
     assert not re.search("Traceback|internal error", text)
@@ -144,7 +222,13 @@ def test_surroundings(tmp_path: Path, name: str, finished: Path) -> None:
     ],
 )
 def test_many_and_extreme_numbers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], count: int, limits: int, answer: str, code: int, says: str
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    count: int,
+    limits: int,
+    answer: str,
+    code: int,
+    says: str,
 ) -> None:
     names = ["a", "b", *(f"x{k}" for k in range(count - 2))]
     study = STUDY % ("x", "".join(NORMAL % name for name in names))
@@ -169,7 +253,12 @@ def test_texts_stay_texts_on_the_page(tmp_path: Path) -> None:
     assert "<img src=x" not in page
     assert "שלום" in page
     for name in ("answers.csv", "samples.csv"):
-        cells = (tmp_path / "s-results" / name).read_text(encoding="utf-8").replace("\n", ",").split(",")
+        cells = (
+            (tmp_path / "s-results" / name)
+            .read_text(encoding="utf-8")
+            .replace("\n", ",")
+            .split(",")
+        )
         assert not [cell for cell in cells if re.match(r"[=@+]|-[^\d.]", cell)]
 
 
@@ -220,10 +309,14 @@ def test_many_runs_in_one_process_leave_nothing(tmp_path: Path) -> None:
     study = uqsphere.load_study(text=STUDY % ("x", NORMAL % "a" + NORMAL % "b"))
 
     def left() -> tuple[int, int, int]:
-        uqsphere.run(study, lambda x: {"y": 3.0 * x["a"]}, out=tmp_path / "r", fresh=True, threads=1)
+        uqsphere.run(
+            study, lambda x: {"y": 3.0 * x["a"]}, out=tmp_path / "r", fresh=True, threads=1
+        )
         gc.collect()
         samples = sum(type(one) is Sample for one in gc.get_objects())
-        children = sum(len(path.read_text().split()) for path in Path("/proc/self/task").glob("*/children"))
+        children = sum(
+            len(path.read_text().split()) for path in Path("/proc/self/task").glob("*/children")
+        )
         return samples, len(os.listdir("/proc/self/fd")), children
 
     left()

@@ -40,7 +40,9 @@ class _Package(ModuleType):
     """The package; its `run` is the function, also once the room of that name is imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        super().__setattr__(name, value.run if name == "run" and isinstance(value, ModuleType) else value)
+        super().__setattr__(
+            name, value.run if name == "run" and isinstance(value, ModuleType) else value
+        )
 
 
 sys.modules[__name__].__class__ = _Package

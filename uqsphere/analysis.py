@@ -36,15 +36,31 @@ from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, so
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.surrogate import Expansion, columns_of, each_once, fit_expansion, in_order_of, index_of
+from uqsphere.uq.surrogate import (
+    Expansion,
+    columns_of,
+    each_once,
+    fit_expansion,
+    in_order_of,
+    index_of,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 __all__ = [
-    "Answers", "Expansion", "Failure", "Fragility", "chaos", "failure_probability", "fragility", "joint",
-    "lognormal_fit", "sobol_indices", "weibull_fit",
-]  # fmt: skip
+    "Answers",
+    "Expansion",
+    "Failure",
+    "Fragility",
+    "chaos",
+    "failure_probability",
+    "fragility",
+    "joint",
+    "lognormal_fit",
+    "sobol_indices",
+    "weibull_fit",
+]
 
 #: named laws, a problem dict of SALib, or what `joint` made of them
 Inputs: TypeAlias = Joint | Mapping[str, LawLike]
@@ -74,16 +90,26 @@ class Answers(dict[Any, Any]):
         """One row for each estimate: order and name, value, low, high, std_error, evaluations, method, reason."""
         from pandas import DataFrame
 
-        flat = [(order, name, e) for order, row in self.items() if isinstance(row, dict) for name, e in row.items()]
+        flat = [
+            (order, name, e)
+            for order, row in self.items()
+            if isinstance(row, dict)
+            for name, e in row.items()
+        ]
         flat = flat or [("", name, e) for name, e in self.items()]
         columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
-        return DataFrame([{"order": o, "name": n, **{c: getattr(e, c) for c in columns}} for o, n, e in flat])
+        return DataFrame(
+            [{"order": o, "name": n, **{c: getattr(e, c) for c in columns}} for o, n, e in flat]
+        )
 
 
 def joint(
-    laws: Mapping[str, LawLike], spearman: Mapping[tuple[str, ...], float] | None = None, *, copula: str = "gaussian",
+    laws: Mapping[str, LawLike],
+    spearman: Mapping[tuple[str, ...], float] | None = None,
+    *,
+    copula: str = "gaussian",
     dof: float | None = None,
-) -> Joint:  # fmt: skip
+) -> Joint:
     """Named laws that depend on each other: rank correlations, each for every pair of its names.
 
     `copula` is "gaussian" or "student_t" with `dof` degrees of freedom.
@@ -93,7 +119,10 @@ def joint(
     True
     """
     with _refusing():
-        ties = [Dependence(of=tuple(of), spearman=rho, copula=copula, dof=dof) for of, rho in (spearman or {}).items()]
+        ties = [
+            Dependence(of=tuple(of), spearman=rho, copula=copula, dof=dof)
+            for of, rho in (spearman or {}).items()
+        ]
         return joint_of(laws, ties)
 
 
@@ -146,7 +175,9 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
     found = chaos(x, y, inputs, seed=seed)
     assert found.response is not None
     if not found.response.usable:
-        raise UsageError(f"no indices from these rows: {found.response.reason}; give more rows, or call the model")
+        raise UsageError(
+            f"no indices from these rows: {found.response.reason}; give more rows, or call the model"
+        )
     with _refusing():
         return Answers(found.indices())
 
@@ -161,7 +192,9 @@ def _called(model: Model, columns: dict[str, Array]) -> Array:
     """
     n = len(next(iter(columns.values())))
     if not callable(model):
-        raise UsageError(f"a model is a function of a dict of name -> (n,), not {type(model).__name__}")
+        raise UsageError(
+            f"a model is a function of a dict of name -> (n,), not {type(model).__name__}"
+        )
     try:
         found = model(columns)
     except Exception as error:
@@ -175,7 +208,9 @@ def _called(model: Model, columns: dict[str, Array]) -> Array:
         return rows
     if isinstance(found, Mapping) or hasattr(found, "columns"):
         if len(names := list(found)) != 1:
-            raise UsageError(f"the model answers {', '.join(map(str, names))}: one output is required")
+            raise UsageError(
+                f"the model answers {', '.join(map(str, names))}: one output is required"
+            )
         found = found[names[0]]
     given = np.asarray(by_index(found, n))
     if given.dtype.kind not in "fiu":
@@ -216,9 +251,14 @@ class Failure:
 
 
 def failure_probability(
-    limit: Model, inputs: Inputs, *, evaluations: int = 30_000, accuracy: float = 0.015, on_failure: str = "bound",
+    limit: Model,
+    inputs: Inputs,
+    *,
+    evaluations: int = 30_000,
+    accuracy: float = 0.015,
+    on_failure: str = "bound",
     seed: int = 0,
-) -> Failure:  # fmt: skip
+) -> Failure:
     """Probability of limit(rows) < 0 for inputs of these laws, dependent or not.
 
     Design points, subset simulation and importance sampling that certify each other; with fewer than 5,000 evaluations
@@ -233,7 +273,9 @@ def failure_probability(
     on_failure : rows that are nan, or raise, count into the ends ("bound") or raise UsageError ("refuse")
     """
     if not (accuracy > 0.0 and evaluations >= 1):
-        raise UsageError(f"accuracy and evaluations must be positive, found {accuracy} and {evaluations}")
+        raise UsageError(
+            f"accuracy and evaluations must be positive, found {accuracy} and {evaluations}"
+        )
     if on_failure not in ("refuse", "bound"):
         raise UsageError(f"on_failure must be refuse or bound here, found {on_failure!r}")
     with _refusing():
@@ -242,14 +284,23 @@ def failure_probability(
         def function(z: Array) -> Array:
             values = _called(limit, dict(zip(given.names, given.physical(z).T.copy(), strict=True)))
             if on_failure == "refuse" and np.isnan(values).any():
-                raise UsageError(f"the limit function is nan at {int(np.isnan(values).sum())} of {len(z)} points")
+                raise UsageError(
+                    f"the limit function is nan at {int(np.isnan(values).sum())} of {len(z)} points"
+                )
             return values
 
-        found = rare.failure_probability(rare.Evaluator(function, len(given.names), budget=evaluations), seed=seed,
-                                         accuracy=accuracy)  # fmt: skip
+        found = rare.failure_probability(
+            rare.Evaluator(function, len(given.names), budget=evaluations),
+            seed=seed,
+            accuracy=accuracy,
+        )
         nearest = [given.physical(one.point[None])[0].tolist() for one in found.points[:1]]
-    return Failure(probability=found.estimate, sure=found.sure, warning=found.warning,
-                   design_point=dict(zip(given.names, *nearest, strict=True)) if nearest else {})  # fmt: skip
+    return Failure(
+        probability=found.estimate,
+        sure=found.sure,
+        warning=found.warning,
+        design_point=dict(zip(given.names, *nearest, strict=True)) if nearest else {},
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +311,9 @@ class Fragility:
     values: Mapping[float, Estimate]
 
     def __repr__(self) -> str:
-        levels = "; ".join(f"{100.0 * p:g} % at {_shown(level)}" for p, level in self.values.items())
+        levels = "; ".join(
+            f"{100.0 * p:g} % at {_shown(level)}" for p, level in self.values.items()
+        )
         return f"<Fragility at {len(self.curve)} levels: {levels}>"
 
     def to_frame(self) -> DataFrame:
@@ -271,9 +324,16 @@ class Fragility:
 
 
 def fragility(
-    model: Model, inputs: Inputs, *, free: str, levels: npt.ArrayLike, strength: LawLike | float,
-    probabilities: Sequence[float] = (0.05, 0.5, 0.95), evaluations: int = 100_000, seed: int = 0,
-) -> Fragility:  # fmt: skip
+    model: Model,
+    inputs: Inputs,
+    *,
+    free: str,
+    levels: npt.ArrayLike,
+    strength: LawLike | float,
+    probabilities: Sequence[float] = (0.05, 0.5, 0.95),
+    evaluations: int = 100_000,
+    seed: int = 0,
+) -> Fragility:
     """Probability that the model's answer exceeds a strength, over levels of one more input.
 
     The strength is integrated exactly, and the same points serve every level, so that the curve is smooth.
@@ -296,8 +356,10 @@ def fragility(
             raise UsageError(f"a probability lies between 0 and 1, found {wrong[0]}")
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
         d = len(given.names)
-        points = [sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
-                  for r in range(REPLICATES)]  # fmt: skip
+        points = [
+            sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
+            for r in range(REPLICATES)
+        ]
         x = given.physical(special.ndtri(np.concatenate(points)))
         columns = dict(zip(given.names, x.T.copy(), strict=True))
         rows = []
@@ -305,8 +367,14 @@ def fragility(
             answers = _called(model, {**columns, free: np.full(len(x), level)})
             if not np.isfinite(answers).all():
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
-            rows.append(tails(LimitState(demands=answers.reshape(REPLICATES, count), strength=law))[0].mean(axis=1))
-        found = curve.fragility(grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(x))
+            rows.append(
+                tails(LimitState(demands=answers.reshape(REPLICATES, count), strength=law))[0].mean(
+                    axis=1
+                )
+            )
+        found = curve.fragility(
+            grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(x)
+        )
     return Fragility(curve=np.array(found.curve), values=found.values)
 
 

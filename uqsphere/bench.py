@@ -21,10 +21,17 @@ if TYPE_CHECKING:
 
 #: granite of 20 mm between long steel bars of 40 mm; density and striker set mass and pulse number
 _NUMBERS: Final = {
-    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 10e-3, "sphere.density": 2650.0,
-    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 40e-3,
-    "striker.speed": 1.0, "striker.length": 1.0,
-}  # fmt: skip
+    "sphere.E": 52e9,
+    "sphere.nu": 0.25,
+    "sphere.radius": 10e-3,
+    "sphere.density": 2650.0,
+    "bars.E": 210e9,
+    "bars.nu": 0.3,
+    "bars.density": 7850.0,
+    "bars.diameter": 40e-3,
+    "striker.speed": 1.0,
+    "striker.length": 1.0,
+}
 #: tolerance of the reference
 _REFERENCE: Final = 1e-12
 #: time over t_c after the pulse in which the last peak falls: what is left of the sphere's swing is smaller
@@ -37,7 +44,9 @@ def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: i
     columns = {name: np.full(count, number) for name, number in _NUMBERS.items()}
     for name, scatter in (("sphere.E", 0.1), ("sphere.radius", 0.02), ("striker.speed", 0.1)):
         columns[name] = columns[name] * np.exp(scatter * rng.standard_normal(count))
-    centre = Scene(columns={name: np.array([number]) for name, number in _NUMBERS.items()}, infinite=True).scales
+    centre = Scene(
+        columns={name: np.array([number]) for name, number in _NUMBERS.items()}, infinite=True
+    ).scales
     columns["sphere.density"] *= mu / centre.mass_number[0]
     columns["striker.length"] *= theta / centre.pulse_number[0]
     return Scene(columns=columns, infinite=True)
@@ -74,9 +83,19 @@ def _by_scipy(scene: Scene, tolerance: float) -> Array:
                 return [2.0 * f - q1 - y[2], y[2] - q2, (q1 - q2) / mu]
 
             rates = [lambda t, y, k=k, slope=slope: slope(t, y)[k] for k in (0, 1)]
-            solution = solve(slope, (begin, end), state, "DOP853", events=rates, rtol=tolerance, atol=0.01 * tolerance)
+            solution = solve(
+                slope,
+                (begin, end),
+                state,
+                "DOP853",
+                events=rates,
+                rtol=tolerance,
+                atol=0.01 * tolerance,
+            )
             state = solution.y[:, -1]
-            peak = max([peak, *state[:2], *(float(y[k]) for k in (0, 1) for y in solution.y_events[k])])
+            peak = max(
+                [peak, *state[:2], *(float(y[k]) for k in (0, 1) for y in solution.y_events[k])]
+            )
         return peak
 
     scales = scene.scales
@@ -103,14 +122,18 @@ def _by_numpy(scene: Scene, step: float) -> Array:
             k4 = slope(f, y + h * k3)
             y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
             behind, bend = y[:2], np.maximum(2.0 * at - before - y[:2], 1e-300)
-            top = at + np.where((before < at) & (at > behind), (behind - before) ** 2 / (8.0 * bend), 0.0)
+            top = at + np.where(
+                (before < at) & (at > behind), (behind - before) ** 2 / (8.0 * bend), 0.0
+            )
             peak = np.maximum(peak, np.maximum(top, behind).max(axis=0))
             before, at = at, behind
     return _pressure(scene, peak)
 
 
 #: who is compared: what computes, what sets the accuracy, its values, and the share of the rows that are taken
-_CONTENDERS: Final[dict[str, tuple[Callable[[Scene, float], Array], str, tuple[float, ...], float]]] = {
+_CONTENDERS: Final[
+    dict[str, tuple[Callable[[Scene, float], Array], str, tuple[float, ...], float]]
+] = {
     "uqsphere": (_by_kernel, "tolerance", (1e-4, 1e-6, 1e-8, 1e-10), 1.0),
     "numpy RK4": (_by_numpy, "step", (1e-2, 3e-3, 1e-3), 1.0),
     "scipy DOP853": (_by_scipy, "tolerance", (1e-4, 1e-6, 1e-8, 1e-10), 0.01),
@@ -132,20 +155,30 @@ def bench(*, rows: int = 1024) -> pd.DataFrame:
     entries = []
     for name, (solve, kind, settings, share) in _CONTENDERS.items():
         count = max(2, int(share * len(scene)))
-        solve(scene.at(slice(2)), settings[0])  # what is imported or compiled at a first call is not timed
+        solve(
+            scene.at(slice(2)), settings[0]
+        )  # what is imported or compiled at a first call is not timed
         for setting in settings:
             began = time.process_time()
             error = np.abs(solve(scene.at(slice(count)), setting) / reference[:count] - 1.0)
             seconds = time.process_time() - began
-            entries.append({
-                "contender": name, "setting": f"{kind} {setting:g}", "microseconds_per_row": 1e6 * seconds / count,
-                "median_error": float(np.median(error)), "largest_error": float(error.max()), "rows": count,
-            })  # fmt: skip
+            entries.append(
+                {
+                    "contender": name,
+                    "setting": f"{kind} {setting:g}",
+                    "microseconds_per_row": 1e6 * seconds / count,
+                    "median_error": float(np.median(error)),
+                    "largest_error": float(error.max()),
+                    "rows": count,
+                }
+            )
     return pd.DataFrame(entries)
 
 
 def bench_text(*, rows: int = 1024) -> str:
     """The table, with the versions."""
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
-    head = f"p_max between infinite bars, one thread; Python {platform.python_version()}, {versions}"
+    head = (
+        f"p_max between infinite bars, one thread; Python {platform.python_version()}, {versions}"
+    )
     return f"{head}\n\n{bench(rows=rows).to_string(index=False, float_format='{:.2g}'.format)}"

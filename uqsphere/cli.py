@@ -65,7 +65,9 @@ def _guarded(command: Callable[[], int]) -> int:
     except BrokenPipeError:
         raise
     except MemoryError:
-        print("out of memory: fewer rows, fewer processes (-j 1) or a smaller study", file=sys.stderr)
+        print(
+            "out of memory: fewer rows, fewer processes (-j 1) or a smaller study", file=sys.stderr
+        )
         return 6
     except OSError as error:
         print(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "), file=sys.stderr)
@@ -83,52 +85,86 @@ def _guarded(command: Callable[[], int]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="uqsphere", description="Fracture risk and uncertainty of brittle spheres under impact.",
+        prog="uqsphere",
+        description="Fracture risk and uncertainty of brittle spheres under impact.",
         epilog="Start with: uqsphere new granite -o rock.toml; uqsphere run rock.toml",
-    )  # fmt: skip
-    parser.add_argument("--version", action=_Version, nargs=0, help="versions of uqsphere and of what it stands on")
+    )
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="versions of uqsphere and of what it stands on"
+    )
     commands = parser.add_subparsers(metavar="COMMAND")
 
-    def add(name: str, command: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
+    def add(
+        name: str, command: Callable[[argparse.Namespace], int | None], text: str
+    ) -> argparse.ArgumentParser:
         one = commands.add_parser(name, help=text, description=text[:1].upper() + text[1:] + ".")
         one.set_defaults(command=command)
         return one
 
     new = add("new", _new, "a commented study to start from")
     new.add_argument(
-        "template", nargs="?", metavar="TEMPLATE", help="one of the shipped studies; without it they are listed"
+        "template",
+        nargs="?",
+        metavar="TEMPLATE",
+        help="one of the shipped studies; without it they are listed",
     )
     new.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it")
-    check = add("check", _check, "validate a study; inputs and strengths as understood, and about how long a run takes")
+    check = add(
+        "check",
+        _check,
+        "validate a study; inputs and strengths as understood, and about how long a run takes",
+    )
     _with_study(check)
     run = add("run", _run, "run a study, and write its results and its page")
     _with_study(run)
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (FILE-results)")
-    run.add_argument("-j", "--processes", type=_count, metavar="N", help="threads, or processes of a black box")
-    run.add_argument("--budget", metavar="TIME", help="time budget in place of the study's, such as 10min")
-    run.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study; this runs its code")
+    run.add_argument(
+        "-j", "--processes", type=_count, metavar="N", help="threads, or processes of a black box"
+    )
+    run.add_argument(
+        "--budget", metavar="TIME", help="time budget in place of the study's, such as 10min"
+    )
+    run.add_argument(
+        "--model",
+        metavar="FILE.py:FUNCTION",
+        help="the model of a black-box study; this runs its code",
+    )
     run.add_argument("--fresh", action="store_true", help="replace what is in the folder")
-    run.add_argument("--json", action="store_true", help="print results.json in place of the summary")
+    run.add_argument(
+        "--json", action="store_true", help="print results.json in place of the summary"
+    )
     report = add("report", _report, "write the page of a result folder again, from what is stored")
     report.add_argument("folder", type=Path, metavar="DIR")
-    compare = add("compare", _compare, "runs side by side: what was set otherwise, which answers moved, by how much")
+    compare = add(
+        "compare",
+        _compare,
+        "runs side by side: what was set otherwise, which answers moved, by how much",
+    )
     compare.add_argument("folders", type=Path, nargs="+", metavar="DIR")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers")
-    history = add("history", _history, "one scene over time: forces, pressures, gauges, x-t diagram")
+    history = add(
+        "history", _history, "one scene over time: forces, pressures, gauges, x-t diagram"
+    )
     _with_study(history)
     history.add_argument("--out", type=Path, metavar="DIR", help="folder for table and figures")
     history.add_argument("--json", action="store_true", help="print the rows as JSON")
     verify = add("verify", _verify, "whether a result folder is whole")
     verify.add_argument("folder", type=Path, metavar="DIR")
-    verify.add_argument("--again", action="store_true", help="run the study again and compare the answers")
-    verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study")
+    verify.add_argument(
+        "--again", action="store_true", help="run the study again and compare the answers"
+    )
+    verify.add_argument(
+        "--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study"
+    )
     listing = add("list", _list, "materials, quantities, criteria or distributions")
     listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
     add("schema", _schema, "the JSON schema of a study file, for editors")
     bench = add("bench", _bench, "speed against error: the integrator against others")
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
     if find_spec("uqsphere.labs") is not None:
-        commands.add_parser("shpb", help="lab: records of Hopkinson bars, contact laws, plans of tests")
+        commands.add_parser(
+            "shpb", help="lab: records of Hopkinson bars, contact laws, plans of tests"
+        )
         commands.add_parser("comminution", help="lab: tests of single particles, feeds under blows")
     return parser
 
@@ -185,9 +221,15 @@ def _new(given: argparse.Namespace) -> None:
     source = shipped[given.template]
     target = given.output or Path(source.name)
     if not target.parent.is_dir():
-        raise UsageError(f"{target.parent} is no folder: make it first, or choose another place with -o")
+        raise UsageError(
+            f"{target.parent} is no folder: make it first, or choose another place with -o"
+        )
     text = source.read_text(encoding="utf-8")
-    named = (path for path in sorted(source.parent.iterdir()) if path.suffix in (".csv", ".py") and path.name in text)
+    named = (
+        path
+        for path in sorted(source.parent.iterdir())
+        if path.suffix in (".csv", ".py") and path.name in text
+    )
     for path in (source, *named):
         place = target if path is source else target.parent / path.name
         if place.exists():
@@ -220,11 +262,21 @@ def _run(given: argparse.Namespace) -> int:
         except ValueError as error:
             raise UsageError(f"--budget: {error}") from None
         if seconds <= 0.0:
-            raise UsageError(f"--budget: {given.budget!r} is no time to compute: 10min, for example")
+            raise UsageError(
+                f"--budget: {given.budget!r} is no time to compute: 10min, for example"
+            )
     folder = given.out or Path(f"{given.file.stem}-results")
     with _interruptible() as stop, watched(lines=True) as progress:
-        found = run(study, given.model, out=folder, threads=given.processes, seconds=seconds, progress=progress,
-                    stop=stop, fresh=given.fresh)  # fmt: skip
+        found = run(
+            study,
+            given.model,
+            out=folder,
+            threads=given.processes,
+            seconds=seconds,
+            progress=progress,
+            stop=stop,
+            fresh=given.fresh,
+        )
     if given.json:
         print(json.dumps(found.results, indent=1, ensure_ascii=False))
     else:
@@ -236,7 +288,9 @@ def _run(given: argparse.Namespace) -> int:
         print(f"report: {folder / 'report.html'}")
     if found.results["accuracy"]["stopped"] == "interrupted":
         return INTERRUPTED
-    open_targets = [v for v in found.verdicts.values() if v["target"] is not None and v["verdict"] != "met"]
+    open_targets = [
+        v for v in found.verdicts.values() if v["target"] is not None and v["verdict"] != "met"
+    ]
     return NOT_MET if open_targets else 0
 
 
@@ -312,10 +366,15 @@ def _verify(given: argparse.Namespace) -> None:
 
     before = open_run(given.folder)
     text = (given.folder / "study.toml").read_text(encoding="utf-8")
-    study = load_study(given.folder / "files" / "study.toml", before.results["study"]["overrides"], text=text)
+    study = load_study(
+        given.folder / "files" / "study.toml", before.results["study"]["overrides"], text=text
+    )
     after = run(study, given.model)
     if after.results["answers"] != before.results["answers"]:
-        raise FolderError("run again, the answers differ:\n" + comparison_text([before, after], ["before", "again"]))
+        raise FolderError(
+            "run again, the answers differ:\n"
+            + comparison_text([before, after], ["before", "again"])
+        )
     print(f"run again: all {len(before.results['answers'])} answers are the same")
 
 

@@ -25,8 +25,14 @@ Place = tuple[str | int, ...]
 class Table(BaseModel):
     """A table of an input file: no key beyond those declared."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True,
-                              protected_namespaces=())  # fmt: skip
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        defer_build=True,
+        protected_namespaces=(),
+    )
 
 
 Kind = TypeVar("Kind", bound=Table)
@@ -58,7 +64,9 @@ def path_of(place: Place) -> str:
     >>> path_of(("dependence", 0, "of"))
     'dependence[0].of'
     """
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+    return "".join(
+        f"[{part}]" if isinstance(part, int) else f".{part}" for part in place
+    ).removeprefix(".")
 
 
 def shown(value: object, longest: int = 60) -> str:
@@ -131,7 +139,10 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
     try:
         if not (dots := _DOTS.search(text)):
             return tomllib.loads(text)
-        line, said = text[: dots.start()].count("\n") + 1, "a dotted key goes more than 12 levels deep"
+        line, said = (
+            text[: dots.start()].count("\n") + 1,
+            "a dotted key goes more than 12 levels deep",
+        )
     except RecursionError:
         line, said = 1, "brackets are nested deeper than any study needs"
     except ValueError as error:  # a fault of syntax, or a number that Python does not read
@@ -139,7 +150,14 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         where = re.match(r"line (\d+)", place[-1])
         line = int(where[1]) if where else text.rstrip("\n").count("\n") + 1
         seen = f"{message}\n{[*text.split(chr(10)), ''][line - 1]}"
-        hint = next((f"; {found.expand(way)}" for p, way in _HINTS.items() if (found := re.search(p, seen))), "")
+        hint = next(
+            (
+                f"; {found.expand(way)}"
+                for p, way in _HINTS.items()
+                if (found := re.search(p, seen))
+            ),
+            "",
+        )
         said = f"this is not valid TOML: {message[:160]}{hint}"
     raise StudyError(str(path), [Problem(line=line, path="", message=said)])
 
@@ -170,14 +188,21 @@ def lines_of(text: str) -> dict[Place, int]:
 
 def _parts(text: str) -> tuple[str, ...]:
     """The parts of a dotted key."""
-    return tuple(part[1] or part[2] or part[3] for part in re.finditer(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text))
+    return tuple(
+        part[1] or part[2] or part[3]
+        for part in re.finditer(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text)
+    )
 
 
-def refusal(path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()) -> StudyError:
+def refusal(
+    path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()
+) -> StudyError:
     """The error of an input file: every fault with the line of its place, or of the nearest table above it."""
     lines, problems = lines_of(text), set()
     for fault in faults:
-        line = next((lines[fault.at[:n]] for n in range(len(fault.at), 0, -1) if fault.at[:n] in lines), 1)
+        line = next(
+            (lines[fault.at[:n]] for n in range(len(fault.at), 0, -1) if fault.at[:n] in lines), 1
+        )
         note = " (set by --set)" if any(fault.at[: len(one)] == one for one in overridden) else ""
         problems.add(Problem(line=line, path=as_text(path_of(fault.at)), message=f"{fault}{note}"))
     return StudyError(str(path), list(problems))
@@ -191,7 +216,9 @@ def set_value(data: dict[str, Any], text: str) -> Place:
     path, sign, value = (part.strip() for part in text.partition("="))
     parts, place = _parts(path), list[str | int]()
     if not sign or not parts:
-        raise UsageError(f"found {shown(text)}: PATH=VALUE is required, such as striker.speed=0.6 m/s")
+        raise UsageError(
+            f"found {shown(text)}: PATH=VALUE is required, such as striker.speed=0.6 m/s"
+        )
     try:
         held = tomllib.loads(f"value = {value}")["value"]
     except (ValueError, RecursionError):
@@ -209,7 +236,9 @@ def set_value(data: dict[str, Any], text: str) -> Place:
             node[place[-1]] = held
     except (LookupError, TypeError):
         near = suggestion(place[-1], node) if isinstance(node, dict) else ""
-        raise UsageError(f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study{near}") from None
+        raise UsageError(
+            f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study{near}"
+        ) from None
     return tuple(place)
 
 
@@ -248,12 +277,18 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
 
 # --- what pydantic finds, in these words -----------------------------------------------------------------------------
 
-_MEMBER: Final = re.compile(r"\[key\]|(literal|tuple|list|dict|nullable|function-[a-z]+|constrained-[a-z]+)\[.*\]")
+_MEMBER: Final = re.compile(
+    r"\[key\]|(literal|tuple|list|dict|nullable|function-[a-z]+|constrained-[a-z]+)\[.*\]"
+)
 _WORDS: Final = {
-    r"\w+ should ": "it must ", "a valid tuple": "an array", "a valid dictionary.*": "a table",
-    "a valid boolean": "true or false", "a valid string": "a text in quotes", " after validation.*": "",
+    r"\w+ should ": "it must ",
+    "a valid tuple": "an array",
+    "a valid dictionary.*": "a table",
+    "a valid boolean": "true or false",
+    "a valid string": "a text in quotes",
+    " after validation.*": "",
     "it must match pattern.*": "a name takes up to 64 letters, digits, _ and -, and begins with a letter",
-}  # fmt: skip
+}
 
 
 def load_document(path: Path, kind: type[Kind]) -> Kind:
@@ -289,7 +324,11 @@ def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
 def _text(kind: Any, fault: Any, place: Place) -> str:
     name = str(place[-1]) if place else ""
     for part in place[:-1]:
-        kind = table_in(kind.model_fields[part].annotation) or kind if part in kind.model_fields else kind
+        kind = (
+            table_in(kind.model_fields[part].annotation) or kind
+            if part in kind.model_fields
+            else kind
+        )
     if fault["type"] == "value_error":
         return str(fault["ctx"]["error"])
     if fault["type"] == "missing":

@@ -16,7 +16,9 @@ def as_text(value: object, longest: int = 300) -> str:
         text = str(value)[: 64 * longest]
     except Exception as error:
         return f"(its text cannot be had: {type(error).__name__})"
-    text = "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))
+    text = "".join(
+        character if character.isprintable() else "?" for character in " ".join(text.split())
+    )
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 

@@ -37,11 +37,15 @@ def open_given(path: Path, largest: int) -> Iterator[BinaryIO]:
     except FileNotFoundError:
         raise AccessError(f"{path}: there is no such file") from None
     except (OSError, ValueError) as error:
-        raise AccessError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise AccessError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
     with os.fdopen(handle, "rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > largest:
-            raise TooLarge(f"{path}: it has {size / 2**20:,.0f} MiB, and {largest / 2**20:,.0f} MiB are read at most")
+            raise TooLarge(
+                f"{path}: it has {size / 2**20:,.0f} MiB, and {largest / 2**20:,.0f} MiB are read at most"
+            )
         yield stream
 
 

@@ -77,7 +77,10 @@ def library() -> dict[str, dict[str, Material]]:
     from importlib.resources import files
 
     found = tomllib.loads(files("uqsphere").joinpath("materials.toml").read_text(encoding="utf-8"))
-    return {kind: {name: _material(name, table) for name, table in found[kind].items()} for kind in MATERIAL_KINDS}
+    return {
+        kind: {name: _material(name, table) for name, table in found[kind].items()}
+        for kind in MATERIAL_KINDS
+    }
 
 
 def _material(name: str, table: Mapping[str, Json]) -> Material:
@@ -87,11 +90,23 @@ def _material(name: str, table: Mapping[str, Json]) -> Material:
         if key in ("title", "rock"):
             continue
         entry, text = dict(entry), str(entry["value"])
-        value, *ends = (parse_value(entry.pop(p), PROPERTIES[key]) for p in ("value", "low", "high") if p in entry)
+        value, *ends = (
+            parse_value(entry.pop(p), PROPERTIES[key])
+            for p in ("value", "low", "high")
+            if p in entry
+        )
         further = {
-            part: parse_value(entry.pop(part), due) for part, due in FURTHER.get(key, {}).items() if part in entry
+            part: parse_value(entry.pop(part), due)
+            for part, due in FURTHER.get(key, {}).items()
+            if part in entry
         }
         properties[key] = Property(
-            value=value, text=text, range=(ends[0], ends[1]) if ends else None, further=further, **entry
+            value=value,
+            text=text,
+            range=(ends[0], ends[1]) if ends else None,
+            further=further,
+            **entry,
         )
-    return Material(name=name, title=table["title"], properties=properties, rock=table.get("rock", False))
+    return Material(
+        name=name, title=table["title"], properties=properties, rock=table.get("rock", False)
+    )

@@ -16,9 +16,18 @@ from uqsphere.mechanics.scene import INPUTS
 from uqsphere.units import UNITS, Quantity
 
 __all__ = [
-    "DEMANDS", "INPUTS", "OUTPUTS", "display_unit", "format_bounds", "format_conservative", "format_estimate",
-    "format_probability", "format_value", "lookup", "plain_quantity",
-]  # fmt: skip
+    "DEMANDS",
+    "INPUTS",
+    "OUTPUTS",
+    "display_unit",
+    "format_bounds",
+    "format_conservative",
+    "format_estimate",
+    "format_probability",
+    "format_value",
+    "lookup",
+    "plain_quantity",
+]
 
 #: the unit that is read in place of a larger one
 SMALLER = {"m": "mm", "kN": "N"}
@@ -27,7 +36,9 @@ SMALLER = {"m": "mm", "kN": "N"}
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
     found = INPUTS.get(name) or OUTPUTS.get(name)
-    if found is None and (entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)):
+    if found is None and (
+        entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)
+    ):
         # the demand of a criterion goes by the names of criterion and limit, and what is carried of a quantity too
         return replace(entry, name=name)
     return found or plain_quantity(name)
@@ -35,14 +46,24 @@ def lookup(name: str) -> Quantity:
 
 def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
     """The entry of a number without unit: a black-box input, say."""
-    return Quantity(name=name, symbol=name, dimension="number", lower=lower, meaning=meaning or name,
-                    plausible=(-math.inf, math.inf))  # fmt: skip
+    return Quantity(
+        name=name,
+        symbol=name,
+        dimension="number",
+        lower=lower,
+        meaning=meaning or name,
+        plausible=(-math.inf, math.inf),
+    )
 
 
 def format_bounds(quantity: Quantity) -> str:
     """Where the values of a quantity must lie."""
     low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
-    way = f"lie from {low} to {high}" if quantity.closed else f"lie between {low} and {high}, both excluded"
+    way = (
+        f"lie from {low} to {high}"
+        if quantity.closed
+        else f"lie between {low} and {high}, both excluded"
+    )
     return f"{quantity.meaning} must {way if math.isfinite(quantity.upper) else f'be above {low}'}"
 
 
@@ -82,7 +103,9 @@ def format_conservative(value: float, name: str, *, least: bool, digits: int = 2
     unit, factor = display_unit(name, value)
     scaled = value * factor
     step = 10.0 ** (math.floor(math.log10(abs(scaled))) - digits + 1) if scaled else 1.0
-    rounded = (math.ceil(scaled / step - 1e-9) if least else math.floor(scaled / step + 1e-9)) * step
+    rounded = (
+        math.ceil(scaled / step - 1e-9) if least else math.floor(scaled / step + 1e-9)
+    ) * step
     return f"{float(f'{rounded:.{digits}g}'):g} {unit}".rstrip()
 
 

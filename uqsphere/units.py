@@ -22,21 +22,71 @@ _G: Final = 9.80665  # standard gravity [m/s²]
 _LBF: Final = 0.45359237 * _G
 #: dimension -> unit -> factor to SI.  The first unit of each dimension is the SI unit itself.
 UNITS: Final[dict[str, dict[str, float]]] = {
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254, "ft": 0.3048},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
-    "speed": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "km/h": 1.0 / 3.6, "mm/min": 1e-3 / 60.0,
-              "ft/s": 0.3048},
-    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "TPa": 1e12, "psi": 6894.757293168361, "bar": 1e5,
-                 "N/mm2": 1e6},
-    "density": {"kg/m3": 1.0, "kg/m^3": 1.0, "kg/m³": 1.0, "g/cm3": 1e3, "g/cm^3": 1e3, "g/cm³": 1e3, "t/m3": 1e3,
-                "t/m^3": 1e3, "t/m³": 1e3},
+    "length": {
+        "m": 1.0,
+        "cm": 1e-2,
+        "mm": 1e-3,
+        "um": 1e-6,
+        "µm": 1e-6,
+        "μm": 1e-6,
+        "in": 0.0254,
+        "ft": 0.3048,
+    },
+    "time": {
+        "s": 1.0,
+        "ms": 1e-3,
+        "us": 1e-6,
+        "µs": 1e-6,
+        "μs": 1e-6,
+        "ns": 1e-9,
+        "min": 60.0,
+        "h": 3600.0,
+    },
+    "speed": {
+        "m/s": 1.0,
+        "mm/s": 1e-3,
+        "cm/s": 1e-2,
+        "um/s": 1e-6,
+        "km/h": 1.0 / 3.6,
+        "mm/min": 1e-3 / 60.0,
+        "ft/s": 0.3048,
+    },
+    "pressure": {
+        "Pa": 1.0,
+        "kPa": 1e3,
+        "MPa": 1e6,
+        "GPa": 1e9,
+        "TPa": 1e12,
+        "psi": 6894.757293168361,
+        "bar": 1e5,
+        "N/mm2": 1e6,
+    },
+    "density": {
+        "kg/m3": 1.0,
+        "kg/m^3": 1.0,
+        "kg/m³": 1.0,
+        "g/cm3": 1e3,
+        "g/cm^3": 1e3,
+        "g/cm³": 1e3,
+        "t/m3": 1e3,
+        "t/m^3": 1e3,
+        "t/m³": 1e3,
+    },
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "MN": 1e6, "kgf": _G, "tf": 1e3 * _G, "lbf": _LBF},
     "energy": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6, "kJ": 1e3},
     "specific_energy": {"J/kg": 1.0, "mJ/kg": 1e-3, "kJ/kg": 1e3, "kWh/t": 3600.0, "J/g": 1e3},
     "mass_per_energy": {"kg/J": 1.0, "kg/kJ": 1e-3, "t/kWh": 1.0 / 3600.0},
     "share": {"1": 1.0, "%": 0.01},
-    "loading_rate": {"N/s": 1.0, "kN/s": 1e3, "MN/s": 1e6, "GN/s": 1e9, "kN/ms": 1e6, "N/us": 1e6, "kN/min": 1e3 / 60.0,
-                     "N/min": 1.0 / 60.0},
+    "loading_rate": {
+        "N/s": 1.0,
+        "kN/s": 1e3,
+        "MN/s": 1e6,
+        "GN/s": 1e9,
+        "kN/ms": 1e6,
+        "N/us": 1e6,
+        "kN/min": 1e3 / 60.0,
+        "N/min": 1.0 / 60.0,
+    },
     "toughness": {"Pa.sqrt(m)": 1.0, "kPa.sqrt(m)": 1e3, "MPa.sqrt(m)": 1e6, "MPa·√m": 1e6},
     "volume": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
     "area": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
@@ -44,13 +94,23 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "mass": {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3, "lb": 0.45359237},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0},
     "stiffness": {"N/m": 1.0, "N/um": 1e6, "kN/mm": 1e6, "MN/m": 1e6},
-    "strain": {"1": 1.0, "%": 0.01, "mm/m": 1e-3, "microstrain": 1e-6, "um/m": 1e-6, "µm/m": 1e-6, "με": 1e-6},
+    "strain": {
+        "1": 1.0,
+        "%": 0.01,
+        "mm/m": 1e-3,
+        "microstrain": 1e-6,
+        "um/m": 1e-6,
+        "µm/m": 1e-6,
+        "με": 1e-6,
+    },
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
     "number": {"": 1.0},
-}  # fmt: skip
+}
 
 #: single underscores between digits, as TOML has them
-_NUMBER: Final = re.compile(r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII)
+_NUMBER: Final = re.compile(
+    r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII
+)
 #: the tip of a rotor: turns, and its diameter
 _ROTOR: Final = re.compile(r"(.+?)\s*rpm\s*(?:at|@|x)\s*(.+)")
 _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
@@ -130,22 +190,39 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     table = UNITS[dimension]
     example = example or next(iter(table))
     allowed = typed_units(dimension)
-    with_unit, such = ("", "0.25") if dimension == "number" else (" with a unit", f'"1.5 {example}"')
+    with_unit, such = (
+        ("", "0.25") if dimension == "number" else (" with a unit", f'"1.5 {example}"')
+    )
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
-        names: dict[type, str] = {bool: "a boolean", list: "an array", dict: "a table", type(None): "nothing"}
-        raise UnitError(f"expected a number{with_unit}, found {names.get(type(text), f'a {type(text).__name__}')}")
+        names: dict[type, str] = {
+            bool: "a boolean",
+            list: "an array",
+            dict: "a table",
+            type(None): "nothing",
+        }
+        raise UnitError(
+            f"expected a number{with_unit}, found {names.get(type(text), f'a {type(text).__name__}')}"
+        )
     if isinstance(text, (int, float)):
         if dimension != "number":
             bare = bare_number(text)
-            raise UnitError(f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: {allowed})')
+            raise UnitError(
+                f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: {allowed})'
+            )
         return _finite(text, repr(text))
     stripped = text.strip()
     if dimension == "speed" and (rotor := _ROTOR.fullmatch(stripped)):
         turns, diameter = parse_value(rotor[1], "number"), parse_value(rotor[2], "length", "m")
         return math.pi * diameter * turns / 60.0
     if mark := _THOUSANDS.match(stripped):
-        number = mark[0].replace(".", "").replace(",", ".") if "," in mark[0][-4:] else mark[0].replace(",", "")
-        raise UnitError(f'{text!r} has a mark of thousands: write "{number}{stripped[mark.end() :]}"')
+        number = (
+            mark[0].replace(".", "").replace(",", ".")
+            if "," in mark[0][-4:]
+            else mark[0].replace(",", "")
+        )
+        raise UnitError(
+            f'{text!r} has a mark of thousands: write "{number}{stripped[mark.end() :]}"'
+        )
     match = _NUMBER.match(stripped)
     if match is None:
         raise UnitError(f"{text!r} is not a number{with_unit}, such as {such}")
@@ -154,14 +231,20 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         raise UnitError(f'{text!r} has a decimal comma: write "{stripped.replace(",", ".", 1)}"')
     if dimension == "number":
         if unit not in ("", "%"):
-            raise UnitError(f"{text!r}: a plain number is required here, without a unit (found {unit!r})")
+            raise UnitError(
+                f"{text!r}: a plain number is required here, without a unit (found {unit!r})"
+            )
         return _finite(float(number) * (0.01 if unit else 1.0), text)
     if unit not in table:
         if not unit:
             raise UnitError(f'{text!r} has no unit: write "{number} {example}" (units: {allowed})')
         if unit == "rpm" and dimension == "speed":
-            raise UnitError(f'{text!r}: a tip speed needs the rotor\'s diameter: write "{number} rpm at 0.9 m"')
-        raise UnitError(f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})")
+            raise UnitError(
+                f'{text!r}: a tip speed needs the rotor\'s diameter: write "{number} rpm at 0.9 m"'
+            )
+        raise UnitError(
+            f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})"
+        )
     return _finite(float(number) * table[unit], text)
 
 
@@ -182,7 +265,9 @@ def bare_number(value: float) -> str:
     >>> bare_number(52000000000.0), bare_number(0.5), bare_number(40)
     ('52e9', '0.5', '40')
     """
-    power = next((p for p in (12, 9, 6) if isinstance(value, float) and 10.0**p <= abs(value) < 1e15), 0)
+    power = next(
+        (p for p in (12, 9, 6) if isinstance(value, float) and 10.0**p <= abs(value) < 1e15), 0
+    )
     text = f"{value / 10.0**power:.15g}e{power}" if power else ""
     return text if text and float(text) == value else repr(value).removesuffix(".0")
 

@@ -50,5 +50,9 @@ def render(picture: Picture) -> str:
     """The SVG of a picture, its finding as the description."""
     picture.figure.suptitle(picture.title, x=0.01, ha="left", fontsize=10)
     text = io.StringIO()
-    picture.figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Description": picture.finding})
-    return re.sub(r'\bd="[^"]*"', lambda found: re.sub(r"(\d+\.\d)\d+", r"\1", found[0]), text.getvalue())
+    picture.figure.savefig(
+        text, format="svg", metadata={"Date": None, "Creator": None, "Description": picture.finding}
+    )
+    return re.sub(
+        r'\bd="[^"]*"', lambda found: re.sub(r"(\d+\.\d)\d+", r"\1", found[0]), text.getvalue()
+    )

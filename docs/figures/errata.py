@@ -29,7 +29,10 @@ def errata_figure() -> Picture:
     figure, panels = new_figure(8.4, rows=3)
     right: dict[str, Any]
     wrong: dict[str, Any]
-    right, wrong = {"color": BLUE, "label": "right"}, {"color": ORANGE, "linestyle": "--", "label": "as printed"}
+    right, wrong = (
+        {"color": BLUE, "label": "right"},
+        {"color": ORANGE, "linestyle": "--", "label": "as printed"},
+    )
 
     # t_c = 2 alpha_c/v0, so that with alpha_c = 1 and v0 = 2 times are over t_c; then beta/Z is 1
     s = np.linspace(0.0, 5.0, 600)
@@ -38,8 +41,13 @@ def errata_figure() -> Picture:
     panels[0].plot(s, as_printed.approach(s, 1.0, duration), **wrong)
     start = float(massless_approach(THETA, THETA))
     tail = s[s >= THETA]
-    panels[0].plot(tail, as_printed.approach_after_pulse(tail - THETA, start, 1.0, 1.0), color=GREY, linestyle=":",
-                   label="tail (3.16) as printed")  # fmt: skip
+    panels[0].plot(
+        tail,
+        as_printed.approach_after_pulse(tail - THETA, start, 1.0, 1.0),
+        color=GREY,
+        linestyle=":",
+        label="tail (3.16) as printed",
+    )
     panels[0].set_title(f"(3.9), (3.16): massless sphere, pulse of {THETA:g} t_c")
     panels[0].set_ylabel("alpha/alpha_c")
     panels[0].set_xlabel("time over t_c")
@@ -67,11 +75,13 @@ def errata_figure() -> Picture:
     for panel in panels:
         panel.legend(loc="best")
     return Picture(
-        name="errata", title="Printed equations beside the right ones", figure=figure,
+        name="errata",
+        title="Printed equations beside the right ones",
+        figure=figure,
         finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls"
-                " twice as fast, the oscillation of a linear contact never dies, its plateau is twice as high, and"
-                " the pressure keeps the largest contact radius and is too low in the centre.",
-    )  # fmt: skip
+        " twice as fast, the oscillation of a linear contact never dies, its plateau is twice as high, and"
+        " the pressure keeps the largest contact radius and is too low in the centre.",
+    )
 
 
 def main() -> None:

@@ -51,7 +51,9 @@ def fixed_steps(mu: float, step: float, end: float, *, bars: bool = True) -> tup
         first = slopes(state)
         second = slopes(state + 0.5 * step * first)
         third = slopes(state + 0.5 * step * second)
-        state = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + slopes(state + step * third))
+        state = state + step / 6.0 * (
+            first + 2.0 * second + 2.0 * third + slopes(state + step * third)
+        )
         times.append(times[-1] + step)
         values.append(float(state[0] - state[1]))
     return np.array(times), np.array(values)
@@ -80,18 +82,30 @@ def instability_figure() -> Picture:
             times, values = fixed_steps(MU, step, _END, bars=bars)
             shown_until = int(np.argmax(np.append(np.abs(values), np.inf) > 0.5)) + 1
             times, values = times[:shown_until], values[:shown_until]
-            panel.plot(times, values, color=colour, linestyle=line, marker=mark, markersize=3.5, linewidth=1.0,
-                       label=f"step {step:g} t_c, w h = {swing * step:.2f}")  # fmt: skip
+            panel.plot(
+                times,
+                values,
+                color=colour,
+                linestyle=line,
+                marker=mark,
+                markersize=3.5,
+                linewidth=1.0,
+                label=f"step {step:g} t_c, w h = {swing * step:.2f}",
+            )
         panel.set_ylim(-0.2, 0.3)
         panel.set_ylabel("(alpha_1 - alpha_2)/alpha_c")
-        panel.set_title("with the bars" if bars else "lambda_1 = 0: without the bars and their damping")
+        panel.set_title(
+            "with the bars" if bars else "lambda_1 = 0: without the bars and their damping"
+        )
     panels[0].legend(loc="upper right", ncols=2)
     panels[-1].set_xlabel("time over t_c")
     return Picture(
-        name="instability", title="The numerical instability of the paper's section 4", figure=figure,
+        name="instability",
+        title="The numerical instability of the paper's section 4",
+        figure=figure,
         finding="A step of 0.07 t_c, ample for the rise of the force, runs away with the bars and without them;"
-                " 0.06 t_c does not, but is no better than no oscillation at all; 0.01 t_c follows it.",
-    )  # fmt: skip
+        " 0.06 t_c does not, but is no better than no oscillation at all; 0.01 t_c follows it.",
+    )
 
 
 def main() -> None:

@@ -25,7 +25,16 @@ import numpy as np
 
 from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos import Germ, GermLike, base_of, fit_chaos, germ_points, germs_of, hyperbolic_indices, predict
+from uqsphere.uq.chaos import (
+    Germ,
+    GermLike,
+    base_of,
+    fit_chaos,
+    germ_points,
+    germs_of,
+    hyperbolic_indices,
+    predict,
+)
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator, sobol_points
 
@@ -78,13 +87,21 @@ def _lognormal(mean: float, sd: float) -> Law:
 
 
 def _ishigami(x: Array) -> Array:
-    return np.asarray(np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0]))
+    return np.asarray(
+        np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    )
 
 
 def _borehole(x: Array) -> Array:
     rw, r, tu, hu, tl, hl, length, kw = x.T
     log = np.log(r / rw)
-    return np.asarray(2.0 * np.pi * tu * (hu - hl) / (log * (1.0 + 2.0 * length * tu / (log * rw**2 * kw) + tu / tl)))
+    return np.asarray(
+        2.0
+        * np.pi
+        * tu
+        * (hu - hl)
+        / (log * (1.0 + 2.0 * length * tu / (log * rw**2 * kw) + tu / tl))
+    )
 
 
 def _otl(x: Array) -> Array:
@@ -92,14 +109,20 @@ def _otl(x: Array) -> Array:
     base = 12.0 * b2 / (b1 + b2)
     below = beta * (c2 + 9.0) + f
     return np.asarray(
-        (base + 0.74) * beta * (c2 + 9.0) / below + 11.35 * f / below + 0.74 * f * beta * (c2 + 9.0) / (below * c1)
+        (base + 0.74) * beta * (c2 + 9.0) / below
+        + 11.35 * f / below
+        + 0.74 * f * beta * (c2 + 9.0) / (below * c1)
     )
 
 
 def _piston(x: Array) -> Array:
     mass, area, volume, spring, pressure, ambient, gas = x.T
     force = pressure * area + 19.62 * mass - spring * volume / area
-    free = area / (2.0 * spring) * (np.sqrt(force**2 + 4.0 * spring * pressure * volume * ambient / gas) - force)
+    free = (
+        area
+        / (2.0 * spring)
+        * (np.sqrt(force**2 + 4.0 * spring * pressure * volume * ambient / gas) - force)
+    )
     stiffness = spring + area**2 * pressure * volume * ambient / (gas * free**2)
     return np.asarray(2.0 * np.pi * np.sqrt(mass / stiffness))
 
@@ -108,9 +131,16 @@ def _wing(x: Array) -> Array:
     area, fuel, aspect, sweep, pressure, taper, thickness, load, gross, paint = x.T
     cosine = np.cos(np.radians(sweep))
     return np.asarray(
-        0.036 * area**0.758 * fuel**0.0035 * (aspect / cosine**2) ** 0.6 * pressure**0.006 * taper**0.04
-        * (100.0 * thickness / cosine) ** -0.3 * (load * gross) ** 0.49 + area * paint
-    )  # fmt: skip
+        0.036
+        * area**0.758
+        * fuel**0.0035
+        * (aspect / cosine**2) ** 0.6
+        * pressure**0.006
+        * taper**0.04
+        * (100.0 * thickness / cosine) ** -0.3
+        * (load * gross) ** 0.49
+        + area * paint
+    )
 
 
 _G: Final = np.array([0.0, 1.0, 4.5, 9.0, 99.0, 99.0, 99.0, 99.0])
@@ -136,7 +166,11 @@ def _morris(x: Array) -> Array:
 def _short_column(x: Array) -> Array:
     strength, moment, force = x.T
     width, height = 5.0, 15.0
-    return np.asarray(1.0 - 4.0 * moment / (width * height**2 * strength) - (force / (width * height * strength)) ** 2)
+    return np.asarray(
+        1.0
+        - 4.0 * moment / (width * height**2 * strength)
+        - (force / (width * height * strength)) ** 2
+    )
 
 
 _SCATTER: Final = np.array([0.5, 0.3, 0.2, 0.2, 0.1, 0.1])
@@ -150,7 +184,9 @@ def _flood(x: Array) -> Array:
     """How far a river overtops its dyke."""
     flow, strickler, downstream, upstream, height, crest, length, width = x.T
     slope = np.maximum(upstream - downstream, 1e-3) / length
-    return np.asarray(downstream + (flow / (width * strickler * np.sqrt(slope))) ** 0.6 - height - crest)
+    return np.asarray(
+        downstream + (flow / (width * strickler * np.sqrt(slope))) ** 0.6 - height - crest
+    )
 
 
 def _dyke(x: Array) -> Array:
@@ -185,8 +221,14 @@ def _steel_column(x: Array) -> Array:
     limit, dead, one, other, breadth, flange, height, bend, modulus = x.T
     load = dead + one + other
     euler = np.pi**2 * modulus * breadth * flange * height**2 / (2.0 * 7500.0**2)
-    return np.asarray(limit - load * (1.0 / (2.0 * breadth * flange)
-                                      + bend * euler / (breadth * flange * height * (euler - load))))  # fmt: skip
+    return np.asarray(
+        limit
+        - load
+        * (
+            1.0 / (2.0 * breadth * flange)
+            + bend * euler / (breadth * flange * height * (euler - load))
+        )
+    )
 
 
 def _truss(x: Array) -> Array:
@@ -194,8 +236,15 @@ def _truss(x: Array) -> Array:
     chord, diagonal, area, slender = x[:, 6:].T
     place = 2.0 + 4.0 * np.arange(6)  # of the loads
     # shear and moment of a simply supported beam of 24 m carry over to the bars (method of sections)
-    shear = np.array([[(24.0 - p) / 24.0 - (p < at) for p in place] for at in np.arange(1.0, 24.0, 2.0)])
-    moment = np.array([[(24.0 - p) / 24.0 * at - max(at - p, 0.0) for p in place] for at in np.arange(2.0, 24.0, 2.0)])
+    shear = np.array(
+        [[(24.0 - p) / 24.0 - (p < at) for p in place] for at in np.arange(1.0, 24.0, 2.0)]
+    )
+    moment = np.array(
+        [
+            [(24.0 - p) / 24.0 * at - max(at - p, 0.0) for p in place]
+            for at in np.arange(2.0, 24.0, 2.0)
+        ]
+    )
     unit_shear = np.array([0.5 if at < 12.0 else -0.5 for at in np.arange(1.0, 24.0, 2.0)])
     unit_moment = np.array([0.5 * at - max(at - 12.0, 0.0) for at in np.arange(2.0, 24.0, 2.0)])
     forces = x[:, :6]
@@ -206,13 +255,19 @@ def _truss(x: Array) -> Array:
 
 
 def _friedman(x: Array) -> Array:
-    return np.asarray(10.0 * np.sin(np.pi * x[:, 0] * x[:, 1]) + 20.0 * (x[:, 2] - 0.5) ** 2 + 10.0 * x[:, 3]
-                      + 5.0 * x[:, 4])  # fmt: skip
+    return np.asarray(
+        10.0 * np.sin(np.pi * x[:, 0] * x[:, 1])
+        + 20.0 * (x[:, 2] - 0.5) ** 2
+        + 10.0 * x[:, 3]
+        + 5.0 * x[:, 4]
+    )
 
 
 def _robot(x: Array) -> Array:
     turned = np.cumsum(x[:, :4], axis=1)
-    return np.hypot((x[:, 4:] * np.cos(turned)).sum(axis=1), (x[:, 4:] * np.sin(turned)).sum(axis=1))
+    return np.hypot(
+        (x[:, 4:] * np.cos(turned)).sum(axis=1), (x[:, 4:] * np.sin(turned)).sum(axis=1)
+    )
 
 
 def _discontinuous(x: Array) -> Array:
@@ -225,9 +280,17 @@ def _oscillator(x: Array) -> Array:
     omega, other = np.sqrt(stiffness / mass), np.sqrt(soft / second)
     ratio, mean = second / mass, 0.5 * (omega + other)
     damped, apart = 0.5 * (damping + own), (omega - other) / mean
-    square = (np.pi * shaking / (4.0 * own * other**3) * damped * own
-              / (damping * own * (4.0 * damped**2 + apart**2) + ratio * damped**2)
-              * (damping * omega**3 + own * other**3) * omega / (4.0 * damped * mean**4))  # fmt: skip
+    square = (
+        np.pi
+        * shaking
+        / (4.0 * own * other**3)
+        * damped
+        * own
+        / (damping * own * (4.0 * damped**2 + apart**2) + ratio * damped**2)
+        * (damping * omega**3 + own * other**3)
+        * omega
+        / (4.0 * damped * mean**4)
+    )
     return np.asarray(3.0 * soft * np.sqrt(square))
 
 
@@ -241,51 +304,184 @@ MODELS: Final = {
     name: ChaosModel(name=name, laws=laws, function=function)
     for name, laws, function in (
         ("Ishigami", _uniform(*[(-math.pi, math.pi)] * 3), _ishigami),
-        ("borehole", _uniform((0.05, 0.15), (100.0, 50000.0), (63070.0, 115600.0), (990.0, 1110.0), (63.1, 116.0),
-         (700.0, 820.0), (1120.0, 1680.0), (9855.0, 12045.0)), _borehole),
-        ("OTL circuit", _uniform((50.0, 150.0), (25.0, 70.0), (0.5, 3.0), (1.2, 2.5), (0.25, 1.2), (50.0, 300.0)),
-         _otl),
-        ("piston", _uniform((30.0, 60.0), (0.005, 0.020), (0.002, 0.010), (1000.0, 5000.0), (90000.0, 110000.0),
-         (290.0, 296.0), (340.0, 360.0)), _piston),
-        ("wing weight", _uniform((150.0, 200.0), (220.0, 300.0), (6.0, 10.0), (-10.0, 10.0), (16.0, 45.0), (0.5, 1.0),
-         (0.08, 0.18), (2.5, 6.0), (1700.0, 2500.0), (0.025, 0.08)), _wing),
+        (
+            "borehole",
+            _uniform(
+                (0.05, 0.15),
+                (100.0, 50000.0),
+                (63070.0, 115600.0),
+                (990.0, 1110.0),
+                (63.1, 116.0),
+                (700.0, 820.0),
+                (1120.0, 1680.0),
+                (9855.0, 12045.0),
+            ),
+            _borehole,
+        ),
+        (
+            "OTL circuit",
+            _uniform(
+                (50.0, 150.0), (25.0, 70.0), (0.5, 3.0), (1.2, 2.5), (0.25, 1.2), (50.0, 300.0)
+            ),
+            _otl,
+        ),
+        (
+            "piston",
+            _uniform(
+                (30.0, 60.0),
+                (0.005, 0.020),
+                (0.002, 0.010),
+                (1000.0, 5000.0),
+                (90000.0, 110000.0),
+                (290.0, 296.0),
+                (340.0, 360.0),
+            ),
+            _piston,
+        ),
+        (
+            "wing weight",
+            _uniform(
+                (150.0, 200.0),
+                (220.0, 300.0),
+                (6.0, 10.0),
+                (-10.0, 10.0),
+                (16.0, 45.0),
+                (0.5, 1.0),
+                (0.08, 0.18),
+                (2.5, 6.0),
+                (1700.0, 2500.0),
+                (0.025, 0.08),
+            ),
+            _wing,
+        ),
         ("g-function", _uniform(*[(0.0, 1.0)] * 8), _g_function),
         ("Morris", _uniform(*[(0.0, 1.0)] * 20), _morris),
-        ("short column", (_lognormal(5.0, 0.5), _normal(2000.0, 400.0), _normal(500.0, 100.0)), _short_column),
-        ("product", tuple(_law("lognormal", log_mean=0.0, log_sd=float(sd)) for sd in _SCATTER), _product),
-        ("dyke", (_lognormal(1300.0, 550.0), _lognormal(30.0, 5.0), *_uniform((49.0, 51.0), (54.0, 56.0), (7.0, 9.0),
-         (45.0, 46.0), (4990.0, 5010.0), (295.0, 305.0))), _dyke),
-        ("flood", (_law("gumbel", 500.0, 3000.0, location=1013.0, scale=558.0), _law("normal", 15.0, mean=30.0,
-         sd=8.0), _law("triangular", 49.0, 51.0, mode=50.0), _law("triangular", 54.0, 56.0, mode=55.0), *_uniform((7.0,
-         9.0)), _law("triangular", 55.0, 56.0, mode=55.5), _law("triangular", 4990.0, 5010.0, mode=5000.0),
-         _law("triangular", 295.0, 305.0, mode=300.0)), _flood),
-        ("cantilever", (_law("beta", 2.8e7, 4.8e7, alpha=0.9, beta=2.2), _lognormal(30000.0, 9000.0),
-         *_uniform((250.0, 260.0)), _law("beta", 310.0, 450.0, alpha=2.5, beta=1.5)), _cantilever),
-        ("tube", (_normal(1.0, 0.1), _normal(1.5, 0.01), *_uniform((0.7, 1.2)), _law("triangular", 0.75, 0.85,
-         mode=0.8), _law("triangular", 0.09, 0.11, mode=0.1), _normal(2e5, 2e3)), _tube),
-        ("Chaboche", (*_uniform((0.0, 0.07)), _lognormal(750e6, 11e6), _normal(2750e6, 250e6), _normal(10.0, 2.0)),
-         _chaboche),
+        (
+            "short column",
+            (_lognormal(5.0, 0.5), _normal(2000.0, 400.0), _normal(500.0, 100.0)),
+            _short_column,
+        ),
+        (
+            "product",
+            tuple(_law("lognormal", log_mean=0.0, log_sd=float(sd)) for sd in _SCATTER),
+            _product,
+        ),
+        (
+            "dyke",
+            (
+                _lognormal(1300.0, 550.0),
+                _lognormal(30.0, 5.0),
+                *_uniform(
+                    (49.0, 51.0),
+                    (54.0, 56.0),
+                    (7.0, 9.0),
+                    (45.0, 46.0),
+                    (4990.0, 5010.0),
+                    (295.0, 305.0),
+                ),
+            ),
+            _dyke,
+        ),
+        (
+            "flood",
+            (
+                _law("gumbel", 500.0, 3000.0, location=1013.0, scale=558.0),
+                _law("normal", 15.0, mean=30.0, sd=8.0),
+                _law("triangular", 49.0, 51.0, mode=50.0),
+                _law("triangular", 54.0, 56.0, mode=55.0),
+                *_uniform((7.0, 9.0)),
+                _law("triangular", 55.0, 56.0, mode=55.5),
+                _law("triangular", 4990.0, 5010.0, mode=5000.0),
+                _law("triangular", 295.0, 305.0, mode=300.0),
+            ),
+            _flood,
+        ),
+        (
+            "cantilever",
+            (
+                _law("beta", 2.8e7, 4.8e7, alpha=0.9, beta=2.2),
+                _lognormal(30000.0, 9000.0),
+                *_uniform((250.0, 260.0)),
+                _law("beta", 310.0, 450.0, alpha=2.5, beta=1.5),
+            ),
+            _cantilever,
+        ),
+        (
+            "tube",
+            (
+                _normal(1.0, 0.1),
+                _normal(1.5, 0.01),
+                *_uniform((0.7, 1.2)),
+                _law("triangular", 0.75, 0.85, mode=0.8),
+                _law("triangular", 0.09, 0.11, mode=0.1),
+                _normal(2e5, 2e3),
+            ),
+            _tube,
+        ),
+        (
+            "Chaboche",
+            (
+                *_uniform((0.0, 0.07)),
+                _lognormal(750e6, 11e6),
+                _normal(2750e6, 250e6),
+                _normal(10.0, 2.0),
+            ),
+            _chaboche,
+        ),
         ("rod", (_lognormal(300.0, 30.0), _normal(75e3, 5e3)), _rod),
-        ("steel column", (_lognormal(400.0, 35.0), _normal(5e5, 5e4), _law("gumbel", mean=6e5, sd=9e4), _law("gumbel",
-         mean=6e5, sd=9e4), _lognormal(300.0, 3.0), _lognormal(20.0, 2.0), _lognormal(300.0, 5.0), _normal(30.0, 10.0),
-         _law("weibull", mean=2.1e5, modulus=63.4)), _steel_column),
-        ("truss", (*[_law("gumbel", mean=5e4, sd=7.5e3)] * 6, *[_lognormal(2.1e11, 2.1e10)] * 2, _lognormal(2e-3,
-         2e-4), _lognormal(1e-3, 1e-4)), _truss),
+        (
+            "steel column",
+            (
+                _lognormal(400.0, 35.0),
+                _normal(5e5, 5e4),
+                _law("gumbel", mean=6e5, sd=9e4),
+                _law("gumbel", mean=6e5, sd=9e4),
+                _lognormal(300.0, 3.0),
+                _lognormal(20.0, 2.0),
+                _lognormal(300.0, 5.0),
+                _normal(30.0, 10.0),
+                _law("weibull", mean=2.1e5, modulus=63.4),
+            ),
+            _steel_column,
+        ),
+        (
+            "truss",
+            (
+                *[_law("gumbel", mean=5e4, sd=7.5e3)] * 6,
+                *[_lognormal(2.1e11, 2.1e10)] * 2,
+                _lognormal(2e-3, 2e-4),
+                _lognormal(1e-3, 1e-4),
+            ),
+            _truss,
+        ),
         ("Friedman", _uniform(*[(0.0, 1.0)] * 10), _friedman),
         ("robot arm", _uniform(*[(0.0, 2.0 * math.pi)] * 4, *[(0.0, 1.0)] * 4), _robot),
         ("discontinuous", _uniform(*[(0.0, 1.0)] * 2), _discontinuous),
-        ("damped oscillator", (_lognormal(1.5, 0.15), _lognormal(0.01, 0.001), _lognormal(1.0, 0.2), _lognormal(0.01,
-         0.002), _lognormal(0.05, 0.02), _lognormal(0.02, 0.01), _lognormal(100.0, 10.0)), _oscillator),
+        (
+            "damped oscillator",
+            (
+                _lognormal(1.5, 0.15),
+                _lognormal(0.01, 0.001),
+                _lognormal(1.0, 0.2),
+                _lognormal(0.01, 0.002),
+                _lognormal(0.05, 0.02),
+                _lognormal(0.02, 0.01),
+                _lognormal(100.0, 10.0),
+            ),
+            _oscillator,
+        ),
         ("quadratic form", (_normal(0.0, 1.0),) * 15, _quadratic),
     )
-}  # fmt: skip
+}
 
 
 def design(model: ChaosModel, samples: int, seed: int) -> Array:
     """Germ points (n, d) of a scrambled Sobol' design."""
     from scipy.special import ndtri
 
-    uniforms = sobol_points(dimension=len(model.laws), count=samples, seed=seed, task="chaos bench", replicate=0)
+    uniforms = sobol_points(
+        dimension=len(model.laws), count=samples, seed=seed, task="chaos bench", replicate=0
+    )
     return germ_points(ndtri(uniforms), model.germs)
 
 
@@ -312,7 +508,12 @@ def measured(name: str, samples: int, seed: int) -> tuple[float, float, float, s
     begin = time.process_time()
     fit = fit_chaos(points, outputs, model.germs)
     seconds = time.process_time() - begin
-    return relative_error(predict(fit, unseen), truth), fit.cross_validation_error, seconds, repr(fit)
+    return (
+        relative_error(predict(fit, unseen), truth),
+        fit.cross_validation_error,
+        seconds,
+        repr(fit),
+    )
 
 
 # --- OpenTURNS on the same points (the extra `peers`) -----------------------------------------------------------
@@ -335,7 +536,10 @@ def peer_errors(name: str, samples: int, seed: int) -> tuple[float, float]:
     own = [isinstance(germ, Germ) for germ in model.germs]
     places = ot.Sample(np.where(own, model.inputs(unseen), unseen))
     laws = [_peer_law(ot, law, germ) for law, germ in zip(model.laws, model.germs, strict=True)]
-    given = ot.Sample(np.where(own, model.inputs(points), points)), ot.Sample(model(points)[:, None])
+    given = (
+        ot.Sample(np.where(own, model.inputs(points), points)),
+        ot.Sample(model(points)[:, None]),
+    )
 
     def fitted(*basis: Any) -> tuple[float, float]:
         algorithm = ot.FunctionalChaosAlgorithm(*given, ot.JointDistribution(laws), *basis)
@@ -345,7 +549,9 @@ def peer_errors(name: str, samples: int, seed: int) -> tuple[float, float]:
         return min(result.getErrorHistory(), default=1.0), relative_error(found, truth)
 
     families = [ot.StandardDistributionPolynomialFactory(law) for law in laws]
-    lars = ot.LeastSquaresStrategy(ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut()))
+    lars = ot.LeastSquaresStrategy(
+        ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
+    )
     tried = [(1.0, 1.0)]
     for norm in (1.0, 0.75, 0.5):
         order, worse = ot.HyperbolicAnisotropicEnumerateFunction(len(laws), norm), 0
@@ -371,15 +577,25 @@ def _peer_law(ot: Any, law: Law, germ: GermLike) -> Any:
         "triangular": lambda: ot.Triangular(law.lower, own["mode"], law.upper),
         "weibull": lambda: ot.WeibullMin(own["scale"], own["modulus"]),
     }[law.family.name]()
-    if law.family.name in ("beta", "triangular") or (math.isinf(law.lower) and math.isinf(law.upper)):
+    if law.family.name in ("beta", "triangular") or (
+        math.isinf(law.lower) and math.isinf(law.upper)
+    ):
         return whole
-    return ot.TruncatedDistribution(whole, ot.Interval([max(law.lower, -1e300)], [min(law.upper, 1e300)]))
+    return ot.TruncatedDistribution(
+        whole, ot.Interval([max(law.lower, -1e300)], [min(law.upper, 1e300)])
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Medians over the seeds of each model and size, `--openturns` with those of OpenTURNS; progress goes to stderr."""
-    given = options("Sparse polynomial chaos on 22 analytical models", arguments, models=[*MODELS],
-                    sizes=[64, 128, 256], seeds=[1, 41, 42], openturns=False)  # fmt: skip
+    given = options(
+        "Sparse polynomial chaos on 22 analytical models",
+        arguments,
+        models=[*MODELS],
+        sizes=[64, 128, 256],
+        seeds=[1, 41, 42],
+        openturns=False,
+    )
     measured("product", 64, 0)  # what is loaded once
     rows, honest, count, level = [], 0, 0, dict.fromkeys(given.sizes, 0)
     for name in given.models:
@@ -388,19 +604,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for true, reported, _, _ in found:
                 low, high = sorted((max(true, 1e-24), max(reported, 1e-24)))
                 honest, count = honest + (high <= 3.0 * low), count + 1
-            true, reported, seconds = (float(np.median([one[k] for one in found])) for k in range(3))
-            row = [name, str(samples), f"{true:.1e}", f"{reported:.1e}", f"{seconds:.2f}", found[0][3]]
+            true, reported, seconds = (
+                float(np.median([one[k] for one in found])) for k in range(3)
+            )
+            row = [
+                name,
+                str(samples),
+                f"{true:.1e}",
+                f"{reported:.1e}",
+                f"{seconds:.2f}",
+                found[0][3],
+            ]
             if given.openturns:
-                peers = np.median([peer_errors(name, samples, seed) for seed in given.seeds], axis=0)
+                peers = np.median(
+                    [peer_errors(name, samples, seed) for seed in given.seeds], axis=0
+                )
                 level[samples] += true <= max(1.05 * float(peers.min()), 1e-10)
                 row[3:] = [f"{peer:.1e}" for peer in peers]
             rows.append(row)
             tell(" ".join(row))
-    own = ["reported", "s", "fit"] if not given.openturns else ["OpenTURNS, own basis", "OpenTURNS, least own error"]
+    own = (
+        ["reported", "s", "fit"]
+        if not given.openturns
+        else ["OpenTURNS, own basis", "OpenTURNS, least own error"]
+    )
     print(table(["model", "N", "true error", *own], rows))
     if given.openturns:
         counts = ", ".join(f"{number} at {samples}" for samples, number in level.items())
-        print(f"\nNo worse than the better of both by 5 % or 1e-10, of {len(given.models)} models: {counts}.")
+        print(
+            f"\nNo worse than the better of both by 5 % or 1e-10, of {len(given.models)} models: {counts}."
+        )
     else:
         print(f"\nReported within a factor 3 of the true error: {honest} of {count}.")
     return 0

@@ -30,7 +30,9 @@ STUDIES = Path(__file__).parents[2] / "studies"
 
 def ishigami(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Ishigami and Homma 1990."""
-    return {"y": np.sin(x["x1"]) + 7.0 * np.sin(x["x2"]) ** 2 + 0.1 * x["x3"] ** 4 * np.sin(x["x1"])}
+    return {
+        "y": np.sin(x["x1"]) + 7.0 * np.sin(x["x2"]) ** 2 + 0.1 * x["x3"] ** 4 * np.sin(x["x1"])
+    }
 
 
 def far_event(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -46,13 +48,19 @@ NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
     """The study of a case with a seed, and its model."""
     if name in ("granite", "limestone"):
-        study = load_study(STUDIES / {"granite": "granite.toml", "limestone": "limestone_margin.toml"}[name])
+        study = load_study(
+            STUDIES / {"granite": "granite.toml", "limestone": "limestone_margin.toml"}[name]
+        )
         return replace(study, seed=seed), None
     law, model = (NORMAL, far_event) if name == "rare" else (UNIFORM, ishigami)
     tables: dict[str, Any] = {
-        "inputs": {f"x{k}": law for k in (1, 2, 3)}, "outputs": "y", "seed": seed,
-        "limits": {"high": {"quantity": "y", "strength": 1.2 if name == "rare" else 10.0, "aim": "survive"}},
-    }  # fmt: skip
+        "inputs": {f"x{k}": law for k in (1, 2, 3)},
+        "outputs": "y",
+        "seed": seed,
+        "limits": {
+            "high": {"quantity": "y", "strength": 1.2 if name == "rare" else 10.0, "aim": "survive"}
+        },
+    }
     if name == "slow":
         tables["analysis"] = {"cost": "10 s", "budget": {"evaluations": 128, "time": "1 h"}}
     return Study(**tables), model
@@ -63,24 +71,34 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
     run of sixteen times the points and broken spheres, at four times the values of the free number."""
     if name in ("granite", "limestone"):
         study, model = case(name, 987_654)
-        larger = {"grow": {"FIRST": 4096, "VALUES": 97}, "chaos": {"MOST_ROWS": 2048, "MOST_TERMS": 4096},
-                  "fracture": {"SPECIMENS": 256, "MOST": 4096}}  # fmt: skip
+        larger = {
+            "grow": {"FIRST": 4096, "VALUES": 97},
+            "chaos": {"MOST_ROWS": 2048, "MOST_TERMS": 4096},
+            "fracture": {"SPECIMENS": 256, "MOST": 4096},
+        }
         with pytest.MonkeyPatch.context() as patch:
             for module, numbers in larger.items():
                 for constant, value in numbers.items():
                     patch.setattr(import_module(f"uqsphere.run.{module}"), constant, value)
             run = uqsphere.run(study, model)
         return {
-            (r["subject"], r["answer"], r["at"]): r["value"] for r in run.results["answers"] if r["value"] is not None
+            (r["subject"], r["answer"], r["at"]): r["value"]
+            for r in run.results["answers"]
+            if r["value"] is not None
         }
     points = np.concatenate([qmc.Sobol(3, seed=k).random_base2(20) for k in range(4)])
-    x = ndtri(np.clip(points, 1e-16, 1.0 - 1e-16)) if name == "rare" else (2.0 * points - 1.0) * np.pi
+    x = (
+        ndtri(np.clip(points, 1e-16, 1.0 - 1e-16))
+        if name == "rare"
+        else (2.0 * points - 1.0) * np.pi
+    )
     y = (far_event if name == "rare" else ishigami)({f"x{k + 1}": x[:, k] for k in range(3)})["y"]
     strength = 1.2 if name == "rare" else 10.0
     truth: dict[tuple[str, str, Any], float] = {
-        ("y", "mean", ""): float(y.mean()), ("y", "sd", ""): float(y.std()),
+        ("y", "mean", ""): float(y.mean()),
+        ("y", "sd", ""): float(y.std()),
         ("limits.high", "failure_probability", ""): float((y > strength).mean()),
-    }  # fmt: skip
+    }
     truth |= {("y", "quantile", p): float(np.quantile(y, p)) for p in (0.01, 0.05, 0.5, 0.95, 0.99)}
     if name != "rare":
         first = 0.5 * (1.0 + 0.1 * np.pi**4 / 5.0) ** 2, 49.0 / 8.0, 0.0
@@ -101,9 +119,20 @@ def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
         study, model = case(name, seed + 1)
         for row in uqsphere.run(study, model).results["answers"]:
             key = row["subject"], row["answer"], row["at"]
-            if row["method"] == "epistemic" or row["low"] is None or row["high"] is None or key not in truth:
+            if (
+                row["method"] == "epistemic"
+                or row["low"] is None
+                or row["high"] is None
+                or key not in truth
+            ):
                 continue
-            if row["answer"] in ("driver", "curve", "safety_factor", "reliability_index", "exceedance_probability"):
+            if row["answer"] in (
+                "driver",
+                "curve",
+                "safety_factor",
+                "reliability_index",
+                "exceedance_probability",
+            ):
                 continue
             slack = 1e-9 * abs(truth[key])
             kinds[row["answer"], bool(row["low"] - slack <= truth[key] <= row["high"] + slack)] += 1
@@ -112,7 +141,9 @@ def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", default=["granite", "limestone", "ishigami", "rare", "slow"])
+    parser.add_argument(
+        "cases", nargs="*", default=["granite", "limestone", "ishigami", "rare", "slow"]
+    )
     parser.add_argument("--seeds", type=int, default=200)
     given = parser.parse_args()
     whole = Counter[bool]()
@@ -122,7 +153,10 @@ def main() -> None:
             held, total = kinds[kind, True], kinds[kind, True] + kinds[kind, False]
             whole[True] += held
             whole[False] += total - held
-            print(f"{name:10} {kind:22} {held:5} of {total:5}  {100.0 * held / total:5.1f} %", flush=True)
+            print(
+                f"{name:10} {kind:22} {held:5} of {total:5}  {100.0 * held / total:5.1f} %",
+                flush=True,
+            )
     print(f"pooled {100.0 * whole[True] / max(whole.total(), 1):.1f} %")
 
 

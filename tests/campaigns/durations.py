@@ -36,21 +36,37 @@ def rig_scenes(rows: int, seed: int) -> list[Scene]:
 
     found = []
     for law in ("hertz", "plastic"):
-        sphere = {"sphere.E": spread(1e10, 1e11), "sphere.nu": rng.uniform(0.1, 0.4, rows),
-                  "sphere.radius": spread(2e-3, 2e-2), "sphere.density": spread(1e3, 4e3)}  # fmt: skip
-        steel = {"E": np.full(rows, 2.1e11), "nu": np.full(rows, 0.3), "density": np.full(rows, 7850.0),
-                 "yield_strength": spread(4e8, 2e9)}  # fmt: skip
+        sphere = {
+            "sphere.E": spread(1e10, 1e11),
+            "sphere.nu": rng.uniform(0.1, 0.4, rows),
+            "sphere.radius": spread(2e-3, 2e-2),
+            "sphere.density": spread(1e3, 4e3),
+        }
+        steel = {
+            "E": np.full(rows, 2.1e11),
+            "nu": np.full(rows, 0.3),
+            "density": np.full(rows, 7850.0),
+            "yield_strength": spread(4e8, 2e9),
+        }
 
         def body(table: str, steel: dict[str, Array] = steel, **more: Array) -> dict[str, Array]:
             return {f"{table}.{name}": column for name, column in {**steel, **more}.items()}
 
-        weight = {**sphere, **body("hammer", mass=spread(0.1, 5.0)), "hammer.speed": spread(0.3, 3.0)}
+        weight = {
+            **sphere,
+            **body("hammer", mass=spread(0.1, 5.0)),
+            "hammer.speed": spread(0.3, 3.0),
+        }
         diameter = 2.5 * sphere["sphere.radius"]
         rod = body("rod", diameter=diameter, length=spread(0.5, 3.0))
         drop = Scene(columns={**weight, **body("anvil")}, rig="drop_weight", contact_law=law)
         bar = body("target", diameter=diameter, length=spread(0.05, 1.0))
-        struck = Scene(columns={**sphere, "rig.speed": spread(0.5, 5.0), **bar}, rig="impact", contact_law=law,
-                       options={"target.kind": "bar"})  # fmt: skip
+        struck = Scene(
+            columns={**sphere, "rig.speed": spread(0.5, 5.0), **bar},
+            rig="impact",
+            contact_law=law,
+            options={"target.kind": "bar"},
+        )
         load = Scene(columns={**weight, **rod}, rig="load_cell", contact_law=law, horizon=0.05)
         found += [drop, load, struck]
     return found
@@ -93,7 +109,9 @@ def _dents(course: Motion, times: Array, width: float) -> Array:
     face = law.at(course.row)
     tops = [_largest(course, lambda forces, k=k: forces[:, k], times, width) for k in (0, 1)]  # type: ignore[misc]
     dents = [float(face.pressed(face.depth_at(np.array([top]))).dent[0]) for top in tops]
-    return np.where(course.forces_at(np.array([course.end * course.unit]))[0] < np.array(tops), dents, 0.0)
+    return np.where(
+        course.forces_at(np.array([course.end * course.unit]))[0] < np.array(tops), dents, 0.0
+    )
 
 
 def compare(found: list[Scene], tolerance: float, fidelity: str = "full") -> Array:
@@ -115,11 +133,16 @@ def compare(found: list[Scene], tolerance: float, fidelity: str = "full") -> Arr
 
 def main() -> None:
     given = options(__doc__, rows=300, seed=1)
-    for what, found in (("elastic", scenes(given.rows, given.seed)), ("yielding", scenes(given.rows, given.seed, "p")),
-                        ("rigs", rig_scenes(given.rows // 6, given.seed))):  # fmt: skip
+    for what, found in (
+        ("elastic", scenes(given.rows, given.seed)),
+        ("yielding", scenes(given.rows, given.seed, "p")),
+        ("rigs", rig_scenes(given.rows // 6, given.seed)),
+    ):
         errors = compare(found, 1e-8)
-        print(f"{what}: {len(errors)} rows, error over tolerance: median {np.median(errors):.2g}, "
-              f"99 % {np.quantile(errors, 0.99):.2g}, largest {errors.max():.2g}")  # fmt: skip
+        print(
+            f"{what}: {len(errors)} rows, error over tolerance: median {np.median(errors):.2g}, "
+            f"99 % {np.quantile(errors, 0.99):.2g}, largest {errors.max():.2g}"
+        )
 
 
 if __name__ == "__main__":

@@ -23,12 +23,37 @@ from uqsphere.cli import main
 from uqsphere.study import shipped_studies
 
 VALUES = (
-    '"1 mm"', '"3 GPa"', '"0.5 m/s"', "0", "-1", "1e400", "nan", "12", '"15 %"', "true", "[]", "{}", "[1, 2]", '""',
-    '{ dist = "normal", mean = "1 m", sd = "2 m" }', '{ dist = "weibull", mean = 3, modulus = 0.1 }', '"p_max"',
-    '{ dist = "scipy.gamma", a = 1e9 }', '{ file = "none.csv", force = "F", diameter = "D" }', '"plastic"', '"x"',
-    '{ draws = "../d.csv" }', "1979-05-27", '"1e308 m"', '"step"', '"bars"', '"ball"', "99999999999999999999",
-    '"measured"', "[[1]]",
-)  # fmt: skip
+    '"1 mm"',
+    '"3 GPa"',
+    '"0.5 m/s"',
+    "0",
+    "-1",
+    "1e400",
+    "nan",
+    "12",
+    '"15 %"',
+    "true",
+    "[]",
+    "{}",
+    "[1, 2]",
+    '""',
+    '{ dist = "normal", mean = "1 m", sd = "2 m" }',
+    '{ dist = "weibull", mean = 3, modulus = 0.1 }',
+    '"p_max"',
+    '{ dist = "scipy.gamma", a = 1e9 }',
+    '{ file = "none.csv", force = "F", diameter = "D" }',
+    '"plastic"',
+    '"x"',
+    '{ draws = "../d.csv" }',
+    "1979-05-27",
+    '"1e308 m"',
+    '"step"',
+    '"bars"',
+    '"ball"',
+    "99999999999999999999",
+    '"measured"',
+    "[[1]]",
+)
 VALUE = re.compile(r'("[^"\n]*"|\{[^{}\n]*\}|\[[^\[\]\n]*\]|(?<== )[-+.\w]+)')
 
 
@@ -62,14 +87,20 @@ def fuzz(studies: int, seed: int) -> Counter[int]:
     texts = [path.read_text(encoding="utf-8") for path in shipped_studies().values()]
     rng, codes = np.random.default_rng(seed), Counter[int]()
     # the rows that check runs for its time need no thousand repetitions
-    with tempfile.TemporaryDirectory() as folder, patch("uqsphere.report.study.cost", lambda study: ""):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch("uqsphere.report.study.cost", lambda study: ""),
+    ):
         for path in shipped_studies().values():
             for table in path.parent.glob("*.csv"):
                 (Path(folder) / table.name).write_bytes(table.read_bytes())
         for _ in range(studies):
             text = mutated(texts, rng)
             (Path(folder) / "study.toml").write_text(text, encoding="utf-8")
-            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
+            with (
+                contextlib.redirect_stdout(io.StringIO()),
+                contextlib.redirect_stderr(io.StringIO()) as said,
+            ):
                 code = main(["check", f"{folder}/study.toml"])
             codes[code] += 1
             if code not in (0, 2, 6):
@@ -78,7 +109,9 @@ def fuzz(studies: int, seed: int) -> Counter[int]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--studies", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()

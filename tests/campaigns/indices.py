@@ -24,14 +24,22 @@ def compare(name: str, base: int) -> list[list[str]]:
     few, pairs = study.design(256), study.to_salib(base)
     names = pairs.problem["names"]
     of_few = uqsphere.evaluate(study, few, quantities=QUANTITIES)
-    of_pairs = uqsphere.evaluate(study, dict(zip(names, pairs.rows.T, strict=True)), quantities=QUANTITIES)
+    of_pairs = uqsphere.evaluate(
+        study, dict(zip(names, pairs.rows.T, strict=True)), quantities=QUANTITIES
+    )
     rows = []
     for quantity in QUANTITIES:
         own = analysis.chaos(few, of_few[quantity], study.random).indices()["total"]
-        theirs = sobol.analyze(pairs.problem, of_pairs[quantity].to_numpy(), calc_second_order=False, seed=1)
+        theirs = sobol.analyze(
+            pairs.problem, of_pairs[quantity].to_numpy(), calc_second_order=False, seed=1
+        )
         for one, total, half in zip(names, theirs["ST"], theirs["ST_conf"], strict=True):
             e = own[one]
-            by_chaos = f"{e.value:.4f} ({e.low:.4f} to {e.high:.4f})" if e.value is not None else f"– ({e.reason})"
+            by_chaos = (
+                f"{e.value:.4f} ({e.low:.4f} to {e.high:.4f})"
+                if e.value is not None
+                else f"– ({e.reason})"
+            )
             rows.append([name, quantity, one, by_chaos, f"{total:.4f} ± {half:.4f}"])
     return rows
 
@@ -39,4 +47,6 @@ def compare(name: str, base: int) -> list[list[str]]:
 if __name__ == "__main__":
     count = options(__doc__, base=8192).base
     found = [row for name in STUDIES for row in compare(name, count)]
-    print(table(["study", "quantity", "input", "chaos, 256 runs", f"SALib, {count:,} pairs"], found))
+    print(
+        table(["study", "quantity", "input", "chaos, 256 runs", f"SALib, {count:,} pairs"], found)
+    )

@@ -35,8 +35,26 @@ _G_QUANTILES: Final = (0.089697, 0.89784, 2.28888)
 _BOREHOLE: Final[dict[str, tuple[float, ...]]] = {
     "moments": (73.738936, 28.595827),
     "quantiles": (34.385, 69.8126, 126.5),
-    "first": (0.663702, 1.82775e-6, 5.53395e-12, 0.094882, 5.55962e-6, 0.094882, 0.090653, 0.0219374),
-    "total": (0.694117, 2.89481e-6, 8.46115e-12, 0.106121, 8.49881e-6, 0.106121, 0.102795, 0.0251297),
+    "first": (
+        0.663702,
+        1.82775e-6,
+        5.53395e-12,
+        0.094882,
+        5.55962e-6,
+        0.094882,
+        0.090653,
+        0.0219374,
+    ),
+    "total": (
+        0.694117,
+        2.89481e-6,
+        8.46115e-12,
+        0.106121,
+        8.49881e-6,
+        0.106121,
+        0.102795,
+        0.0251297,
+    ),
 }
 
 
@@ -65,7 +83,9 @@ def _normal_scores(u: Array) -> Array:
 
 def _ishigami(u: Array) -> Array:
     x = math.pi * (2.0 * u - 1.0)
-    return np.asarray(np.sin(x[..., 0]) + 7.0 * np.sin(x[..., 1]) ** 2 + 0.1 * x[..., 2] ** 4 * np.sin(x[..., 0]))
+    return np.asarray(
+        np.sin(x[..., 0]) + 7.0 * np.sin(x[..., 1]) ** 2 + 0.1 * x[..., 2] ** 4 * np.sin(x[..., 0])
+    )
 
 
 def _ishigami_model() -> CoverageModel:
@@ -75,7 +95,9 @@ def _ishigami_model() -> CoverageModel:
     v = v1 + v2 + v13
     quantiles = dict(zip(QUANTILES, _ISHIGAMI_QUANTILES, strict=True))
     first, total = (v1 / v, v2 / v, 0.0), ((v1 + v13) / v, v2 / v, v13 / v)
-    return CoverageModel("ishigami", _ishigami, 3.5, math.sqrt(v), quantiles, first, total, ("uniform",) * 3)
+    return CoverageModel(
+        "ishigami", _ishigami, 3.5, math.sqrt(v), quantiles, first, total, ("uniform",) * 3
+    )
 
 
 #: the last two inputs of the g-function have no effect
@@ -93,8 +115,16 @@ def _g_model() -> CoverageModel:
     every = float(np.prod(1.0 + v))
     quantiles = dict(zip(QUANTILES, _G_QUANTILES, strict=True))
     first, total = v / (every - 1.0), v / (1.0 + v) * every / (every - 1.0)
-    return CoverageModel("g-function", _g_function, 1.0, math.sqrt(every - 1.0), quantiles, tuple(first.tolist()),
-                         tuple(total.tolist()), ("uniform",) * 6)  # fmt: skip
+    return CoverageModel(
+        "g-function",
+        _g_function,
+        1.0,
+        math.sqrt(every - 1.0),
+        quantiles,
+        tuple(first.tolist()),
+        tuple(total.tolist()),
+        ("uniform",) * 6,
+    )
 
 
 _LINEAR: Final = np.array([1.0, 0.7, 0.4, 0.2, 0.05])
@@ -132,8 +162,16 @@ def _product_quantile(p: float) -> float:
 def _product_model() -> CoverageModel:
     """A product and a term of its own: two first indices are zero beside large totals."""
     quantiles = {p: _product_quantile(p) for p in QUANTILES}
-    return CoverageModel("product", _product, 0.0, math.sqrt(1.25), quantiles, (0.0, 0.0, 0.2), (0.8, 0.8, 0.2),
-                         ("normal",) * 3)  # fmt: skip
+    return CoverageModel(
+        "product",
+        _product,
+        0.0,
+        math.sqrt(1.25),
+        quantiles,
+        (0.0, 0.0, 0.2),
+        (0.8, 0.8, 0.2),
+        ("normal",) * 3,
+    )
 
 
 _KINKED: Final = np.array([0.8, 0.5, 0.3, 0.1414213562373095])
@@ -174,10 +212,21 @@ def _lognormal_model() -> CoverageModel:
     whole = float(s2.sum())
     every = math.expm1(whole)
     mean = 3e9 * math.exp(0.5 * whole)
-    quantiles = {p: 3e9 * math.exp(math.sqrt(whole) * float(_normal_scores(np.asarray(p)))) for p in QUANTILES}
+    quantiles = {
+        p: 3e9 * math.exp(math.sqrt(whole) * float(_normal_scores(np.asarray(p))))
+        for p in QUANTILES
+    }
     first, total = np.expm1(s2) / every, (math.exp(whole) - np.exp(whole - s2)) / every
-    return CoverageModel("lognormal", _lognormal, mean, mean * math.sqrt(every), quantiles, tuple(first.tolist()),
-                         tuple(total.tolist()), ("normal",) * 5)  # fmt: skip
+    return CoverageModel(
+        "lognormal",
+        _lognormal,
+        mean,
+        mean * math.sqrt(every),
+        quantiles,
+        tuple(first.tolist()),
+        tuple(total.tolist()),
+        ("normal",) * 5,
+    )
 
 
 def _borehole(u: Array) -> Array:
@@ -196,7 +245,9 @@ def _borehole_model() -> CoverageModel:
     quantiles = dict(zip(QUANTILES, _BOREHOLE["quantiles"], strict=True))
     first, total = _BOREHOLE["first"], _BOREHOLE["total"]
     germs = ("normal", "normal", *("uniform",) * 6)
-    return CoverageModel("borehole", _borehole, *_BOREHOLE["moments"], quantiles, first, total, germs)
+    return CoverageModel(
+        "borehole", _borehole, *_BOREHOLE["moments"], quantiles, first, total, germs
+    )
 
 
 def coverage_models() -> tuple[CoverageModel, ...]:
@@ -228,13 +279,25 @@ def far_event_model() -> CoverageModel:
     density = math.exp(-0.5 * FAR * FAR) / math.sqrt(2.0 * math.pi)
     one = 1.0 + 2.0 * 60.0 * density + 3600.0 * q * (1.0 - q)
     v = one + 0.25
-    return CoverageModel("far event", _far_event, 60.0 * q, math.sqrt(v), {}, (one / v, 0.25 / v), (one / v, 0.25 / v),
-                         ("normal",) * 2)  # fmt: skip
+    return CoverageModel(
+        "far event",
+        _far_event,
+        60.0 * q,
+        math.sqrt(v),
+        {},
+        (one / v, 0.25 / v),
+        (one / v, 0.25 / v),
+        ("normal",) * 2,
+    )
 
 
 # --- counting -----------------------------------------------------------------------------------------------
 
-SIZES: Final[Mapping[str, tuple[int, ...]]] = {"sampling": (128, 1024), "pairs": (64, 512), "response": (64, 128, 256)}
+SIZES: Final[Mapping[str, tuple[int, ...]]] = {
+    "sampling": (128, 1024),
+    "pairs": (64, 512),
+    "response": (64, 128, 256),
+}
 
 #: model, kind of answer, size, whether the interval holds the truth, half-width over the truth's scale
 Hit = tuple[str, str, int, bool, float]
@@ -251,8 +314,14 @@ def hit(model: str, kind: str, size: int, estimate: Estimate, truth: float, scal
 
 def sampling(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     """Moments and quantiles of 16 replicates of n points."""
-    u = np.stack([sobol_points(dimension=model.dimension, count=n, seed=seed, task="coverage", replicate=r)
-                  for r in range(16)])  # fmt: skip
+    u = np.stack(
+        [
+            sobol_points(
+                dimension=model.dimension, count=n, seed=seed, task="coverage", replicate=r
+            )
+            for r in range(16)
+        ]
+    )
     found = describe(model.function(u), quantiles=tuple(model.quantiles))
     yield hit(model.name, "mean", n, found.mean, model.mean, model.sd)
     yield hit(model.name, "sd", n, found.sd, model.sd, model.sd)
@@ -263,7 +332,10 @@ def sampling(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
 def pairs(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     """Indices of 16 replicates of n base points; those of inputs without effect are points, and not counted."""
     blocks = Blocks(inputs_count=model.dimension)
-    rows = [blocks.mix(*base_points(blocks, count=n, seed=seed, task="coverage", replicate=r)) for r in range(16)]
+    rows = [
+        blocks.mix(*base_points(blocks, count=n, seed=seed, task="coverage", replicate=r))
+        for r in range(16)
+    ]
     found = sampled_indices(model.function(np.stack(rows)), blocks)
     for order in ("first", "total"):
         for estimate, truth in zip(getattr(found, order), getattr(model, order), strict=True):
@@ -278,8 +350,12 @@ def response(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     if not made.usable:
         return
     assert unseen(n) in made.reason
-    many = np.concatenate([sobol_points(dimension=model.dimension, count=1024, seed=seed, task="many", replicate=r)
-                           for r in range(16)])  # fmt: skip
+    many = np.concatenate(
+        [
+            sobol_points(dimension=model.dimension, count=1024, seed=seed, task="many", replicate=r)
+            for r in range(16)
+        ]
+    )
     table = made.table(germ_points(ndtri(many), model.germs).reshape(16, 1024, -1))
     found = describe_corrected(table, made.outputs, made.levels, tuple(model.quantiles))
     yield hit(model.name, "mean", n, found.mean, model.mean, model.sd)
@@ -293,21 +369,37 @@ def response(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
 
 
 WAYS: Final[Mapping[str, Callable[[CoverageModel, int, int], Iterator[Hit]]]] = {
-    "sampling": sampling, "pairs": pairs, "response": response,
-}  # fmt: skip
+    "sampling": sampling,
+    "pairs": pairs,
+    "response": response,
+}
 
 
 def coverage_text(way: str, repetitions: int) -> str:
     """The table of one way: a row for each kind of answer and size, all models but the last pooled; then that model."""
-    hits = [h for model in (*coverage_models(), far_event_model()) for n in SIZES[way]
-            for seed in range(repetitions) for h in WAYS[way](model, seed, n)]  # fmt: skip
+    hits = [
+        h
+        for model in (*coverage_models(), far_event_model())
+        for n in SIZES[way]
+        for seed in range(repetitions)
+        for h in WAYS[way](model, seed, n)
+    ]
     rows = []
     for name in ("pooled", "far event"):
         own = [h for h in hits if (h[0] == "far event") == (name == "far event")]
         for kind, n in dict.fromkeys((h[1], h[2]) for h in own):
             cell = [h for h in own if h[1:3] == (kind, n)]
             width = float(np.median([h[4] for h in cell]))
-            rows.append([name, kind, str(n), str(len(cell)), f"{np.mean([h[3] for h in cell]):.3f}", f"{width:.2g}"])
+            rows.append(
+                [
+                    name,
+                    kind,
+                    str(n),
+                    str(len(cell)),
+                    f"{np.mean([h[3] for h in cell]):.3f}",
+                    f"{width:.2g}",
+                ]
+            )
     return table(["model", "answer", "points", "intervals", "hold", "half-width"], rows)
 
 

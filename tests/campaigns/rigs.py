@@ -34,12 +34,18 @@ def random_row(rng: np.random.Generator, kind: str, yields: bool) -> Row:
         return found
 
     ahead = {
-        "plate": {"zeta": 10.0 ** rng.uniform(-3, 0.4)}, "drop on rod": {"zeta": 10.0 ** rng.uniform(-3, 0.4)},
-        "mass": {"mu": 10.0 ** rng.uniform(-1, 2)}, "drop on mass": {"mu": 10.0 ** rng.uniform(-1, 2)},
-    }.get(kind, {})  # fmt: skip
+        "plate": {"zeta": 10.0 ** rng.uniform(-3, 0.4)},
+        "drop on rod": {"zeta": 10.0 ** rng.uniform(-3, 0.4)},
+        "mass": {"mu": 10.0 ** rng.uniform(-1, 2)},
+        "drop on mass": {"mu": 10.0 ** rng.uniform(-1, 2)},
+    }.get(kind, {})
     if not kind.startswith("drop"):
         mass = 1.0 + 1.0 / ahead["mu"] if "mu" in ahead else 1.0
-        return rig(mu=mass, speed=1.0, B=pole(**(ahead | ({"mu": mass * ahead["mu"]} if "mu" in ahead else {}))))
+        return rig(
+            mu=mass,
+            speed=1.0,
+            B=pole(**(ahead | ({"mu": mass * ahead["mu"]} if "mu" in ahead else {}))),
+        )
     mu = 10.0 ** rng.uniform(-2.5, 1.0)
     return rig(mu=mu, A=pole(mu=1.0, V=1.0), B=pole(kappa=10.0 ** rng.uniform(-1.5, 1.5), **ahead))
 
@@ -63,7 +69,11 @@ def main() -> None:
     chosen = options(__doc__, rows=120, seed=1)
     rng = np.random.default_rng(chosen.seed)
     strata = [(kind, yields) for kind in KINDS for yields in (False, True)]
-    rows = [(stratum, random_row(rng, *stratum)) for stratum in strata for _ in range(chosen.rows // len(strata))]
+    rows = [
+        (stratum, random_row(rng, *stratum))
+        for stratum in strata
+        for _ in range(chosen.rows // len(strata))
+    ]
     given = arguments([row for _, row in rows])
     found = solve.look_closer(given, 0, TOLERANCE, wanted=tracked.WANT_ALL)
     worst: dict[Any, dict[str, float]] = defaultdict(lambda: defaultdict(float))

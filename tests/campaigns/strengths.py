@@ -50,8 +50,11 @@ def one_set(rng: np.random.Generator, folder: Path) -> tuple[str, str, bool | No
     kind = LAWS[rng.integers(3)]
     n = int(np.exp(rng.uniform(np.log(2), np.log(60.5))))
     shape = np.exp(rng.uniform(np.log(2.5), np.log(15.0)))
-    law: Any = {"weibull": stats.weibull_min(shape), "lognormal": stats.lognorm(1.2 / shape),
-                "normal": stats.norm(1.0, min(1.2 / shape, 0.25))}[kind]  # fmt: skip
+    law: Any = {
+        "weibull": stats.weibull_min(shape),
+        "lognormal": stats.lognorm(1.2 / shape),
+        "normal": stats.norm(1.0, min(1.2 / shape, 0.25)),
+    }[kind]
     sizes = np.where(rng.random(n) < 0.5, 10.0, 14.0) if rng.random() < 0.5 else np.full(n, 12.0)
     exponent = 2.0 - 3.0 / shape if kind == "weibull" else 2.0
     unit = law.rvs(n, random_state=rng)
@@ -71,7 +74,9 @@ def one_set(rng: np.random.Generator, folder: Path) -> tuple[str, str, bool | No
     unbiased = "true" if kind != "normal" and rng.random() < 0.5 else "false"
     try:
         text = STUDY.format(kind, unbiased)
-        study = load_study(folder / "s.toml", text=text if kind != "normal" else text.replace('censored = "s"', ""))
+        study = load_study(
+            folder / "s.toml", text=text if kind != "normal" else text.replace('censored = "s"', "")
+        )
         tested = study.limits[0].tested
         assert tested is not None
         assert tested.law is not None

@@ -70,18 +70,24 @@ class HoopField:
     other.
     """
 
-    def __init__(self, contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False) -> None:
+    def __init__(
+        self, contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False
+    ) -> None:
         a = contact_ratio
         terms = 2 * math.ceil(100.0 / a)
         depth, depth_weight = _gauss(_graded(0.3 * a, 1.0, growth), nodes)
         angle, angle_weight = _gauss(_graded(0.5 * a, 0.5 * math.pi, growth), nodes)
         self.radius, self.angle = 1.0 - depth, angle
         #: share of the sphere's volume at each point, (radii, angles)
-        self.weight = 3.0 * (depth_weight * self.radius**2)[:, None] * (angle_weight * np.sin(angle))
+        self.weight = (
+            3.0 * (depth_weight * self.radius**2)[:, None] * (angle_weight * np.sin(angle))
+        )
         self.nodes = nodes
         #: from the Gauss points of a panel to finer ones, and the share of the surface at those, (panels, finer)
         self.finer, self.surface_weight = _refined(_graded(0.5 * a, 0.5 * math.pi, growth), nodes)
-        self._caps = Load(contact_ratio=(a, a), pressure=(1.0, 0.0)) if one_sided else Load.balanced(a)
+        self._caps = (
+            Load(contact_ratio=(a, a), pressure=(1.0, 0.0)) if one_sided else Load.balanced(a)
+        )
         p = load_coefficients(self._caps, terms)
         self._mean = float(p[0])
         #: around the pole that nothing presses the hoop stress is compressive; what two sums that are cut off leave of
@@ -94,7 +100,11 @@ class HoopField:
     def hoop(self, nu: float) -> Array:
         """sigma_phi/p_0 on the grid, (radii, angles); of a one-sided blow on both hemispheres, (2, radii, angles)."""
         even, *odd = [part.inside(nu) for part in self._parts]
-        return np.stack([even + odd[0], even - odd[0]]) - self._mean if odd else np.asarray(even - self._mean)
+        return (
+            np.stack([even + odd[0], even - odd[0]]) - self._mean
+            if odd
+            else np.asarray(even - self._mean)
+        )
 
     def surface_hoop(self, nu: float) -> Array:
         """sigma_phi/p_0 at r = 1, (angles,) or (2, angles), with the closed parts of `surface_stress`."""
@@ -104,7 +114,9 @@ class HoopField:
             rest = even + sign * odd[0] if odd else even
             cross = (1.0 - 2.0 * nu) * cross_in_closed_form(angle, self._caps, self._mean)
             pressure = pressure_on_surface(angle, self._caps)
-            found.append(np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross))
+            found.append(
+                np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross)
+            )
         if odd:
             found[1] = np.where(self._far_pole, np.minimum(found[1], 0.0), found[1])
         return np.stack(found) if odd else found[0]
@@ -129,7 +141,9 @@ class _Degrees:
         n = self.degree
         a = self.load / (2.0 * (n * n + n + 1.0 + nu * (2.0 * n + 1.0)))
         b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
-        value = (self.square * (a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu)) + b * n) * self.power
+        value = (
+            self.square * (a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu)) + b * n
+        ) * self.power
         slope = (self.square * (a * (n + 5.0 - 4.0 * nu)) + b) * self.power
         return np.asarray(value @ self.value - slope @ self.slope + self.radius * self.inertia)
 
@@ -141,7 +155,9 @@ class _Degrees:
         slope = a * (n + 5.0 - 4.0 * nu) + b + (2.0 * nu - 1.0) / (n * (n + 1.0))
         # degree 1 as in `series._rest`: its own pressure, less what the closed form of the cross term has of it
         inertia = (1.0 - 2.0 * nu) * 0.5 * self.inertia
-        return np.asarray((self.load * value) @ self.value - (self.load * slope) @ self.slope + inertia)
+        return np.asarray(
+            (self.load * value) @ self.value - (self.load * slope) @ self.slope + inertia
+        )
 
 
 def _legendre(x: Array, terms: int, first: int) -> tuple[Array, Array]:
@@ -157,7 +173,9 @@ def _legendre(x: Array, terms: int, first: int) -> tuple[Array, Array]:
     return values, slopes
 
 
-def hoop_field(contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False) -> HoopField:
+def hoop_field(
+    contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False
+) -> HoopField:
     """The grid of one a/r, in (0, 1): `nodes` Gauss points in panels that grow by `growth` away from the contact."""
     if not 0.0 < contact_ratio < 1.0:
         raise ValueError(f"contact_ratio must lie between 0 and 1, found {contact_ratio}")
@@ -180,7 +198,10 @@ def _equivalent(stress: Array, weight: Array, moduli: npt.ArrayLike) -> Array:
     """Of the whole sphere: the mean over its hemispheres, where they are not alike."""
     largest, halves = float(stress.max()), stress.size // weight.size
     ratio = np.maximum(stress.reshape(halves, *weight.shape) / largest, 0.0)
-    found = [largest * (float(np.sum(weight * ratio**m)) / halves) ** (1.0 / m) for m in np.atleast_1d(moduli)]
+    found = [
+        largest * (float(np.sum(weight * ratio**m)) / halves) ** (1.0 / m)
+        for m in np.atleast_1d(moduli)
+    ]
     return np.array(found)
 
 
@@ -192,7 +213,9 @@ def _equivalent(stress: Array, weight: Array, moduli: npt.ArrayLike) -> Array:
 
 def load_on_axis(contact_ratio: float) -> Array:
     """Coefficients of the load, enough for depths from 0.3 a on."""
-    return load_coefficients(Load.balanced(contact_ratio), 2 * (terms_for(1.0 - 0.3 * contact_ratio, 1e-17) // 2))
+    return load_coefficients(
+        Load.balanced(contact_ratio), 2 * (terms_for(1.0 - 0.3 * contact_ratio, 1e-17) // 2)
+    )
 
 
 def axis_series(load: Array, nu: float) -> tuple[Array, Array]:
@@ -213,7 +236,9 @@ def axis_series(load: Array, nu: float) -> tuple[Array, Array]:
 def one_sided_load(contact_ratio: float) -> Array:
     """Coefficients of the load of one cap, enough for depths from 0.3 a on."""
     terms = 2 * (terms_for(1.0 - 0.3 * contact_ratio, 1e-17) // 2)
-    return load_coefficients(Load(contact_ratio=(contact_ratio, contact_ratio), pressure=(1.0, 0.0)), terms)
+    return load_coefficients(
+        Load(contact_ratio=(contact_ratio, contact_ratio), pressure=(1.0, 0.0)), terms
+    )
 
 
 def _odd_axis_series(load: Array, nu: float) -> Array:
@@ -241,7 +266,10 @@ def largest_one_sided(load: Array, contact_ratio: float, nu: float) -> float:
     series[::2], series[1 : 2 * len(odd) : 2] = even, odd
     k = np.arange(len(series), dtype=float)
     depth = np.concatenate([np.geomspace(0.5 * contact_ratio, 1.0, 60), np.linspace(1.05, 1.8, 16)])
-    return _peak(series, float(1.0 - depth[int(np.argmax([series @ _powers(1.0 - one, k) for one in depth]))]))[1]
+    return _peak(
+        series,
+        float(1.0 - depth[int(np.argmax([series @ _powers(1.0 - one, k) for one in depth]))]),
+    )[1]
 
 
 def _peak(series: Array, u: float) -> tuple[float, float]:
@@ -305,7 +333,10 @@ def equatorial_hoop(load: Array, nu: float) -> float:
     b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
     kernel = 2.0 * nu + a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu) + b * n
     window = np.exp(-36.0 * (n / len(load)) ** 8)
-    return float(np.sum(load[2::2] * window * kernel * np.cumprod((1.0 - n) / n)) + (2.0 * nu - 1.0) * load[0])
+    return float(
+        np.sum(load[2::2] * window * kernel * np.cumprod((1.0 - n) / n))
+        + (2.0 * nu - 1.0) * load[0]
+    )
 
 
 # --- Radial tension on the surface around the contacts, and its weakest-link integral.
@@ -337,7 +368,10 @@ def rim_tension(contact_ratio: float, places: npt.ArrayLike, nu: npt.ArrayLike) 
     0.16
     """
     a = contact_ratio
-    z, v = np.atleast_1d(np.asarray(places, dtype=float)), np.atleast_1d(np.asarray(nu, dtype=float))
+    z, v = (
+        np.atleast_1d(np.asarray(places, dtype=float)),
+        np.atleast_1d(np.asarray(nu, dtype=float)),
+    )
     angle = np.arcsin(np.minimum(a * np.exp(z**2 * math.log(1.0 / a)), 1.0))
     load = Load.balanced(a)
     terms = 4 * math.ceil(200.0 / a)
@@ -366,8 +400,13 @@ def field_of_the_table() -> Array:
     """Chebyshev coefficients of sigma_t/p_0 in z, ln(a/r) and nu; takes some seconds, once."""
     low, high = (math.log(bound) for bound in CONTACT_RATIO)
     ratios = np.exp(low + 0.5 * (_unit_nodes(_SHAPE[1]) + 1.0) * (high - low))
-    places, poisson = 0.5 * (_unit_nodes(_SHAPE[0]) + 1.0), 0.5 * (_unit_nodes(_SHAPE[2]) + 1.0) * POISSON[1]
-    return _chebyshev(np.stack([rim_tension(float(ratio), places, poisson) for ratio in ratios], axis=1))
+    places, poisson = (
+        0.5 * (_unit_nodes(_SHAPE[0]) + 1.0),
+        0.5 * (_unit_nodes(_SHAPE[2]) + 1.0) * POISSON[1],
+    )
+    return _chebyshev(
+        np.stack([rim_tension(float(ratio), places, poisson) for ratio in ratios], axis=1)
+    )
 
 
 def _tension(contact_ratio: Array, sine: Array, nu: float) -> Array:
@@ -385,20 +424,28 @@ def _tension(contact_ratio: Array, sine: Array, nu: float) -> Array:
     for weights, polynomial in zip(in_nu, np.eye(_SHAPE[0]), strict=True):
         field += chebyshev.chebval(scale, weights) * chebyshev.chebval(2.0 * z - 1.0, polynomial)
     half_space = (1.0 - 2.0 * nu) / 3.0 / over**2
-    return np.asarray(half_space + np.minimum(contact_ratio / CONTACT_RATIO[0], 1.0) * (field - half_space))
+    return np.asarray(
+        half_space + np.minimum(contact_ratio / CONTACT_RATIO[0], 1.0) * (field - half_space)
+    )
 
 
 def _largest_seen(contact_ratio: float, sine: Array, nu: float) -> Array:
     """max over a' of a'/a sigma_t/p_0(a') at sines (k,), at least zero."""
     smaller = np.minimum(sine, contact_ratio)[:, None] * np.exp(-_STEP * np.arange(_STEPS))
-    seen = smaller / contact_ratio * _tension(smaller, np.broadcast_to(sine[:, None], smaller.shape), nu)
+    seen = (
+        smaller
+        / contact_ratio
+        * _tension(smaller, np.broadcast_to(sine[:, None], smaller.shape), nu)
+    )
     at = np.arange(len(sine))
     k = seen.argmax(axis=1)
     inner = np.clip(k, 1, _STEPS - 2)
     before, here, after = seen[at, inner - 1], seen[at, inner], seen[at, inner + 1]
     bend = before - 2.0 * here + after
     # the top of the parabola through three steps, where the largest one lies between others
-    top = here - np.where(bend < 0.0, (after - before) ** 2 / (8.0 * np.where(bend < 0.0, bend, -1.0)), 0.0)
+    top = here - np.where(
+        bend < 0.0, (after - before) ** 2 / (8.0 * np.where(bend < 0.0, bend, -1.0)), 0.0
+    )
     return np.asarray(np.maximum(np.where((k == inner) & (k > 0), top, seen[at, k]), 0.0))
 
 
@@ -414,7 +461,10 @@ def rim_integrals(contact_ratio: float, nu: float, moduli: npt.ArrayLike) -> Arr
     measure = measure * sine**2 / np.sqrt(np.maximum(1.0 - sine**2, 1e-15))
     seen = _largest_seen(contact_ratio, np.minimum(sine, 1.0), nu)
     largest = float(seen.max())
-    found = [largest * float(np.sum(measure * (seen / largest) ** m)) ** (1.0 / m) for m in np.atleast_1d(moduli)]
+    found = [
+        largest * float(np.sum(measure * (seen / largest) ** m)) ** (1.0 / m)
+        for m in np.atleast_1d(moduli)
+    ]
     return np.asarray(np.array(found) / half_space_rim(contact_ratio, nu, np.atleast_1d(moduli)))
 
 
@@ -422,21 +472,33 @@ def rim_integrals(contact_ratio: float, nu: float, moduli: npt.ArrayLike) -> Arr
 
 #: number of polynomials in a/r, nu and m, and what one unit of the written whole numbers is worth
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
-    "core": (28, 64), "core_depth": (28, 64), "shear": (26, 8), "shear_depth": (26, 8), "equator": (22, 12),
-    "volume": (38, 20, 34), "surface": (38, 20, 34), "rim": (24, 16, 20),
-    "core_one": (28, 64), "volume_one": (38, 20, 34), "surface_one": (38, 20, 34),
-}  # fmt: skip
+    "core": (28, 64),
+    "core_depth": (28, 64),
+    "shear": (26, 8),
+    "shear_depth": (26, 8),
+    "equator": (22, 12),
+    "volume": (38, 20, 34),
+    "surface": (38, 20, 34),
+    "rim": (24, 16, 20),
+    "core_one": (28, 64),
+    "volume_one": (38, 20, 34),
+    "surface_one": (38, 20, 34),
+}
 _UNITS: Final = {2: 1e-10, 3: 2e-9}
 
 
 def exact(name: str, contact_ratio: float, nu: float, load: Array | None = None) -> float:
     """The value that a table in a/r and nu holds, from the series; `load` of `load_on_axis`, if at hand."""
     if name == "core_one":
-        return largest_one_sided(one_sided_load(contact_ratio) if load is None else load, contact_ratio, nu)
+        return largest_one_sided(
+            one_sided_load(contact_ratio) if load is None else load, contact_ratio, nu
+        )
     load = load_on_axis(contact_ratio) if load is None else load
     if name == "equator":
         return equatorial_hoop(load, nu) / contact_ratio**2
-    value, place = (largest_hoop if name.startswith("core") else largest_shear)(load, contact_ratio, nu)
+    value, place = (largest_hoop if name.startswith("core") else largest_shear)(
+        load, contact_ratio, nu
+    )
     return (1.0 - place) / contact_ratio if name.endswith("depth") else value
 
 
@@ -468,7 +530,9 @@ def _three_way(one_sided: bool = False) -> dict[str, Array]:
 
 def _rim() -> Array:
     ratios, poisson, moduli = chebyshev_nodes(SHAPES["rim"])
-    return np.array([[rim_integrals(float(ratio), float(nu), moduli) for nu in poisson] for ratio in ratios])
+    return np.array(
+        [[rim_integrals(float(ratio), float(nu), moduli) for nu in poisson] for ratio in ratios]
+    )
 
 
 def chebyshev_nodes(counts: tuple[int, ...]) -> list[Array]:

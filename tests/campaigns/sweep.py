@@ -58,8 +58,12 @@ RANGES: Final[Ranges] = {
     "end3": (-1.0, 1.0, False),
 }
 #: ranges without the lightest spheres under the longest pulses, whose motions swing most often
-_SHORT: Final[Ranges] = {"mu": (1e-4, 1e3, True), "theta": (0.1, 30.0, True), "ratio": (0.1, 10.0, True),
-                         "incident": (1.0, 30.0, True)}  # fmt: skip
+_SHORT: Final[Ranges] = {
+    "mu": (1e-4, 1e3, True),
+    "theta": (0.1, 30.0, True),
+    "ratio": (0.1, 10.0, True),
+    "incident": (1.0, 30.0, True),
+}
 #: ends of the bars that have names; every second row has one of these, the others any number between
 _NAMED_ENDS: Final = np.array([1.0, 0.0, -1.0])
 
@@ -105,7 +109,9 @@ def _ends(drawn: Array, rng: np.random.Generator) -> Array:
     return np.where(rng.random(len(drawn)) < 0.5, named, drawn)
 
 
-def _pulse(stratum: Stratum, drawn: Mapping[str, Array], width: Array, rng: np.random.Generator) -> dict[str, Array]:
+def _pulse(
+    stratum: Stratum, drawn: Mapping[str, Array], width: Array, rng: np.random.Generator
+) -> dict[str, Array]:
     """Columns of the pulse whose width is `width` [s]."""
     if stratum.shape == "trapezoid":
         flat = rng.random((2, len(width))) < 0.1  # a tenth of them jump
@@ -124,22 +130,34 @@ def _pulse(stratum: Stratum, drawn: Mapping[str, Array], width: Array, rng: np.r
     return {}
 
 
-def _columns(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> dict[str, Array]:
+def _columns(
+    stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges
+) -> dict[str, Array]:
     """Inputs of `count` scenes of one structure."""
     drawn = _hypercube(count, rng, narrower)
-    columns = {name: drawn[name] for name in drawn if name.startswith(("sphere.", "bars.", "striker."))}
+    columns = {
+        name: drawn[name] for name in drawn if name.startswith(("sphere.", "bars.", "striker."))
+    }
     end_radius = columns.pop("bars.end_radius") * columns["sphere.radius"]
     if stratum.rounded:
         columns["bars.end_radius"] = end_radius
     # mu goes with diameter^(-10/3) and with the density; measured on a bar twice as wide as the sphere
     columns["bars.diameter"] = 4.0 * columns["sphere.radius"]
-    trial = Scene(columns={**columns, "pulse.duration": np.ones(count)}, infinite=True,
-                  rigid_contact=stratum.rigid_contact).scales.mass_number  # fmt: skip
+    trial = Scene(
+        columns={**columns, "pulse.duration": np.ones(count)},
+        infinite=True,
+        rigid_contact=stratum.rigid_contact,
+    ).scales.mass_number
     wider = (trial / drawn["mu"]) ** 0.3
     columns["bars.diameter"] = columns["bars.diameter"] * np.maximum(wider, 0.51)
-    columns["sphere.density"] = columns["sphere.density"] * np.minimum(1.0, wider / 0.51) ** (-10.0 / 3.0)
-    time = Scene(columns={**columns, "pulse.duration": np.ones(count)}, infinite=True,
-                 rigid_contact=stratum.rigid_contact).scales.time  # fmt: skip
+    columns["sphere.density"] = columns["sphere.density"] * np.minimum(1.0, wider / 0.51) ** (
+        -10.0 / 3.0
+    )
+    time = Scene(
+        columns={**columns, "pulse.duration": np.ones(count)},
+        infinite=True,
+        rigid_contact=stratum.rigid_contact,
+    ).scales.time
     width = drawn["theta"] * time
     speed = np.sqrt(columns["bars.E"] / columns["bars.density"])
     if stratum.by_striker:
@@ -149,17 +167,25 @@ def _columns(stratum: Stratum, count: int, rng: np.random.Generator, narrower: R
     pulse = _pulse(stratum, drawn, width, rng)
     columns.update(pulse)
     if not stratum.infinite:
-        whole = width + 0.5 * (pulse["pulse.rise"] + pulse["pulse.fall"]) if stratum.shape == "trapezoid" else width
+        whole = (
+            width + 0.5 * (pulse["pulse.rise"] + pulse["pulse.fall"])
+            if stratum.shape == "trapezoid"
+            else width
+        )
         columns["bars.incident_length"] = 0.5 * speed * whole * drawn["incident"]
         columns["bars.receiving_length"] = columns["bars.incident_length"] * drawn["ratio"]
         columns["bars.incident_end"] = _ends(drawn["end1"], rng)
         columns["bars.receiving_end"] = _ends(drawn["end3"], rng)
-        if stratum.shape == "step":  # it is longer than any round trip: nothing may come back behind it
+        if (
+            stratum.shape == "step"
+        ):  # it is longer than any round trip: nothing may come back behind it
             columns["bars.incident_end"] = np.zeros(count)
     return columns
 
 
-def _scenes(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> list[Scene]:
+def _scenes(
+    stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges
+) -> list[Scene]:
     """Scenes of one structure; a step on infinite bars needs a horizon, which a batch shares."""
     columns = _columns(stratum, count, rng, narrower)
     structure: dict[str, Any] = {
@@ -173,14 +199,22 @@ def _scenes(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ra
     wanted = columns.pop("pulse.duration")
     parts = np.array_split(np.argsort(wanted), max(1, min(32, count // 4)))
     return [
-        Scene(columns={name: column[part] for name, column in columns.items()}, **structure,
-              horizon=float(np.exp(np.log(wanted[part]).mean())))
-        for part in parts if len(part)
-    ]  # fmt: skip
+        Scene(
+            columns={name: column[part] for name, column in columns.items()},
+            **structure,
+            horizon=float(np.exp(np.log(wanted[part]).mean())),
+        )
+        for part in parts
+        if len(part)
+    ]
 
 
 def design(
-    count: int, seed: int, *, strata: tuple[Stratum, ...] = STRATA, narrower: Ranges = MappingProxyType({})
+    count: int,
+    seed: int,
+    *,
+    strata: tuple[Stratum, ...] = STRATA,
+    narrower: Ranges = MappingProxyType({}),
 ) -> list[Scene]:
     """`count` rows, as evenly over the strata as can be; the same for the same count and seed.
 
@@ -215,13 +249,20 @@ def as_inputs(scene: Scene, row: int) -> dict[str, Any]:
 ALLOWED: Final = 5.0
 #: quantities that follow from others row by row: their errors are those of the pressure, or of the energy; the mean of
 #: both forces is held in `tests.mechanics.test_rigs_kernel`
-_DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place) - {"p_max", "first_peak"} | {
-    "energy_sphere", "specific_energy_sphere", "mean_force_max",
-}  # fmt: skip
+_DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place) - {
+    "p_max",
+    "first_peak",
+} | {
+    "energy_sphere",
+    "specific_energy_sphere",
+    "mean_force_max",
+}
 #: what a loss of contact that is a swing sooner or later changes
 _TIMES: Final = frozenset({"time_to_first_loss", "contact_duration"})
 #: sums that an error is measured by, where it is not the quantity itself: the approach, and the work done on the faces
-_UNITS: Final = MappingProxyType({"dent": ("alpha_max",), "plastic_work": ("plastic_work", "energy")})
+_UNITS: Final = MappingProxyType(
+    {"dent": ("alpha_max",), "plastic_work": ("plastic_work", "energy")}
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,7 +297,9 @@ class Comparison:
     @property
     def silent(self) -> tuple[Wrong, ...]:
         """Rows that are wrong, and nothing says so."""
-        return tuple(row for row in self.wrong if not (row.marked and set(row.quantities) <= _TIMES))
+        return tuple(
+            row for row in self.wrong if not (row.marked and set(row.quantities) <= _TIMES)
+        )
 
 
 #: values and which times were cut off by the record's end, by name (n,), and in which rows there are any
@@ -277,31 +320,58 @@ def _error(name: str, found: Answers, truth: _Answer, tolerance: float) -> Array
         error = np.abs(value - expected) / (1.0 if name == "force_imbalance" else unit) / tolerance
     error = np.where(value == expected, 0.0, error)
     if found.censored is not None and name in truth[1]:
-        error = np.where((found.censored[name] != truth[1][name]) & (error > ALLOWED), np.inf, error)
+        error = np.where(
+            (found.censored[name] != truth[1][name]) & (error > ALLOWED), np.inf, error
+        )
     return np.asarray(error)
 
 
-def _compare(plan: Sequence[Scene], tolerance: float, judge: Callable[[Scene, Answers], _Answer],
-             asked: Collection[str] | None) -> Comparison:  # fmt: skip
+def _compare(
+    plan: Sequence[Scene],
+    tolerance: float,
+    judge: Callable[[Scene, Answers], _Answer],
+    asked: Collection[str] | None,
+) -> Comparison:
     """The kernel at `tolerance` against a judge, on every row."""
     parts: list[Comparison] = []
     for scene in plan:
         found = solve(scene, tolerance=tolerance, quantities=asked)
         truth = judge(scene, found)
-        names = tuple(name for name in OUTPUTS if name in found.values and name in truth[0] and name not in _DERIVED)
+        names = tuple(
+            name
+            for name in OUTPUTS
+            if name in found.values and name in truth[0] and name not in _DERIVED
+        )
         compared = truth[2] & answered(found.status)
         errors = np.stack([_error(name, found, truth, tolerance) for name in names], axis=-1)
         errors[~compared] = np.nan
         mu, theta = scene.scales.mass_number, scene.scales.pulse_number
         wrong = tuple(
-            Wrong(inputs=as_inputs(scene, row), mu=float(mu[row]), theta=float(theta[row]), quantities={
-                name: (float(found.values[name][row]), float(truth[0][name][row]), float(error))
-                for name, error in zip(names, errors[row], strict=True) if not error <= ALLOWED
-            }, marked=bool(found.grazes[row]))
+            Wrong(
+                inputs=as_inputs(scene, row),
+                mu=float(mu[row]),
+                theta=float(theta[row]),
+                quantities={
+                    name: (float(found.values[name][row]), float(truth[0][name][row]), float(error))
+                    for name, error in zip(names, errors[row], strict=True)
+                    if not error <= ALLOWED
+                },
+                marked=bool(found.grazes[row]),
+            )
             for row in np.flatnonzero(compared & ~(errors <= ALLOWED).all(axis=1))
-        )  # fmt: skip
-        parts.append(Comparison(names=names, errors=errors, status=found.status, marked=found.grazes, judged=truth[2],
-                                mu=mu, theta=theta, wrong=wrong))  # fmt: skip
+        )
+        parts.append(
+            Comparison(
+                names=names,
+                errors=errors,
+                status=found.status,
+                marked=found.grazes,
+                judged=truth[2],
+                mu=mu,
+                theta=theta,
+                wrong=wrong,
+            )
+        )
     return merged(parts)
 
 
@@ -309,13 +379,18 @@ def merged(parts: Sequence[Comparison]) -> Comparison:
     """The comparison of several plans as one."""
     columns = ("errors", "status", "marked", "judged", "mu", "theta")
     return replace(
-        parts[-1], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in columns},
+        parts[-1],
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in columns},
         wrong=tuple(row for part in parts for row in part.wrong),
-    )  # fmt: skip
+    )
 
 
 def against_itself(
-    plan: Sequence[Scene], *, tolerance: float = 1e-6, closer: float = 1e-8, quantities: Collection[str] | None = None
+    plan: Sequence[Scene],
+    *,
+    tolerance: float = 1e-6,
+    closer: float = 1e-8,
+    quantities: Collection[str] | None = None,
 ) -> Comparison:
     """The kernel at `tolerance` against the kernel at `closer`."""
 
@@ -357,17 +432,38 @@ def report(found: Comparison) -> str:
     for name, column in zip(found.names, found.errors[compared].T, strict=True):
         if len(column):
             middle, high = np.quantile(column, [0.5, 0.999], method="higher")
-            rows.append([f"`{name}`", f"{middle:.1e}", f"{high:.2g}", f"{column.max():.2g}",
-                         int((~(column <= ALLOWED)).sum())])  # fmt: skip
-    states = [[code, int((found.status == code).sum()), int(((found.status == code) & ~found.judged).sum()),
-               STATUS[int(code)]] for code in np.unique(found.status)]  # fmt: skip
-    lines = [f"{len(found.status)} scenes, {int(compared.sum())} compared", "",
-             table(["error over tolerance", "median", "99.9 %", "worst", "rows above 5"], rows), "",
-             table(["status", "rows", "not judged", "meaning"], states), "",
-             f"wrong and silent: {len(found.silent)} rows; contact grazes zero in {int(found.marked[compared].sum())}, "
-             f"of which {len(found.wrong) - len(found.silent)} differ"]  # fmt: skip
+            rows.append(
+                [
+                    f"`{name}`",
+                    f"{middle:.1e}",
+                    f"{high:.2g}",
+                    f"{column.max():.2g}",
+                    int((~(column <= ALLOWED)).sum()),
+                ]
+            )
+    states = [
+        [
+            code,
+            int((found.status == code).sum()),
+            int(((found.status == code) & ~found.judged).sum()),
+            STATUS[int(code)],
+        ]
+        for code in np.unique(found.status)
+    ]
+    lines = [
+        f"{len(found.status)} scenes, {int(compared.sum())} compared",
+        "",
+        table(["error over tolerance", "median", "99.9 %", "worst", "rows above 5"], rows),
+        "",
+        table(["status", "rows", "not judged", "meaning"], states),
+        "",
+        f"wrong and silent: {len(found.silent)} rows; contact grazes zero in {int(found.marked[compared].sum())}, "
+        f"of which {len(found.wrong) - len(found.silent)} differ",
+    ]
     for wrong in found.silent:
-        listed = ", ".join(f"{name} {error:.2g}" for name, (_, _, error) in wrong.quantities.items())
+        listed = ", ".join(
+            f"{name} {error:.2g}" for name, (_, _, error) in wrong.quantities.items()
+        )
         lines += [f"- mu {wrong.mu:.3g}, theta {wrong.theta:.3g}: {listed}", f"  {wrong.inputs}"]
     return "\n".join(lines)
 
@@ -386,7 +482,11 @@ def with_law(plan: Sequence[Scene], seed: int) -> list[Scene]:
         ratio = np.where((pile_up == 1.0) & (rng.random(count) < 0.8), 1.0, ratio)
         hertz = 2.0 / np.pi * scales.modulus * np.sqrt(scales.approach / scales.effective_radius)
         onset = hertz * 10.0 ** rng.uniform(-2.0, 0.04, count)
-        columns = {"contact.onset_pressure": onset, "contact.hardness": onset * ratio, "contact.pile_up": pile_up}
+        columns = {
+            "contact.onset_pressure": onset,
+            "contact.hardness": onset * ratio,
+            "contact.pile_up": pile_up,
+        }
         made.append(replace(scene, columns={**scene.columns, **columns}, contact_law="plastic"))
     return made
 
@@ -401,14 +501,19 @@ def unbalanced(scene: Scene, row: int, tolerance: float) -> float:
     if isinstance(found, int):
         return math.nan
     # the first step, from a touch, is a cubic between ends that are closer: what it holds counts from its end
-    starts, lengths = found.start[1:] * found.unit, np.minimum(found.length, found.end - found.start)[1:] * found.unit
+    starts, lengths = (
+        found.start[1:] * found.unit,
+        np.minimum(found.length, found.end - found.start)[1:] * found.unit,
+    )
     if len(starts) == 0:
         return math.nan
     nodes, weights = np.polynomial.legendre.leggauss(24)
     times = starts[:, None] + lengths[:, None] * 0.5 * (1.0 + nodes)
     states, rates = found.states_at(times.ravel()), found.rates_at(times.ravel())
     forces = found.forces_at(times.ravel())
-    power = forces[:, 0] * (states[:, 2] + rates[:, 0]) - forces[:, 1] * (states[:, 2] - rates[:, 1])
+    power = forces[:, 0] * (states[:, 2] + rates[:, 0]) - forces[:, 1] * (
+        states[:, 2] - rates[:, 1]
+    )
     work = np.cumsum((0.5 * lengths) * (power.reshape(times.shape) @ weights))
     passed = float((0.5 * lengths) @ (np.abs(power).reshape(times.shape) @ weights))
     balance = balance_of(found, np.concatenate([starts, starts[-1:] + lengths[-1:]]))
@@ -418,7 +523,11 @@ def unbalanced(scene: Scene, row: int, tolerance: float) -> float:
 
 def balances(plan: Sequence[Scene], tolerance: float) -> Array:
     """`unbalanced` of every row inside the domain, over the tolerance."""
-    found = [unbalanced(scene, int(row), tolerance) for scene in plan for row in np.flatnonzero(scene.status == 0)]
+    found = [
+        unbalanced(scene, int(row), tolerance)
+        for scene in plan
+        for row in np.flatnonzero(scene.status == 0)
+    ]
     return np.array(found) / tolerance
 
 
@@ -428,15 +537,26 @@ SLICE: Final = 110
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints the table after every slice.  `--room`: steps that a reflection still needs, at most."""
-    asked = options("N hard scenes against a tighter tolerance, or the second integrator", arguments, words=(),
-                    reference=False, seed=1, law="hertz", short=False, balances=False, room=262_144)  # fmt: skip
+    asked = options(
+        "N hard scenes against a tighter tolerance, or the second integrator",
+        arguments,
+        words=(),
+        reference=False,
+        seed=1,
+        law="hertz",
+        short=False,
+        balances=False,
+        room=262_144,
+    )
     scenes = int(asked.words[0])
     integrator._CAPACITIES = tuple(room for room in integrator._CAPACITIES if room <= asked.room)
     off: list[Array] = []
     parts: list[Comparison] = []
     for k, begin in enumerate(range(0, scenes, SLICE)):
         plan = design(
-            min(SLICE, scenes - begin), asked.seed + k, narrower=_SHORT if asked.short or asked.balances else {}
+            min(SLICE, scenes - begin),
+            asked.seed + k,
+            narrower=_SHORT if asked.short or asked.balances else {},
         )
         plan = with_law(plan, asked.seed + k) if asked.law != "hertz" else plan
         if asked.balances:

@@ -17,8 +17,11 @@ import pytest
 from uqsphere import cli
 
 ROOT = Path(__file__).parent.parent.parent
-PAGES = [page for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-         if re.search(r"^(>>> |```console)", page.read_text("utf-8"), re.M)]  # fmt: skip
+PAGES = [
+    page
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    if re.search(r"^(>>> |```console)", page.read_text("utf-8"), re.M)
+]
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 #: exit codes of commands that are meant: a verdict that is not "met", a study that is refused
 MEANT = (0, 2, 3)
@@ -32,7 +35,9 @@ def blocks(text: str) -> list[tuple[str, str]]:
 def commands(body: str) -> list[tuple[str, str]]:
     """Command and expected output of a console block; a line that ends in a backslash goes on."""
     parts = re.split(r"^\$ ", body.replace("\\\n", " "), flags=re.M)[1:]
-    return [(command, expected) for command, _, expected in (part.partition("\n") for part in parts)]
+    return [
+        (command, expected) for command, _, expected in (part.partition("\n") for part in parts)
+    ]
 
 
 def execute(command: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -65,7 +70,9 @@ def test_page_says_what_happens(
     for language, body in blocks(page.read_text("utf-8")):
         name = re.match(r"# (\S+\.(?:toml|py|csv))\n", body)
         if name and not body.startswith(">>>"):
-            Path(name[1]).write_text(body.partition("\n")[2] if name[1].endswith("csv") else body, "utf-8")
+            Path(name[1]).write_text(
+                body.partition("\n")[2] if name[1].endswith("csv") else body, "utf-8"
+            )
         elif language == "console":
             for command, expected in commands(body):
                 got = execute(command, capsys)
@@ -84,7 +91,9 @@ def test_page_says_what_happens(
 
 
 @pytest.mark.filterwarnings("ignore:`newshape`:DeprecationWarning")
-@pytest.mark.parametrize("notebook", sorted((ROOT / "docs").glob("*.ipynb")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "notebook", sorted((ROOT / "docs").glob("*.ipynb")), ids=lambda path: path.stem
+)
 def test_a_notebook_prints_what_it_shows(notebook: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     names: dict[str, object] = {}
@@ -92,7 +101,9 @@ def test_a_notebook_prints_what_it_shows(notebook: Path, monkeypatch: pytest.Mon
         if cell["cell_type"] == "code":
             with contextlib.redirect_stdout(io.StringIO()) as printed:
                 exec("".join(cell["source"]), names)
-            assert printed.getvalue() == "".join("".join(output["text"]) for output in cell["outputs"])
+            assert printed.getvalue() == "".join(
+                "".join(output["text"]) for output in cell["outputs"]
+            )
 
 
 def test_links_and_pictures_are_there() -> None:

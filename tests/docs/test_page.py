@@ -25,9 +25,17 @@ class Outline(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         own = dict(attrs)
         self.ids[own.get("id") or f"#{sum(self.ids.values())}"] += 1
-        named = {"th": "scope", "section": "aria-label", "svg": "aria-label", "html": "lang", "path": "d"}.get(tag)
+        named = {
+            "th": "scope",
+            "section": "aria-label",
+            "svg": "aria-label",
+            "html": "lang",
+            "path": "d",
+        }.get(tag)
         self.wrong += [self.get_starttag_text() or ""] * bool(named and not own.get(named))
-        self.wrong += ["region without keyboard"] * (own.get("class") == "scroll" and own.get("tabindex") != "0")
+        self.wrong += ["region without keyboard"] * (
+            own.get("class") == "scroll" and own.get("tabindex") != "0"
+        )
         self.open += [] if tag in VOID else [tag]
 
     def handle_endtag(self, tag: str) -> None:

@@ -60,7 +60,8 @@ class Field:
         """The largest principal stress, (m,)."""
         across, along, around, shear = self.stress.T
         return np.asarray(
-            np.maximum(0.5 * (across + along) + np.hypot(0.5 * (across - along), shear), around), dtype=float
+            np.maximum(0.5 * (across + along) + np.hypot(0.5 * (across - along), shear), around),
+            dtype=float,
         )
 
 
@@ -94,17 +95,25 @@ def make_mesh(contact_ratio: float, count: int = 40, finest: float = 2e-3) -> Me
     radius = np.concatenate([[0.5 * radius[0]], radius])
     rows += 1
     grid = np.arange(rows * columns).reshape(rows, columns)
-    nodes = np.stack([np.outer(radius, np.sin(angle)).ravel(), np.outer(radius, np.cos(angle)).ravel()], axis=1)
+    nodes = np.stack(
+        [np.outer(radius, np.sin(angle)).ravel(), np.outer(radius, np.cos(angle)).ravel()], axis=1
+    )
     centre = len(nodes)
     nodes = np.vstack([nodes, [[0.0, 0.0]]])
-    quads = [grid[i : i + 3, j : j + 3].ravel() for i in range(1, rows - 2, 2) for j in range(0, columns - 2, 2)]
+    quads = [
+        grid[i : i + 3, j : j + 3].ravel()
+        for i in range(1, rows - 2, 2)
+        for j in range(0, columns - 2, 2)
+    ]
     triangles = [
         (centre, grid[1, j + 2], grid[1, j], grid[0, j + 2], grid[1, j + 1], grid[0, j])
         for j in range(0, columns - 2, 2)
     ]
     surface = [grid[-1, j : j + 3] for j in range(0, columns - 2, 2)]
     nodes[np.abs(nodes) < 1e-15] = 0.0
-    return Mesh(nodes=nodes, quads=np.array(quads), triangles=np.array(triangles), surface=np.array(surface))
+    return Mesh(
+        nodes=nodes, quads=np.array(quads), triangles=np.array(triangles), surface=np.array(surface)
+    )
 
 
 def _halved(edges: Array) -> Array:
@@ -122,15 +131,22 @@ def _nine(x: Array, y: Array) -> tuple[Array, Array]:
     (fx, dx), (fy, dy) = line(x), line(y)
     pairs = [(int(u) + 1, int(v) + 1) for u, v in _NINE]
     value = np.stack([fx[:, i] * fy[:, j] for i, j in pairs], axis=1)
-    slope = np.stack([np.stack([part[:, i] * other[:, j] for i, j in pairs], axis=1)
-                      for part, other in ((dx, fy), (fx, dy))], axis=1)  # fmt: skip
+    slope = np.stack(
+        [
+            np.stack([part[:, i] * other[:, j] for i, j in pairs], axis=1)
+            for part, other in ((dx, fy), (fx, dy))
+        ],
+        axis=1,
+    )
     return value, slope
 
 
 def _six(x: Array, y: Array) -> tuple[Array, Array]:
     """The same of the triangle (0, 0), (1, 0), (0, 1), then the middles of its sides: (points, 6), (points, 2, 6)."""
     w = 1.0 - x - y
-    value = np.stack([w * (2 * w - 1), x * (2 * x - 1), y * (2 * y - 1), 4 * w * x, 4 * x * y, 4 * w * y], axis=1)
+    value = np.stack(
+        [w * (2 * w - 1), x * (2 * x - 1), y * (2 * y - 1), 4 * w * x, 4 * x * y, 4 * w * y], axis=1
+    )
     none = np.zeros_like(x)
     to_x = np.stack([1 - 4 * w, 4 * x - 1, none, 4 * (w - x), 4 * y, -4 * y], axis=1)
     to_y = np.stack([1 - 4 * w, none, 4 * y - 1, -4 * x, 4 * x, 4 * (w - y)], axis=1)
@@ -151,7 +167,9 @@ def _triangle() -> tuple[Array, Array, Array]:
     return x, y, 0.5 * np.repeat([0.223381589678011, 0.109951743655322], 3)
 
 
-def _strains(nodes: Array, elements: Index, shape: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+def _strains(
+    nodes: Array, elements: Index, shape: tuple[Array, Array]
+) -> tuple[Array, Array, Array]:
     """Strain from displacements (k, points, 4, 2 per node), places (k, points, 2) and areas per unit (k, points)."""
     value, slope = shape
     corners = nodes[elements]
@@ -175,13 +193,20 @@ def _stiffness(nu: float) -> Array:
     return matrix
 
 
-def _load(mesh: Mesh, contact_ratio: float, pressure: Callable[[Array], Array] | None = None) -> Array:
+def _load(
+    mesh: Mesh, contact_ratio: float, pressure: Callable[[Array], Array] | None = None
+) -> Array:
     """Forces on the nodes under sqrt(1 - (sin t/a)²), or a pressure over sin t, (2 n,); per radian around the axis."""
     points, weights = np.polynomial.legendre.leggauss(16)
-    value = np.stack([0.5 * points * (points - 1.0), 1.0 - points**2, 0.5 * points * (points + 1.0)], axis=1)
+    value = np.stack(
+        [0.5 * points * (points - 1.0), 1.0 - points**2, 0.5 * points * (points + 1.0)], axis=1
+    )
     slope = np.stack([points - 0.5, -2.0 * points, points + 0.5], axis=1)
     corners = mesh.nodes[mesh.surface]
-    place, along = np.einsum("pa,kad->kpd", value, corners), np.einsum("pa,kad->kpd", slope, corners)
+    place, along = (
+        np.einsum("pa,kad->kpd", value, corners),
+        np.einsum("pa,kad->kpd", slope, corners),
+    )
     sine = place[..., 0] / np.hypot(place[..., 0], place[..., 1])
     hertz = np.sqrt(np.maximum(1.0 - (sine / contact_ratio) ** 2, 0.0))
     size = hertz if pressure is None else pressure(sine)
@@ -209,16 +234,31 @@ def solve_elements(
     from scipy.sparse.linalg import spsolve
 
     if not (-1.0 < nu < 0.5 and 0.0 < contact_ratio < 1.0):
-        raise ValueError(f"found nu = {nu} and a/r = {contact_ratio}: they must lie in (-1, 0.5) and (0, 1)")
+        raise ValueError(
+            f"found nu = {nu} and a/r = {contact_ratio}: they must lie in (-1, 0.5) and (0, 1)"
+        )
     law, size = _stiffness(nu), 2 * len(mesh.nodes)
     parts: list[tuple[Array, Index, Index]] = []
     x, y, w = _square(4)
     tx, ty, tw = _triangle()
-    for elements, shape, weight in ((mesh.quads, _nine(x, y), w), (mesh.triangles, _six(tx, ty), tw)):
+    for elements, shape, weight in (
+        (mesh.quads, _nine(x, y), w),
+        (mesh.triangles, _six(tx, ty), tw),
+    ):
         strain, place, area = _strains(mesh.nodes, elements, shape)
-        local = np.einsum("kp,kpsi,st,kptj->kij", area * place[..., 0] * weight, strain, law, strain, optimize=True)
+        local = np.einsum(
+            "kp,kpsi,st,kptj->kij",
+            area * place[..., 0] * weight,
+            strain,
+            law,
+            strain,
+            optimize=True,
+        )
         dof = np.stack([2 * elements, 2 * elements + 1], axis=2).reshape(len(elements), -1)
-        rows, columns = (np.broadcast_to(part, local.shape).ravel() for part in (dof[:, :, None], dof[:, None, :]))
+        rows, columns = (
+            np.broadcast_to(part, local.shape).ravel()
+            for part in (dof[:, :, None], dof[:, None, :])
+        )
         parts.append((local.ravel(), rows, columns))
     values, rows, columns = (np.concatenate([part[k] for part in parts]) for k in range(3))
     matrix = coo_matrix((values, (rows, columns)), shape=(size, size)).tocsc()
@@ -263,7 +303,9 @@ class Comparison:
         return float(np.median(np.abs(self.difference)))
 
 
-def compare(contact_ratio: float = CONTACT_RATIO, nu: float = NU, count: int = 40, finest: float = 2e-3) -> Comparison:
+def compare(
+    contact_ratio: float = CONTACT_RATIO, nu: float = NU, count: int = 40, finest: float = 2e-3
+) -> Comparison:
     """Both fields at the points of the elements, outside the zones at the rim and at the centre."""
     from uqsphere.mechanics.stress import Load, core_ratio, series_stress
 
@@ -279,17 +321,27 @@ def compare(contact_ratio: float = CONTACT_RATIO, nu: float = NU, count: int = 4
     # near the surface the series is long: points of like depth are summed together
     order = np.argsort(1.0 - radius)
     for some in np.array_split(order, 24):
-        series[some] = series_stress(np.minimum(radius[some], 1.0), angle[some], load, nu, tolerance=1e-9).tension
+        series[some] = series_stress(
+            np.minimum(radius[some], 1.0), angle[some], load, nu, tolerance=1e-9
+        ).tension
     core = float(core_ratio(contact_ratio, nu)[0])
     scale = np.maximum(np.abs(series), core)
-    return Comparison(place=place, series=series, elements=tension, difference=(tension - series) / scale, core=core)
+    return Comparison(
+        place=place,
+        series=series,
+        elements=tension,
+        difference=(tension - series) / scale,
+        core=core,
+    )
 
 
 def main() -> None:
     """Print the differences at every mesh."""
     for count, first in MESHES:
         found = compare(count=count, finest=first)
-        print(f"{count} rings, {len(found.place):,} points: worst {found.worst:.2g}, median {found.median:.2g}")
+        print(
+            f"{count} rings, {len(found.place):,} points: worst {found.worst:.2g}, median {found.median:.2g}"
+        )
 
 
 if __name__ == "__main__":

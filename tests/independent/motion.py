@@ -92,7 +92,10 @@ class Law:
         force, area, _ = self.ratios(x)
         self.largest, self.state = x, SPRING
         recovered = self.onset * force / math.sqrt(area)
-        self.dent, self.spring = x - recovered, self.stiffness * self.onset**1.5 * force / recovered**1.5
+        self.dent, self.spring = (
+            x - recovered,
+            self.stiffness * self.onset**1.5 * force / recovered**1.5,
+        )
         self.unloadings += 1
 
     def plastic(self, x: float) -> float:
@@ -144,15 +147,22 @@ class Piece:
     def at(self, times: Array) -> Array:
         """Rows at times (n,): (6, n)."""
         x = self.sol(times)[:2]
-        each = [law.course(x[k]) if law else (0.0 * times, 0.0 * times) for k, law in enumerate(self.laws)]
+        each = [
+            law.course(x[k]) if law else (0.0 * times, 0.0 * times)
+            for k, law in enumerate(self.laws)
+        ]
         above = np.max([x[k] - law.dent for k, law in enumerate(self.laws) if law], axis=0)
         return np.stack([x[0], x[1], each[0][0], each[1][0], each[0][1] + each[1][1], above])
 
     def top(self, of: Kind, look: int) -> tuple[float, float]:
         """The largest value of a function of the rows about a look, and its time."""
         low, high = self.times[max(look - 1, 0)], self.times[min(look + 1, len(self.times) - 1)]
-        close = minimize_scalar(lambda t: -float(of(self.at(np.array([t])))[0]), bounds=(low, high), method="bounded",
-                                options={"xatol": 1e-9 * (high - low)})  # fmt: skip
+        close = minimize_scalar(
+            lambda t: -float(of(self.at(np.array([t])))[0]),
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-9 * (high - low)},
+        )
         times = np.array([close.x, self.times[look]])
         values = of(self.at(times))
         return float(values.max()), float(times[int(values.argmax())])
@@ -181,7 +191,11 @@ class Motion:
     def peak(self, of: Kind, until: float = math.inf) -> tuple[float, Array]:
         """The largest value and the rows there, by golden sections about the best looks."""
         best, rows = -math.inf, np.zeros(6)
-        looks = [(float(values[i]), i, piece) for piece, values in self._looks(of, until) for i in _tops(values)]
+        looks = [
+            (float(values[i]), i, piece)
+            for piece, values in self._looks(of, until)
+            for i in _tops(values)
+        ]
         looks.sort(key=lambda look: -look[0])
         for value, i, piece in looks[:8]:
             if value < looks[0][0] - 1e-3 * abs(looks[0][0]):
@@ -192,16 +206,26 @@ class Motion:
         return best, rows
 
     def _looks(self, of: Kind, until: float) -> list[tuple[Piece, Array]]:
-        return [(piece, of(piece.rows)) for piece in self.pieces if piece.times[0] < until * (1.0 - 1e-12)]
+        return [
+            (piece, of(piece.rows))
+            for piece in self.pieces
+            if piece.times[0] < until * (1.0 - 1e-12)
+        ]
 
     def crossing(self, of: Kind, level: float, since: float = -math.inf) -> float:
         """First time from `since` on at which a function of the rows reaches a level; NaN if it never does."""
         for piece, values in self._looks(of, math.inf):
             later = piece.times >= since * (1.0 - 1e-14)
             # between two looks a top may be above the level, where one course falls as another rises
-            near = [i for i in _tops(values) if later[i] and level - 0.1 * abs(level) < values[i] < level]
+            near = [
+                i
+                for i in _tops(values)
+                if later[i] and level - 0.1 * abs(level) < values[i] < level
+            ]
             tops = [(*piece.top(of, i), i) for i in near]
-            found = [(time, piece.times[max(i - 1, 0)]) for value, time, i in tops if value >= level]
+            found = [
+                (time, piece.times[max(i - 1, 0)]) for value, time, i in tops if value >= level
+            ]
             if (seen := np.flatnonzero((values >= level) & later)).size:
                 found.append((piece.times[seen[0]], piece.times[max(seen[0] - 1, 0)]))
             if found:
@@ -209,7 +233,11 @@ class Motion:
                 low = max(low, min(since, high))
                 if of(piece.at(np.array([low])))[0] >= level:
                     return float(low)
-                return float(brentq(lambda t, p=piece: of(p.at(np.array([t])))[0] - level, low, high, xtol=1e-15))
+                return float(
+                    brentq(
+                        lambda t, p=piece: of(p.at(np.array([t])))[0] - level, low, high, xtol=1e-15
+                    )
+                )
         return math.nan
 
 
@@ -224,10 +252,18 @@ def _still(t: float, middle: float) -> float:
 
 
 def march(
-    mu: float, speed: float, poles: tuple[Pole, Pole], *, pulse: Callable[[float, float], float] = _still,
-    jumps: list[float] | None = None, record: float = 1e4, stop: str = "parting", fade: float = math.inf,
-    budget: int = 20_000, rtol: float = 1e-11,
-) -> Motion:  # fmt: skip
+    mu: float,
+    speed: float,
+    poles: tuple[Pole, Pole],
+    *,
+    pulse: Callable[[float, float], float] = _still,
+    jumps: list[float] | None = None,
+    record: float = 1e4,
+    stop: str = "parting",
+    fade: float = math.inf,
+    budget: int = 20_000,
+    rtol: float = 1e-11,
+) -> Motion:
     """Integrate one scene.
 
     pulse : incoming wave at A, of the time and of a time inside of the step; jumps : where steps end.
@@ -262,9 +298,18 @@ def march(
             raise Unaffordable(f"more than {budget} steps")
         q, r = (law.force(y[k]) if law else 0.0 for k, law in enumerate(laws))
         ahead, behind = pulse(t, middle) + back(0, t), back(1, t)
-        return (y[3] + 2.0 * ahead - a.gives * q - y[2] if a.law else 0.0,
-                y[2] - b.gives * r - 2.0 * behind - y[4] if b.law else 0.0, (q - r) / mu, -q / a.mass, r / b.mass,
-                a.gives * q * q, b.gives * r * r, q, r, 2.0 * (q * ahead - r * behind))  # fmt: skip
+        return (
+            y[3] + 2.0 * ahead - a.gives * q - y[2] if a.law else 0.0,
+            y[2] - b.gives * r - 2.0 * behind - y[4] if b.law else 0.0,
+            (q - r) / mu,
+            -q / a.mass,
+            r / b.mass,
+            a.gives * q * q,
+            b.gives * r * r,
+            q,
+            r,
+            2.0 * (q * ahead - r * behind),
+        )
 
     for until in [*(jump for jump in jumps or [] if jump < record), record]:
         while time < until:
@@ -273,11 +318,18 @@ def march(
             for k, law in enumerate(laws):
                 if law and law.state == VIRGIN and now[k] < -1e-10:
                     law.unload(float(y[k]))
-                elif law and law.state == SPRING and now[k] > 1e-10 and y[k] >= law.largest * (1 - 1e-12):
+                elif (
+                    law
+                    and law.state == SPRING
+                    and now[k] > 1e-10
+                    and y[k] >= law.largest * (1 - 1e-12)
+                ):
                     law.state = VIRGIN
             ahead, behind = pulse(time, middle) + back(0, time), back(1, time)
-            closing = max((y[3] + 2.0 * ahead - y[2]) * (a.law is not None),
-                          (y[2] - 2.0 * behind - y[4]) * (b.law is not None))  # fmt: skip
+            closing = max(
+                (y[3] + 2.0 * ahead - y[2]) * (a.law is not None),
+                (y[2] - 2.0 * behind - y[4]) * (b.law is not None),
+            )
             apart = all(law is None or y[k] <= law.dent + 1e-13 for k, law in enumerate(laws))
             if stop == "parting" and time > 0.0 and apart and closing <= 1e-13:
                 return _ended(motion, time, y, calls)
@@ -286,16 +338,30 @@ def march(
                 peak = max(peak, motion.top(lambda rows: rows[2:4].max(axis=0)))
                 events.append(_faded(laws, 0.9 * peak))
             with np.errstate(all="ignore"):
-                way = solve_ivp(rates, (time, until), y, method="DOP853", rtol=rtol, atol=1e-4 * rtol, events=events,
-                                first_step=min(1e-6, until - time), dense_output=True)  # fmt: skip
+                way = solve_ivp(
+                    rates,
+                    (time, until),
+                    y,
+                    method="DOP853",
+                    rtol=rtol,
+                    atol=1e-4 * rtol,
+                    events=events,
+                    first_step=min(1e-6, until - time),
+                    dense_output=True,
+                )
             if way.status < 0:
                 raise Unaffordable(way.message)
             time, y, met = float(way.t[-1]), way.y[:, -1].copy(), []
             if way.status == 1:
-                met = [meaning for meaning, seen in zip(meanings, way.t_events, strict=False) if len(seen)
-                       and abs(seen[-1] - time) <= 1e-13 * (1 + time)]  # fmt: skip
+                met = [
+                    meaning
+                    for meaning, seen in zip(meanings, way.t_events, strict=False)
+                    if len(seen) and abs(seen[-1] - time) <= 1e-13 * (1 + time)
+                ]
             faded = way.status == 1 and not met
-            times = np.unique(np.concatenate([np.linspace(t, u, LOOKS) for t, u in pairwise(way.t)]))
+            times = np.unique(
+                np.concatenate([np.linspace(t, u, LOOKS) for t, u in pairwise(way.t)])
+            )
             for k, law in enumerate(laws):  # a fall that is over before the end of a step
                 if law and law.state == SPRING and law.pressed:
                     gap = way.sol(times)[k] - law.dent
@@ -304,17 +370,30 @@ def march(
                     if len(low) and times[low[0]] < time:
                         ends = times[low[0] - 1], times[low[0]]
                         time = float(
-                            brentq(lambda t, k=k, law=law, sol=way.sol: sol(t)[k] - law.dent, *ends, xtol=1e-15)
+                            brentq(
+                                lambda t, k=k, law=law, sol=way.sol: sol(t)[k] - law.dent,
+                                *ends,
+                                xtol=1e-15,
+                            )
                         )
-                        times, y, met, faded = np.append(times[times < time], time), way.sol(time), [(k, "lost")], False
-            motion.pieces.append(Piece(sol=way.sol, laws=(copy.copy(laws[0]), copy.copy(laws[1])), times=times))
+                        times, y, met, faded = (
+                            np.append(times[times < time], time),
+                            way.sol(time),
+                            [(k, "lost")],
+                            False,
+                        )
+            motion.pieces.append(
+                Piece(sol=way.sol, laws=(copy.copy(laws[0]), copy.copy(laws[1])), times=times)
+            )
             if a.end != 0.0 or b.end != 0.0:
                 for t, u in pairwise([*way.t[way.t < time], time]):
                     at = t + (u - t) * NODES
                     x = way.sol(at)
                     q, r = (law.course(x[k])[0] if law else 0.0 * at for k, law in enumerate(laws))
                     ahead_of = np.array([pulse(s, 0.5 * (t + u)) + back(0, s) for s in at])
-                    waves.append((ahead_of - a.gives * q, np.array([back(1, s) for s in at]) + b.gives * r))
+                    waves.append(
+                        (ahead_of - a.gives * q, np.array([back(1, s) for s in at]) + b.gives * r)
+                    )
                     starts.append(t)
                     lengths.append(u - t)
             for k, what in met:
@@ -406,7 +485,12 @@ def jumps_of(edges: list[float], trips: list[float], ends: list[float], most: fl
     reach: list[list[float]] = []
     for trip, end in zip(trips, ends, strict=True):
         weight, shifts = 1.0, [0.0]
-        while end != 0.0 and weight * abs(end) > _FAINT and shifts[-1] + trip < most and len(shifts) < _MOST_JUMPS:
+        while (
+            end != 0.0
+            and weight * abs(end) > _FAINT
+            and shifts[-1] + trip < most
+            and len(shifts) < _MOST_JUMPS
+        ):
             weight *= abs(end)
             shifts.append(shifts[-1] + trip)
         reach.append(shifts)
@@ -441,13 +525,24 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
     p_y = c["contact.onset_pressure"] if yields else hertz(1e9)
     hardness, pile_up = (c["contact.hardness"], c["contact.pile_up"]) if yields else (p_y, 1.0)
     softening = pile_up * hardness / p_y - 1.0
-    law = Law(onset=radius * (math.pi * p_y / (2 * modulus)) ** 2 / unit, b=softening if softening > 1e-12 else 0.0,
-              pile_up=pile_up)  # fmt: skip
-    trips, ends = [float(t) / second for t in scene.round_trips[row]], [float(e) for e in scene.reflections[row]]
-    poles = tuple(Pole(gives=1.0, law=copy.copy(law), trip=trip, end=end)
-                  for trip, end in zip(trips, ends, strict=True))  # fmt: skip
+    law = Law(
+        onset=radius * (math.pi * p_y / (2 * modulus)) ** 2 / unit,
+        b=softening if softening > 1e-12 else 0.0,
+        pile_up=pile_up,
+    )
+    trips, ends = (
+        [float(t) / second for t in scene.round_trips[row]],
+        [float(e) for e in scene.reflections[row]],
+    )
+    poles = tuple(
+        Pole(gives=1.0, law=copy.copy(law), trip=trip, end=end)
+        for trip, end in zip(trips, ends, strict=True)
+    )
     breaks = scene.pulse.breaks[row] / second
-    cubics, frequency = scene.pulse.coefficients[row] * second ** np.arange(4), float(scene.pulse.frequency[row])
+    cubics, frequency = (
+        scene.pulse.coefficients[row] * second ** np.arange(4),
+        float(scene.pulse.frequency[row]),
+    )
 
     def pulse(t: float, middle: float) -> float:
         piece = bisect_right(breaks, middle) - 1
@@ -460,10 +555,24 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
 
     record = float(scene.record_end[row]) / second
     endless = math.isinf(record)
-    jumps = jumps_of([0.0, *(float(edge) for edge in breaks[1:] if math.isfinite(edge))], trips, ends, min(record, 1e9))
-    motion = march(float(mass / (impedance * second)), 0.0, (poles[0], poles[1]), pulse=pulse, jumps=jumps,
-                   record=min(record, 1e9), stop="loss", fade=float(breaks[-1]) if endless else math.inf,
-                   budget=budget, rtol=rtol)  # fmt: skip
+    jumps = jumps_of(
+        [0.0, *(float(edge) for edge in breaks[1:] if math.isfinite(edge))],
+        trips,
+        ends,
+        min(record, 1e9),
+    )
+    motion = march(
+        float(mass / (impedance * second)),
+        0.0,
+        (poles[0], poles[1]),
+        pulse=pulse,
+        jumps=jumps,
+        record=min(record, 1e9),
+        stop="loss",
+        fade=float(breaks[-1]) if endless else math.inf,
+        budget=budget,
+        rtol=rtol,
+    )
 
     def larger(rows: Array) -> Array:
         return np.maximum(rows[2], rows[3])
@@ -471,33 +580,58 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
     def peak_of(x: float) -> dict[str, float]:
         """Centre pressure, a² over r_eff alpha_c, dent and plastic work of a face pressed to x, (C8), (C11), (C12)."""
         if x <= law.onset:
-            return {"centre": p_y * math.sqrt(x / law.onset), "dent": 0.0, "plastic": 0.0, "area": x}
+            return {
+                "centre": p_y * math.sqrt(x / law.onset),
+                "dent": 0.0,
+                "plastic": 0.0,
+                "area": x,
+            }
         ratio, area, _ = law.ratios(x)
         mean = 2.0 / 3.0 * p_y * ratio / area
         rest = (hardness - mean) * (hardness - p_y) / (hardness - 2.0 / 3.0 * p_y)
-        return {"centre": hardness - rest, "area": area * law.onset, "plastic": law.plastic(x),
-                "dent": x - law.onset * ratio / math.sqrt(area)}  # fmt: skip
+        return {
+            "centre": hardness - rest,
+            "area": area * law.onset,
+            "plastic": law.plastic(x),
+            "dent": x - law.onset * ratio / math.sqrt(area),
+        }
 
     top, end, lost = motion.top(larger), motion.end, motion.lost
     level = quiet([pole.law for pole in poles], top)
-    faded = motion.crossing(lambda rows: -rows[5], -level, since=float(breaks[-1])) if endless else math.nan
+    faded = (
+        motion.crossing(lambda rows: -rows[5], -level, since=float(breaks[-1]))
+        if endless
+        else math.nan
+    )
     if not math.isnan(faded):
         end, lost = faded, None
-    echo = min([trip for trip, reflects in zip(trips, ends, strict=True) if reflects != 0.0], default=math.inf)
+    echo = min(
+        [trip for trip, reflects in zip(trips, ends, strict=True) if reflects != 0.0],
+        default=math.inf,
+    )
     deepest = [motion.top(lambda rows, k=k: rows[k]) for k in (0, 1)]
     early = max(motion.top(lambda rows, k=k: rows[k], echo) for k in (0, 1))
     parts = [peak_of(x) for x in deepest]
     rise = second * (motion.crossing(larger, 0.9 * top) - motion.crossing(larger, 0.1 * top))
     energy = force * unit * motion.top(lambda rows: rows[4])
     values = {
-        "p_max": max(part["centre"] for part in parts), "P_max": force * top, "alpha_max": unit * max(deepest),
+        "p_max": max(part["centre"] for part in parts),
+        "P_max": force * top,
+        "alpha_max": unit * max(deepest),
         "dent": unit * max(part["dent"] for part in parts),
         "plastic_work": force * unit * sum(part["plastic"] for part in parts),
-        "time_to_first_loss": second * end, "rise_time": rise, "loading_rate": 0.8 * force * top / rise,
+        "time_to_first_loss": second * end,
+        "rise_time": rise,
+        "loading_rate": 0.8 * force * top / rise,
         "first_peak": peak_of(early)["centre"],
         "force_imbalance": motion.top(lambda rows: np.abs(rows[2] - rows[3])) / top,
-        "energy": energy, "specific_energy": energy / mass,
+        "energy": energy,
+        "specific_energy": energy / mass,
         "a_max": math.sqrt(radius * unit * max(part["area"] for part in parts)),
-    }  # fmt: skip
-    return Reference(values=values, censored={"time_to_first_loss": lost is None}, steps=motion.steps,
-                     motion=motion)  # fmt: skip
+    }
+    return Reference(
+        values=values,
+        censored={"time_to_first_loss": lost is None},
+        steps=motion.steps,
+        motion=motion,
+    )

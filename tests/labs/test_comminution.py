@@ -26,25 +26,46 @@ EXACT = 1e-12
 
 
 def document(**changes: Any) -> ComminutionDocument:
-    tests = {"file": "tests.csv", "diameter": "d [mm]", "specific_energy": "e [J/kg]", "energy_is": "sphere",
-             "outcome": "outcome", **changes.pop("tests", {})}  # fmt: skip
+    tests = {
+        "file": "tests.csv",
+        "diameter": "d [mm]",
+        "specific_energy": "e [J/kg]",
+        "energy_is": "sphere",
+        "outcome": "outcome",
+        **changes.pop("tests", {}),
+    }
     tests = {key: value for key, value in tests.items() if value is not None}
     return ComminutionDocument(**{"material": {"material": "limestone"}, "tests": tests, **changes})
 
 
 def specimens(diameter: Any, energy: Any, broke: Any = True, exact: Any = True) -> Specimens:
-    d, e, b, x = np.broadcast_arrays(np.asarray(diameter, dtype=float), np.asarray(energy, dtype=float), broke, exact)
-    return Specimens(diameter=d.copy(), blows=e[:, None].copy(), broke=b.copy(), exact=x.copy(), weight=np.ones(len(d)))
+    d, e, b, x = np.broadcast_arrays(
+        np.asarray(diameter, dtype=float), np.asarray(energy, dtype=float), broke, exact
+    )
+    return Specimens(
+        diameter=d.copy(),
+        blows=e[:, None].copy(),
+        broke=b.copy(),
+        exact=x.copy(),
+        weight=np.ones(len(d)),
+    )
 
 
 def one_draw(**parameters: float) -> Posterior:
     """A posterior of one known truth."""
     size = "tavares" if "e_inf" in parameters else "power"
     ratio = parameters.pop("ratio", 4.0)
-    model = Model(law="lognormal", size=size, ratio=ratio, priors=dict.fromkeys(parameters, (0.0, 1.0)))
+    model = Model(
+        law="lognormal", size=size, ratio=ratio, priors=dict.fromkeys(parameters, (0.0, 1.0))
+    )
     values = {name: np.array([value]) for name, value in parameters.items()}
-    return Posterior(models=(model,), law=np.zeros(1, dtype=int), parameters={"gamma": np.array([4.0]), **values},
-                     tested=(0.001, 0.1), tests=40)  # fmt: skip
+    return Posterior(
+        models=(model,),
+        law=np.zeros(1, dtype=int),
+        parameters={"gamma": np.array([4.0]), **values},
+        tested=(0.001, 0.1),
+        tests=40,
+    )
 
 
 # --- laws ---------------------------------------------------------------------------------------------------------
@@ -56,20 +77,34 @@ def test_energy_of_a_force_and_the_share_of_the_particle() -> None:
     modulus = 1.0 / (1.0 / own + 1.0 / other)
     assert modulus == pytest.approx(h["Estar"], rel=EXACT)
     mass = laws.mass_of(h["d"], h["density"])
-    assert float(laws.energy_of_force(h["force"], h["d"], modulus, mass)) == pytest.approx(h["specific"], rel=EXACT)
+    assert float(laws.energy_of_force(h["force"], h["d"], modulus, mass)) == pytest.approx(
+        h["specific"], rel=EXACT
+    )
     assert laws.particle_share(own, other) == pytest.approx(h["particle_share"], rel=EXACT)
 
 
 @pytest.mark.parametrize("case", CASES["damage"], ids=lambda c: f"{c['gamma']}-{c['q']}")
 def test_damage_of_a_blow(case: dict[str, float]) -> None:
     q, left = case["q"], (1.0 - case["D"]) / case["q"]
-    assert float(laws.before_blow(left, case["gamma"])) == pytest.approx(max(1.0 / q, 1.0), rel=1e-10)
+    assert float(laws.before_blow(left, case["gamma"])) == pytest.approx(
+        max(1.0 / q, 1.0), rel=1e-10
+    )
 
 
 def damage(share: float, gamma: float) -> float:
     """D of a blow of E/e, (L4)."""
-    return float(brentq(lambda d: d ** (2.5 / gamma) * (2 * gamma + 5 - 5 * d) / (2 * gamma) - share, 0.0, 1.0,
-                        xtol=1e-14)) if share < 1.0 else 1.0  # fmt: skip
+    return (
+        float(
+            brentq(
+                lambda d: d ** (2.5 / gamma) * (2 * gamma + 5 - 5 * d) / (2 * gamma) - share,
+                0.0,
+                1.0,
+                xtol=1e-14,
+            )
+        )
+        if share < 1.0
+        else 1.0
+    )
 
 
 @pytest.mark.parametrize("gamma", CASES["thresholds"])
@@ -95,7 +130,9 @@ def test_broken_share_and_its_inverse(case: dict[str, float]) -> None:
         back = laws.energy_at("lognormal", share, case["E50"], case["sigma"], ratio)
         assert float(back) == pytest.approx(case["e"], rel=1e-9)
     weibull = laws.broken_share("weibull", case["e"], case["E50"], 3.0)
-    assert float(laws.energy_at("weibull", weibull, case["E50"], 3.0)) == pytest.approx(case["e"], rel=1e-9)
+    assert float(laws.energy_at("weibull", weibull, case["E50"], 3.0)) == pytest.approx(
+        case["e"], rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("case", CASES["size_laws"], ids=str)
@@ -111,7 +148,9 @@ SIZED = (213.5, 1.22, 8.07e-3)
 @pytest.mark.parametrize("case", CASES["tn"], ids=lambda c: f"{c['n']}-{c['t10']}")
 def test_other_finenesses_from_t10(case: dict[str, float]) -> None:
     for key, curve, alpha in (("trr08", "trr", 0.8), ("trr1", "trr", 1.0), ("milin", "milin", 1.0)):
-        assert float(laws.t_n(case["n"], case["t10"], curve, alpha)) == pytest.approx(case[key], rel=1e-11)
+        assert float(laws.t_n(case["n"], case["t10"], curve, alpha)) == pytest.approx(
+            case[key], rel=1e-11
+        )
     assert float(laws.t_n(0.5, case["t10"])) == 1.0
 
 
@@ -125,17 +164,31 @@ def test_thirty_tests_of_one_size_have_the_exact_intervals() -> None:
     for name, key in (("e50_1", "E50"), ("sigma", "sigma")):
         one = found.content["parameters"][name]
         low, middle, high = case["exact95"][key]
-        assert [one["low"], one["value"], one["high"]] == pytest.approx([low, middle, high], rel=0.02)
-    assert found.content["laws"]["lognormal"]["log_likelihood"] == pytest.approx(case["loglik"], abs=1e-6)
+        assert [one["low"], one["value"], one["high"]] == pytest.approx(
+            [low, middle, high], rel=0.02
+        )
+    assert found.content["laws"]["lognormal"]["log_likelihood"] == pytest.approx(
+        case["loglik"], abs=1e-6
+    )
     value = log_likelihoods(found.posterior.models[0], tests, None)
     best = np.log([case["mle"]["E50"], case["mle"]["sigma"]])
     assert float(value(best).sum()) == pytest.approx(case["loglik"], abs=1e-9)
 
 
 def test_intervals_of_go_no_go_come_from_the_tail_that_both_ends_lie_in() -> None:
-    tests = Specimens(diameter=np.full(3, 0.01), blows=np.array([[100.0], [1e-9], [380.0]]), weight=np.ones(3),
-                      broke=np.array([True, True, False]), exact=np.zeros(3, dtype=bool))  # fmt: skip
-    model = Model(law="lognormal", size="power", ratio=4.0, priors={"C": (0, 1), "phi": (0, 1), "sigma": (0, 1)})
+    tests = Specimens(
+        diameter=np.full(3, 0.01),
+        blows=np.array([[100.0], [1e-9], [380.0]]),
+        weight=np.ones(3),
+        broke=np.array([True, True, False]),
+        exact=np.zeros(3, dtype=bool),
+    )
+    model = Model(
+        law="lognormal",
+        size="power",
+        ratio=4.0,
+        priors={"C": (0, 1), "phi": (0, 1), "sigma": (0, 1)},
+    )
     x = np.log([100.0 * 0.01**0.5, 0.5, 0.6])
     found = log_likelihoods(model, tests, 4.0)(x)
     z = np.array([math.log(100.0 / 0.75 / 100.0), 0.0, math.log(380.0 / 0.05 / 100.0)]) / 0.6
@@ -171,7 +224,9 @@ def test_tests_that_do_not_overlap_show_no_scatter() -> None:
     energy, broke = [50.0, 100.0, 200.0, 400.0], np.array([False, False, True, True])
     with pytest.raises(UsageError, match="do not show how strengths scatter"):
         fit(specimens(0.01, energy, broke, exact=False), document(tests={"law": "lognormal"}))
-    given = document(tests={"law": "lognormal", "prior": {"sigma": {"log_mean": -0.7, "log_sd": 0.3}}})
+    given = document(
+        tests={"law": "lognormal", "prior": {"sigma": {"log_mean": -0.7, "log_sd": 0.3}}}
+    )
     (size,) = fit(specimens(0.01, energy, broke, exact=False), given).content["sizes"]
     assert 50.0 < size["breaks_half"]["value"] < 400.0
 
@@ -188,7 +243,11 @@ def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
         assert larger == pytest.approx(1.2 ** float(exponent), rel=0.01)
         assert (tests, float(size)) == ("48", pytest.approx(10.0))
         x = energy / (1.0 - float(bound) * energy / float(scale)) / float(scale)
-        share = ndtr(math.log(x) / float(shape)) if name == "lognormal" else -math.expm1(-(x ** float(shape)))
+        share = (
+            ndtr(math.log(x) / float(shape))
+            if name == "lognormal"
+            else -math.expm1(-(x ** float(shape)))
+        )
         assert share == pytest.approx(from_law[k], rel=1e-6)
 
 
@@ -220,7 +279,13 @@ def test_repeated_blows_determine_gamma() -> None:
         count = int(np.searchsorted(u * offered, e[k]))
         broke[k] = count <= blows
         series[k, : min(max(count, 1), blows)] = offered
-    tests = Specimens(diameter=np.full(n, 0.02), blows=series, broke=broke, exact=np.zeros(n, bool), weight=np.ones(n))
+    tests = Specimens(
+        diameter=np.full(n, 0.02),
+        blows=series,
+        broke=broke,
+        exact=np.zeros(n, bool),
+        weight=np.ones(n),
+    )
     found = fit(tests, document(tests={"law": "lognormal"})).content["parameters"]
     assert found["gamma"]["low"] < 3.0 < found["gamma"]["high"]
     assert found["gamma"]["sd"] < 0.35
@@ -242,11 +307,23 @@ def test_tables_of_tests(tmp_path: Path) -> None:
     assert high[1] == math.inf
     dropped = table(tmp_path, plain, rig="drop_weight", energy_is="input")
     assert dropped.bounds(np.array(4.0))[0].tolist() == [0.0, 120.5, 0.0]
-    grouped = table(tmp_path, "d [mm],e [J/kg],n,b\n10,50,20,3\n10,100,20,15\n", rig="drop_weight", energy_is="input",
-                    outcome=None, particles="n", broken="b")  # fmt: skip
+    grouped = table(
+        tmp_path,
+        "d [mm],e [J/kg],n,b\n10,50,20,3\n10,100,20,15\n",
+        rig="drop_weight",
+        energy_is="input",
+        outcome=None,
+        particles="n",
+        broken="b",
+    )
     assert grouped.weight.tolist() == [3.0, 17.0, 15.0, 5.0]
-    hit = table(tmp_path, "d [mm],e [J/kg],outcome,s\n10,50,0,a\n10,60,0,a\n10,70,1,a\n10,80,1,b\n", rig="drop_weight",
-                energy_is="input", specimen="s")  # fmt: skip
+    hit = table(
+        tmp_path,
+        "d [mm],e [J/kg],outcome,s\n10,50,0,a\n10,60,0,a\n10,70,1,a\n10,80,1,b\n",
+        rig="drop_weight",
+        energy_is="input",
+        specimen="s",
+    )
     assert hit.blows[0].tolist() == [50.0, 60.0, 70.0]
     low, high = hit.bounds(np.array(4.0))
     assert low[0] == pytest.approx(float(laws.survivor_bound([50.0, 60.0], 4.0)))
@@ -257,17 +334,28 @@ def test_a_force_needs_a_stiffness(tmp_path: Path) -> None:
     text = "d [mm],F [kN],K [GPa],outcome\n20,20,44.71836,broke\n20,20,22.35918,broke\n"
     with pytest.raises(ValueError, match="stiffness of each particle"):
         table(tmp_path, text, specific_energy=None, energy_is=None, force="F")
-    tests = table(tmp_path, text, specific_energy=None, energy_is=None, force="F", stiffness="K",
-                  partner={"E": "210 GPa", "nu": 0.3, "density": "7850 kg/m3"})  # fmt: skip
+    tests = table(
+        tmp_path,
+        text,
+        specific_energy=None,
+        energy_is=None,
+        force="F",
+        stiffness="K",
+        partner={"E": "210 GPa", "nu": 0.3, "density": "7850 kg/m3"},
+    )
     assert tests.last[1] / tests.last[0] == pytest.approx(2.0 ** (2.0 / 3.0), rel=1e-9)
 
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("10,-5,broke", "line 2: the energy must be above 0"), ("0,5,broke", "line 2: the size"),
-     ("10,5,perhaps", "line 2: outcome"), ("10,5,survived", "every particle survived"),
-     ("10,x,broke\n10,5,broke", "line 2")],
-)  # fmt: skip
+    [
+        ("10,-5,broke", "line 2: the energy must be above 0"),
+        ("0,5,broke", "line 2: the size"),
+        ("10,5,perhaps", "line 2: outcome"),
+        ("10,5,survived", "every particle survived"),
+        ("10,x,broke\n10,5,broke", "line 2"),
+    ],
+)
 def test_faults_of_tables_name_their_lines(text: str, match: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=match):
         table(tmp_path, f"d [mm],e [J/kg],outcome\n{text}\n")
@@ -278,7 +366,10 @@ def test_only_breaks_of_go_no_go_bound_nothing_and_odd_rows_are_named(tmp_path: 
     with pytest.raises(UsageError, match="nothing bounds it from below"):
         table(tmp_path, head + "10,5,1\n20,5,1\n", rig="drop_weight", energy_is="input")
     rows = "".join(f"10,{80 + k},1\n" for k in range(12))
-    assert any("line 14: the energy lies far" in note for note in table(tmp_path, head + rows + "10,80000,1\n").notes)
+    assert any(
+        "line 14: the energy lies far" in note
+        for note in table(tmp_path, head + rows + "10,80000,1\n").notes
+    )
     with pytest.raises(UsageError, match="hit again after it broke"):
         table(tmp_path, head.replace("outcome", "outcome,s") + "10,5,1,a\n10,5,1,a\n", specimen="s")
 
@@ -302,11 +393,18 @@ def test_a_rosin_rammler_feed_of_a_known_truth(blows: int, key: str, tmp_path: P
 
 
 @pytest.mark.parametrize(("blows", "key"), [(1, "closed"), (5, "n5_gamma4")])
-def test_a_lognormal_feed_of_a_power_law_in_closed_form(blows: int, key: str, tmp_path: Path) -> None:
+def test_a_lognormal_feed_of_a_power_law_in_closed_form(
+    blows: int, key: str, tmp_path: Path
+) -> None:
     case = CASES["F1"]
-    fine = load_classes(SizesTable(law="lognormal", d50="30 mm", sd=0.7, top="3 m", ratio=1.06, classes=190), tmp_path)
+    fine = load_classes(
+        SizesTable(law="lognormal", d50="30 mm", sd=0.7, top="3 m", ratio=1.06, classes=190),
+        tmp_path,
+    )
     truth = one_draw(C=case["C"], phi=case["phi"], sigma=case["sigma"], ratio=math.inf)
-    broken = broken_by_blow(truth, np.full(len(fine.mass), case["energy"]), fine.sizes, blows)[0, :, -1]
+    broken = broken_by_blow(truth, np.full(len(fine.mass), case["energy"]), fine.sizes, blows)[
+        0, :, -1
+    ]
     assert float(broken @ fine.mass) == pytest.approx(case[key], abs=2e-4)
 
 
@@ -318,21 +416,28 @@ def feed_document(**feed: Any) -> ComminutionDocument:
     return document(feed=feed, product={"A": "55 %", "b": "0.8 t/kWh"})
 
 
-def test_mass_is_kept_and_the_product_is_finer_after_more_blows(fitted: Fit, tmp_path: Path) -> None:
+def test_mass_is_kept_and_the_product_is_finer_after_more_blows(
+    fitted: Fit, tmp_path: Path
+) -> None:
     one, five = (answer_feed(fitted.posterior, feed_document(blows=n), tmp_path) for n in (1, 5))
     assert one.classes.mass.sum() == pytest.approx(1.0, abs=EXACT)
     assert (np.diff(one.passing, axis=1) >= -EXACT).all()
     assert one.passing[:, -1] == pytest.approx(1.0, abs=1e-9)
     assert (five.total > one.total).all()
     assert five.content["numbers"]["P80 [m]"]["value"] < one.content["numbers"]["P80 [m]"]["value"]
-    finer = answer_feed(fitted.posterior, feed_document(sizes=SIZES | {"ratio": 2**0.25, "classes": 28}), tmp_path)
+    finer = answer_feed(
+        fitted.posterior, feed_document(sizes=SIZES | {"ratio": 2**0.25, "classes": 28}), tmp_path
+    )
     coarse, fine = (answer.content["numbers"]["P80 [m]"]["value"] for answer in (one, finer))
     assert fine == pytest.approx(coarse, rel=0.01)
 
 
 def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
     once, thrice = (
-        [answer_feed(fitted.posterior, feed_document(blows=n, rebreak=again), tmp_path) for again in (False, True)]
+        [
+            answer_feed(fitted.posterior, feed_document(blows=n, rebreak=again), tmp_path)
+            for again in (False, True)
+        ]
         for n in (1, 3)
     )
     # the fragments of the last blow are hit no more: the same mass passes the edges of the classes
@@ -344,7 +449,9 @@ def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
     np.testing.assert_allclose(again.passing[:, -1], 1.0, atol=EXACT)
     # two blows of two classes by hand
     cumulative = np.array([[[0.0, 0.5, 0.7], [0.0, 0.2, 0.3]]])
-    struck, broken, left = population(cumulative, np.array([0.8, 0.2]), np.array([[[0.4, 0.0], [0.6, 1.0]]]))
+    struck, broken, left = population(
+        cumulative, np.array([0.8, 0.2]), np.array([[[0.4, 0.0], [0.6, 1.0]]])
+    )
     fresh = np.array([0.4 * 0.4, 0.6 * 0.4 + 0.04])
     np.testing.assert_allclose(struck[0], [0.8 + 0.4 + fresh[0], 0.2 + 0.16 + fresh[1]], rtol=EXACT)
     now = np.array([0.8 * 0.2 + 0.5 * fresh[0], 0.2 * 0.1 + 0.2 * fresh[1]])
@@ -352,7 +459,11 @@ def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
     last = [0.24 + 0.5 * fresh[0] + 0.4 * now[0], 0.14 + 0.8 * fresh[1] + 0.6 * now[0] + now[1]]
     np.testing.assert_allclose(left[0], last, rtol=EXACT)
     with pytest.raises(UsageError, match=r"rebreak needs .*\[product\]"):
-        answer_feed(fitted.posterior, feed_document(rebreak=True).model_copy(update={"product": None}), tmp_path)
+        answer_feed(
+            fitted.posterior,
+            feed_document(rebreak=True).model_copy(update={"product": None}),
+            tmp_path,
+        )
 
 
 def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: Path) -> None:
@@ -365,7 +476,10 @@ def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: 
 def sieved(folder: Path, text: str, **sizes: Any) -> Any:
     (folder / "psd.csv").write_text(text)
     return load_classes(
-        SizesTable(law="table", file="psd.csv", sieve="sieve [um]", passing="passing_percent", **sizes), folder
+        SizesTable(
+            law="table", file="psd.csv", sieve="sieve [um]", passing="passing_percent", **sizes
+        ),
+        folder,
     )
 
 
@@ -389,9 +503,19 @@ def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["comminution", "feed", path, "--out", str(tmp_path / "out"), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
-        "draws.csv", "fit.json", "feed.json", "classes.csv", "product.csv", "SHA256SUMS"}  # fmt: skip
-    truth = laws.median_energy("tavares", 0.016, 60.0, 0.9, 0.012)  # what the shipped tests were made with
-    half = next(one for one in content["fit"]["sizes"] if abs(one["diameter"] - 0.016) < 1e-4)["E50"]
+        "draws.csv",
+        "fit.json",
+        "feed.json",
+        "classes.csv",
+        "product.csv",
+        "SHA256SUMS",
+    }
+    truth = laws.median_energy(
+        "tavares", 0.016, 60.0, 0.9, 0.012
+    )  # what the shipped tests were made with
+    half = next(one for one in content["fit"]["sizes"] if abs(one["diameter"] - 0.016) < 1e-4)[
+        "E50"
+    ]
     assert half["low"] < float(truth) < half["high"]
     assert "synthetic" in content["feed"]["warnings"][0]
     assert main(["comminution", "fit", path, "--out", str(tmp_path / "fit")]) == 0

@@ -14,11 +14,23 @@ HOUSE = Path(__file__).parents[2] / "uqsphere"
 LAB_FILES = sorted((HOUSE / "labs").rglob("*.py"))
 #: modules of the product that labs may use, and names where only some of a module are public
 ALLOWED = {
-    "uqsphere", "uqsphere.arrays", "uqsphere.documents", "uqsphere.errors", "uqsphere.materials",
-    "uqsphere.mechanics.contact", "uqsphere.mechanics.bars", "uqsphere.mechanics.yielding", "uqsphere.quantities",
-    "uqsphere.report.figures", "uqsphere.results.folder", "uqsphere.study", "uqsphere.tables",
-    "uqsphere.units", "uqsphere.uq", "uqsphere.uq.curve",
-}  # fmt: skip
+    "uqsphere",
+    "uqsphere.arrays",
+    "uqsphere.documents",
+    "uqsphere.errors",
+    "uqsphere.materials",
+    "uqsphere.mechanics.contact",
+    "uqsphere.mechanics.bars",
+    "uqsphere.mechanics.yielding",
+    "uqsphere.quantities",
+    "uqsphere.report.figures",
+    "uqsphere.results.folder",
+    "uqsphere.study",
+    "uqsphere.tables",
+    "uqsphere.units",
+    "uqsphere.uq",
+    "uqsphere.uq.curve",
+}
 
 
 def imported(path: Path) -> list[tuple[str, str]]:
@@ -48,13 +60,17 @@ def test_the_lab_commands_need_no_heavy_import_for_their_help() -> None:
         "except SystemExit: "
         "print([m for m in ('pandas', 'matplotlib', 'scipy.stats', 'scipy.optimize') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOUSE.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOUSE.parent
+    )
     assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_the_product_stands_without_the_labs(tmp_path: Path) -> None:
     """Every module imports, a study loads, and the labs' commands are unknown, where `labs/` is deleted."""
-    shutil.copytree(HOUSE, tmp_path / "uqsphere", ignore=shutil.ignore_patterns("labs", "__pycache__"))
+    shutil.copytree(
+        HOUSE, tmp_path / "uqsphere", ignore=shutil.ignore_patterns("labs", "__pycache__")
+    )
     code = (
         "import pkgutil, importlib, sys, uqsphere; "
         "names = [m.name for m in pkgutil.walk_packages(uqsphere.__path__, 'uqsphere.') if '__main__' not in m.name]; "
@@ -65,7 +81,9 @@ def test_the_product_stands_without_the_labs(tmp_path: Path) -> None:
     study = HOUSE.parent / "studies/limestone_margin.toml"
     alone = {"PATH": "", "PYTHONPATH": str(tmp_path), "HOME": str(tmp_path)}
     command = [sys.executable, "-c", code, str(study)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, env=alone)
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, check=False, env=alone
+    )
     assert done.returncode == 2
     assert "invalid choice: 'shpb'" in done.stderr
     assert done.stdout.split() == [str(tmp_path / "uqsphere" / "__init__.py"), "2"]

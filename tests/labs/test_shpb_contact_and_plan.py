@@ -22,8 +22,12 @@ TRUTH = {"modulus": 40e9, "onset": 1.0e9, "hardness": 2.5e9, "pile_up": 2.0}
 RADIUS = 5e-3
 
 
-def loading(noise: float = 2e-8, top: float = 3000.0, unload: bool = True, compliance: float = 0.0) -> pd.DataFrame:
-    force = np.concatenate([np.linspace(0.0, top, 400), *([np.linspace(top, 0.0, 300)] if unload else [])])
+def loading(
+    noise: float = 2e-8, top: float = 3000.0, unload: bool = True, compliance: float = 0.0
+) -> pd.DataFrame:
+    force = np.concatenate(
+        [np.linspace(0.0, top, 400), *([np.linspace(top, 0.0, 300)] if unload else [])]
+    )
     largest = np.maximum(np.maximum.accumulate(force), 1e-9)
     approach = face_approach(force, largest, RADIUS, *TRUTH.values())
     rng = np.random.default_rng(1)
@@ -41,12 +45,19 @@ def fit(frame: pd.DataFrame, folder: Path, **keys: Any) -> Any:
 def test_a_face_is_hertz_below_its_onset() -> None:
     force = np.array([5.0, 20.0])
     elastic = face_approach(force, force, RADIUS, 40e9, 50e9, 100e9, 2.0)
-    np.testing.assert_allclose(elastic, np.cbrt(np.square(force / hertz_constant(40e9, RADIUS))), rtol=1e-9)
+    np.testing.assert_allclose(
+        elastic, np.cbrt(np.square(force / hertz_constant(40e9, RADIUS))), rtol=1e-9
+    )
 
 
 def test_a_slow_test_gives_back_its_law(tmp_path: Path) -> None:
     found = fit(loading(), tmp_path)
-    for name, value in (("modulus", 40e9), ("onset_pressure", 1e9), ("hardness", 2.5e9), ("pile_up", 2.0)):
+    for name, value in (
+        ("modulus", 40e9),
+        ("onset_pressure", 1e9),
+        ("hardness", 2.5e9),
+        ("pile_up", 2.0),
+    ):
         one = getattr(found, name)
         assert one.low < value < one.high
         assert one.value == pytest.approx(value, rel=0.03)
@@ -65,20 +76,32 @@ def test_machine_and_platens_are_taken_off(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("frame", "keys", "match"),
-    [(loading(unload=False), {}, "not unloaded"), (loading(top=60.0, noise=1e-10), {}, "hardly beyond Hertz"),
-     (loading().iloc[::50], {}, "samples above 1%"), (loading() * [1.0, -1.0], {}, "never positive"),
-     (loading() * [-1.0, 1.0], {}, "does not grow"), (loading().sample(frac=1.0, random_state=1), {}, "jumps|grow"),
-     (loading().rename(columns={"F [N]": "F"}), {}, "unit of the column 'F' is missing")],
-)  # fmt: skip
-def test_what_is_no_such_test_is_refused(frame: pd.DataFrame, keys: Any, match: str, tmp_path: Path) -> None:
+    [
+        (loading(unload=False), {}, "not unloaded"),
+        (loading(top=60.0, noise=1e-10), {}, "hardly beyond Hertz"),
+        (loading().iloc[::50], {}, "samples above 1%"),
+        (loading() * [1.0, -1.0], {}, "never positive"),
+        (loading() * [-1.0, 1.0], {}, "does not grow"),
+        (loading().sample(frac=1.0, random_state=1), {}, "jumps|grow"),
+        (loading().rename(columns={"F [N]": "F"}), {}, "unit of the column 'F' is missing"),
+    ],
+)
+def test_what_is_no_such_test_is_refused(
+    frame: pd.DataFrame, keys: Any, match: str, tmp_path: Path
+) -> None:
     with pytest.raises(UsageError, match=match):
         fit(frame, tmp_path, **keys)
 
 
-def test_fit_contact_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_contact_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     loading().to_csv(tmp_path / "slow.csv", index=False)
     (tmp_path / "slow.toml").write_text('file = "slow.csv"\ndiameter = "10 mm"\n')
-    assert main(["shpb", "fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(["shpb", "fit-contact", str(tmp_path / "slow.toml"), "--out", str(tmp_path / "out")])
+        == 0
+    )
     assert 'law = "plastic"' in capsys.readouterr().out
     written = tomllib.loads((tmp_path / "out/contact.toml").read_text())
     assert written["contact"]["pile_up"] == pytest.approx(2.0, rel=0.03)
@@ -114,13 +137,24 @@ aim = "survive"
 
 def plan(folder: Path, capsys: pytest.CaptureFixture[str], E: str, *more: str) -> dict[str, Any]:
     (folder / "ball.toml").write_text(STUDY.format(E=E))
-    lines = ['study = "ball.toml"', "shares = [1e-4, 0.04, 0.5]", "points = 9", 'between = ["0.3 m/s", "6 m/s"]', *more]
+    lines = [
+        'study = "ball.toml"',
+        "shares = [1e-4, 0.04, 0.5]",
+        "points = 9",
+        'between = ["0.3 m/s", "6 m/s"]',
+        *more,
+    ]
     (folder / "plan.toml").write_text("\n".join(lines))
-    assert main(["shpb", "plan", str(folder / "plan.toml"), "--json", "--out", str(folder / "out")]) == 0
+    assert (
+        main(["shpb", "plan", str(folder / "plan.toml"), "--json", "--out", str(folder / "out")])
+        == 0
+    )
     return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
 
 
-def test_small_shares_come_from_the_law_of_the_strength(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_small_shares_come_from_the_law_of_the_strength(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = plan(tmp_path, capsys, '"60 GPa"')
     force = np.array(found["force"])[:, 1]
     truth = weibull_min.cdf(force, 6.0, scale=12e3 / math.gamma(1.0 + 1.0 / 6.0))
@@ -137,18 +171,24 @@ def test_scatter_widens_the_shares_and_intervals_hold_finer_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     E = '{ dist = "lognormal", mean = "60 GPa", cov = 0.2 }'
-    coarse, fine = (plan(tmp_path, capsys, E, f"rows = {rows}")["shares"]["crushing"] for rows in (64, 2048))
+    coarse, fine = (
+        plan(tmp_path, capsys, E, f"rows = {rows}")["shares"]["crushing"] for rows in (64, 2048)
+    )
     held = [low <= there[0] <= high for (_, low, high), there in zip(coarse, fine, strict=True)]
     assert sum(held) >= 7
     assert all(low < value < high for value, low, high in fine[:6])
 
 
-def test_what_a_plan_cannot_use_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_plan_cannot_use_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"'))
-    for line, match in (('free = "striker.mass"', "is no number of the study"),
-                        ('between = ["1 kg", "2 kg"]', "between"),
-                        ('limits = ["none"]', "no limit of the study means fracture"),
-                        ("rows = 3", "rows")):  # fmt: skip
+    for line, match in (
+        ('free = "striker.mass"', "is no number of the study"),
+        ('between = ["1 kg", "2 kg"]', "between"),
+        ('limits = ["none"]', "no limit of the study means fracture"),
+        ("rows = 3", "rows"),
+    ):
         (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
         assert main(["shpb", "plan", str(tmp_path / "plan.toml")]) == 2
         assert match in capsys.readouterr().err

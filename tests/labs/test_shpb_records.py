@@ -33,7 +33,7 @@ BARS: dict[str, Any] = {
         "gauge": "0.75 m",
     },
     "receiving_bar": {"gauge": "0.6 m"},
-}  # fmt: skip
+}
 
 
 def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFrame:
@@ -42,15 +42,22 @@ def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFra
     Waves change their shape on their way by the first mode of the bars.
     """
     time = np.arange(0.0, 900e-6, STEP)
-    first, back = 150e-6, round(2.0 * GAUGE_A / C0 / STEP)  # foot of the incident wave at its gauge, way back
+    first, back = (
+        150e-6,
+        round(2.0 * GAUGE_A / C0 / STEP),
+    )  # foot of the incident wave at its gauge, way back
 
     def moved(wave: np.ndarray, way: float) -> np.ndarray:
         return correct(wave, STEP, way, radius=0.5 * DIAMETER, wave_speed=C0, nu=0.3, surface=False)
 
     def force(t: np.ndarray) -> np.ndarray:
-        return np.where((t > 0.0) & (t < 120e-6), PEAK * np.sin(np.pi * np.clip(t / 120e-6, 0.0, 1.0)) ** 2, 0.0)
+        return np.where(
+            (t > 0.0) & (t < 120e-6), PEAK * np.sin(np.pi * np.clip(t / 120e-6, 0.0, 1.0)) ** 2, 0.0
+        )
 
-    shape = np.clip((time - first) / rise, 0.0, 1.0) * np.clip((120e-6 + first - time) / rise, 0.0, 1.0)
+    shape = np.clip((time - first) / rise, 0.0, 1.0) * np.clip(
+        (120e-6 + first - time) / rise, 0.0, 1.0
+    )
     incident = moved(800e-6 * np.sin(0.5 * np.pi * shape) ** 2, LENGTH - GAUGE_A)
     at_face = np.concatenate([np.zeros(back), moved(incident, GAUGE_A)[:-back]])
     reflected = moved(force(time - first - back * STEP) / EA - at_face, GAUGE_A)
@@ -62,7 +69,10 @@ def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFra
 
 def read(folder: Path, frame: pd.DataFrame, **changes: Any) -> Reading:
     frame.to_csv(folder / "record.csv", index=False)
-    tables = {name: {**BARS.get(name, {}), **changes.get(name, {})} for name in {*BARS, *changes, "record"}}
+    tables = {
+        name: {**BARS.get(name, {}), **changes.get(name, {})}
+        for name in {*BARS, *changes, "record"}
+    }
     tables["record"] = {"file": "record.csv", **changes.get("record", {})}
     document = RecordDocument(**tables)
     return read_test(load_record(document, folder), document)
@@ -90,7 +100,9 @@ def test_a_clean_record(tmp_path: Path) -> None:
     assert test.peaks["B"].time == pytest.approx(60e-6, abs=6e-6)
     assert test.energies is not None
     # the work of the force: velocities of the faces are c0 (eps_r - eps_i) and -c0 eps_t
-    assert test.energies["incident"] == pytest.approx(EA * C0 * STEP * float(np.square(test.pulse).sum()), rel=1e-3)
+    assert test.energies["incident"] == pytest.approx(
+        EA * C0 * STEP * float(np.square(test.pulse).sum()), rel=1e-3
+    )
     assert test.balanced is not None
     assert test.balanced > 0.9
 
@@ -127,10 +139,17 @@ def triggered(frame: pd.DataFrame) -> None:
 
 @pytest.mark.parametrize(
     ("fault", "step", "text"),
-    [(spiked, "spikes", "3 spikes"), (drifted, "baseline", "receiving: a baseline of 6"),
-     (drifted, "drift", "microstrain/ms"), (turned, "sign", "incident"), (triggered, "spikes", "incident")],
-)  # fmt: skip
-def test_mended_in_named_steps_that_print_what_they_changed(fault: Any, step: str, text: str, tmp_path: Path) -> None:
+    [
+        (spiked, "spikes", "3 spikes"),
+        (drifted, "baseline", "receiving: a baseline of 6"),
+        (drifted, "drift", "microstrain/ms"),
+        (turned, "sign", "incident"),
+        (triggered, "spikes", "incident"),
+    ],
+)
+def test_mended_in_named_steps_that_print_what_they_changed(
+    fault: Any, step: str, text: str, tmp_path: Path
+) -> None:
     frame = waves()
     fault(frame)
     test = read(tmp_path, frame)
@@ -165,35 +184,82 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "sign of one bar": (scaled(INC, -1.0), {}, ""),
     "sign of the other": (scaled(REC, -1.0), {}, ""),
     "sign of both": (lambda f: f * [1.0, -1.0, -1.0], {}, ""),
-    "columns exchanged": (None, {"record": {"incident": REC, "receiving": INC}}, "columns exchanged"),
-    "gauges exchanged": (None, {"incident_bar": {"gauge": "0.6 m"}, "receiving_bar": {"gauge": "0.75 m"}}, "would fit"),
-    **{f"gain A {k}": (scaled(INC, k), {}, "times the impulse") for k in (0.25, 0.5, 0.9, 1.5, 2.0, 4.0)},
-    **{f"gain B {k}": (scaled(REC, k), {}, "times the impulse") for k in (0.25, 0.5, 0.9, 1.5, 2.0, 4.0)},
-    "gain of both": (lambda f: f * [1.0, 2.0, 2.0], {"record": {"striker_speed": "8.1 m/s"}}, "a striker of 16"),
-    "strain as microstrain": (None, {"incident_bar": {"unit": "microstrain"}}, "microstrain' ?|unit"),
+    "columns exchanged": (
+        None,
+        {"record": {"incident": REC, "receiving": INC}},
+        "columns exchanged",
+    ),
+    "gauges exchanged": (
+        None,
+        {"incident_bar": {"gauge": "0.6 m"}, "receiving_bar": {"gauge": "0.75 m"}},
+        "would fit",
+    ),
+    **{
+        f"gain A {k}": (scaled(INC, k), {}, "times the impulse")
+        for k in (0.25, 0.5, 0.9, 1.5, 2.0, 4.0)
+    },
+    **{
+        f"gain B {k}": (scaled(REC, k), {}, "times the impulse")
+        for k in (0.25, 0.5, 0.9, 1.5, 2.0, 4.0)
+    },
+    "gain of both": (
+        lambda f: f * [1.0, 2.0, 2.0],
+        {"record": {"striker_speed": "8.1 m/s"}},
+        "a striker of 16",
+    ),
+    "strain as microstrain": (
+        None,
+        {"incident_bar": {"unit": "microstrain"}},
+        "microstrain' ?|unit",
+    ),
     "microstrain as strain": (lambda f: f * [1.0, 1e6, 1e6], {}, "no elastic bar bears"),
     "one bar in percent": (None, {"receiving_bar": {"unit": "%"}}, "times the impulse"),
-    "time in ms": (lambda f: f.rename(columns={"time [us]": "t"}), {"record": {"time_unit": "ms"}}, "passes|unit"),
+    "time in ms": (
+        lambda f: f.rename(columns={"time [us]": "t"}),
+        {"record": {"time_unit": "ms"}},
+        "passes|unit",
+    ),
     "diameter of one bar": (None, {"receiving_bar": {"diameter": "25 mm"}}, "times the impulse"),
-    **{f"gauge A {d}": (None, {"incident_bar": {"gauge": d}}, "0.7[45]|impulse")
-       for d in ("0.5 m", "0.65 m", "0.9 m", "1.1 m")},
-    **{f"gauge B {d}": (None, {"receiving_bar": {"gauge": d}}, "0.6|impulse")
-       for d in ("0.4 m", "0.5 m", "0.7 m", "1 m")},
-    **{f"E {k}": (None, {"incident_bar": {"E": f"{k} GPa"}}, "wave speed|another E") for k in (70, 120, 150, 170)},
+    **{
+        f"gauge A {d}": (None, {"incident_bar": {"gauge": d}}, "0.7[45]|impulse")
+        for d in ("0.5 m", "0.65 m", "0.9 m", "1.1 m")
+    },
+    **{
+        f"gauge B {d}": (None, {"receiving_bar": {"gauge": d}}, "0.6|impulse")
+        for d in ("0.4 m", "0.5 m", "0.7 m", "1 m")
+    },
+    **{
+        f"E {k}": (None, {"incident_bar": {"E": f"{k} GPa"}}, "wave speed|another E")
+        for k in (70, 120, 150, 170)
+    },
     "E too high": (None, {"incident_bar": {"E": "300 GPa"}}, "faces differ|impulse|would fit"),
     "clock of one bar early": (late(REC, -100), {}, "too early"),
     "clock of one bar late": (late(REC, 60), {}, "impulse|apart"),
     "late drift of A": (
-        lambda f: f.assign(**{INC: f[INC] + 3e-4 * np.clip(f["time [us]"] / 900.0 - 0.2, 0, 1)}), {}, "impulse"),
-    "step of A": (lambda f: f.assign(**{INC: f[INC] + 2e-4 * (f["time [us]"] > 450.0)}), {}, "impulse"),
-    "clipped top of B": (lambda f: f.assign(**{REC: np.maximum(f[REC], -0.6 * PEAK / EA)}), {}, "at least this"),
+        lambda f: f.assign(**{INC: f[INC] + 3e-4 * np.clip(f["time [us]"] / 900.0 - 0.2, 0, 1)}),
+        {},
+        "impulse",
+    ),
+    "step of A": (
+        lambda f: f.assign(**{INC: f[INC] + 2e-4 * (f["time [us]"] > 450.0)}),
+        {},
+        "impulse",
+    ),
+    "clipped top of B": (
+        lambda f: f.assign(**{REC: np.maximum(f[REC], -0.6 * PEAK / EA)}),
+        {},
+        "at least this",
+    ),
     "clipped top of A": (lambda f: f.assign(**{INC: np.maximum(f[INC], -5e-4)}), {}, "not known"),
     "sampled too slowly": (lambda f: f.iloc[::24], {}, "too slow|required"),
-    "ends on the top": (lambda f: f.iloc[: round((150 + 1e6 * (GAUGE_A + GAUGE_B) / C0 + 58) * 1e-6 / STEP)], {},
-                        "largest where the record ends|required"),
+    "ends on the top": (
+        lambda f: f.iloc[: round((150 + 1e6 * (GAUGE_A + GAUGE_B) / C0 + 58) * 1e-6 / STEP)],
+        {},
+        "largest where the record ends|required",
+    ),
     "ends on the rise": (lambda f: f.iloc[:950], {}, "at least this|required"),
     "begins inside the wave": (lambda f: f.iloc[340:], {}, "too early"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -225,11 +291,15 @@ def test_a_small_error_of_time_is_shifted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("receiving", [1.0, -1.0])
-def test_three_waves_take_their_sign_from_the_incident_one(sign: float, receiving: float, tmp_path: Path) -> None:
+def test_three_waves_take_their_sign_from_the_incident_one(
+    sign: float, receiving: float, tmp_path: Path
+) -> None:
     frame = waves()
     at = round((150e-6 + 1.3 * GAUGE_A / C0) / STEP)
     wave = frame["incident [strain]"].to_numpy().copy()
-    frame["reflected [strain]"] = sign * np.where(np.arange(len(wave)) > at, wave, 1e-7 * np.arange(len(wave)) % 3e-7)
+    frame["reflected [strain]"] = sign * np.where(
+        np.arange(len(wave)) > at, wave, 1e-7 * np.arange(len(wave)) % 3e-7
+    )
     frame["incident [strain]"] = sign * np.where(np.arange(len(wave)) > at, 0.0, wave)
     frame["receiving [strain]"] *= receiving
     names = {name: f"{name} [strain]" for name in ("incident", "reflected", "receiving")}
@@ -241,16 +311,37 @@ def test_three_waves_take_their_sign_from_the_incident_one(sign: float, receivin
 def test_waves_that_were_cut_out_are_moved_to_the_faces_too(tmp_path: Path) -> None:
     """A short wave of stout bars is lower at its gauge than at the face."""
     frame = waves(rise=8e-6, noise=1e-7)
-    begins = [round(t / STEP) for t in (145e-6, 145e-6 + 2.0 * GAUGE_A / C0, 145e-6 + (GAUGE_A + GAUGE_B) / C0)]
+    begins = [
+        round(t / STEP)
+        for t in (145e-6, 145e-6 + 2.0 * GAUGE_A / C0, 145e-6 + (GAUGE_A + GAUGE_B) / C0)
+    ]
     sources = ("incident [strain]", "incident [strain]", "receiving [strain]")
-    cut = {name: frame[source].to_numpy()[begin : begin + 290] for name, source, begin
-           in zip(("I [strain]", "R [strain]", "T [strain]"), sources, begins, strict=True)}  # fmt: skip
-    names = {"incident": "I [strain]", "reflected": "R [strain]", "receiving": "T [strain]", "aligned": True}
-    moved, raw = (read(tmp_path, pd.DataFrame({"time [us]": 0.5 * np.arange(290), **cut}),
-                       record={**names, "dispersion": disperses}) for disperses in (True, False))  # fmt: skip
+    cut = {
+        name: frame[source].to_numpy()[begin : begin + 290]
+        for name, source, begin in zip(
+            ("I [strain]", "R [strain]", "T [strain]"), sources, begins, strict=True
+        )
+    }
+    names = {
+        "incident": "I [strain]",
+        "reflected": "R [strain]",
+        "receiving": "T [strain]",
+        "aligned": True,
+    }
+    moved, raw = (
+        read(
+            tmp_path,
+            pd.DataFrame({"time [us]": 0.5 * np.arange(290), **cut}),
+            record={**names, "dispersion": disperses},
+        )
+        for disperses in (True, False)
+    )
     assert "dispersion" in steps(moved)
     truth = PEAK * np.sin(np.pi * np.clip((moved.time - 5e-6) / 120e-6, 0.0, 1.0)) ** 2
-    off, before = (np.abs(test.force_a - truth[: len(test.force_a)])[40:200].max() / PEAK for test in (moved, raw))
+    off, before = (
+        np.abs(test.force_a - truth[: len(test.force_a)])[40:200].max() / PEAK
+        for test in (moved, raw)
+    )
     assert off < 0.5 * before
     assert all(peak.value == pytest.approx(PEAK, rel=0.06) for peak in moved.peaks.values())
 
@@ -270,10 +361,13 @@ def test_two_gauges_of_a_bar_and_a_dead_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "factor"), [("Time/ms", 1e-3), ("time_ms", 1e-3), ("t in ms", 1e-3), ("t, us", 1.0), ("Zeit (s)", 1e-6)]
+    ("heading", "factor"),
+    [("Time/ms", 1e-3), ("time_ms", 1e-3), ("t in ms", 1e-3), ("t, us", 1.0), ("Zeit (s)", 1e-6)],
 )
 def test_units_of_headings(heading: str, factor: float, tmp_path: Path) -> None:
-    frame = waves().rename(columns={"time [us]": heading, "incident [strain]": "I/με", "receiving [strain]": "T/µε"})
+    frame = waves().rename(
+        columns={"time [us]": heading, "incident [strain]": "I/με", "receiving [strain]": "T/µε"}
+    )
     frame[heading] *= factor
     frame[["I/με", "T/µε"]] *= 1e6
     test = read(tmp_path, frame)
@@ -299,7 +393,9 @@ def test_a_unit_that_is_taken_is_printed_and_a_time_in_another_is_refused(tmp_pa
 def test_noise_alone_is_refused(tmp_path: Path) -> None:
     frame = waves(noise=2e-4)
     frame["receiving [strain]"] = 1e-5 * np.random.default_rng(5).standard_normal(len(frame))
-    with pytest.raises(UsageError, match=r"no wave rises above the noise|no force at the receiving face"):
+    with pytest.raises(
+        UsageError, match=r"no wave rises above the noise|no force at the receiving face"
+    ):
         read(tmp_path, frame)
 
 
@@ -331,7 +427,9 @@ def test_volts_of_a_bridge(tmp_path: Path) -> None:
     frame[["I (mV)", "T (mV)"]] /= factor * 1e-3
     bridge = {"gauge_factor": 2.0, "active_arms": 2.0, "excitation": 5.0, "amplification": 400.0}
     check_sound(read(tmp_path, frame, incident_bar=bridge))
-    frame[["I (mV)", "T (mV)"]] *= factor / (4.0 / (2.0 * 5.0))  # one arm, nothing amplified, a gauge factor of 2
+    frame[["I (mV)", "T (mV)"]] *= factor / (
+        4.0 / (2.0 * 5.0)
+    )  # one arm, nothing amplified, a gauge factor of 2
     check_sound(read(tmp_path, frame, incident_bar={"excitation": 5.0}))
 
 
@@ -351,7 +449,11 @@ def test_columns_of_a_recorders_sheet_end_where_they_like(tmp_path: Path) -> Non
     book.active.append(["time [s]", "a [V]", "b [V]"])
     for k in range(100):
         book.active.append(
-            [1e-6 * k, 0.1 * k, 0.2 * k] if k < 40 else [1e-6 * k, 0.1 * k] if k < 90 else [None, 0.1 * k]
+            [1e-6 * k, 0.1 * k, 0.2 * k]
+            if k < 40
+            else [1e-6 * k, 0.1 * k]
+            if k < 90
+            else [None, 0.1 * k]
         )
     book.save(path)
     table, _ = read_recorded(path)
@@ -362,13 +464,35 @@ def test_columns_of_a_recorders_sheet_end_where_they_like(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("text", "headings", "above"),
-    [("Samplerate;10000 Hz\nCH;A;B;\ns;V;V;\n" + "".join(f"{k},0;{k},5;0,25\n" for k in range(80)),
-      ["CH [s]", "A [V]", "B [V]"], "Samplerate"),
-     ("".join(f" {k}.0  {k}.5 0.25\n" for k in range(80)), ["column 1", "column 2", "column 3"], ""),
-     ('"t;x;x"\r' + "".join(f'"{k}.0;{k}.5;0.25"\r' for k in range(80)), ["t", "2 x", "3 x"], ""),
-     ("# t [ms],x,y\n#\n" + "".join(f"{k}.0,{k}.5,0.25\n" for k in range(80)), ["t [ms]", "x", "y"], "#"),
-     ("t/ms\tx µε\ty\n" + "".join(f"{k}\t{k}.5\t0.25\n" for k in range(79)) + "79\t79.5\n", ["t/ms", "x µε", "y"], "")],
-)  # fmt: skip
+    [
+        (
+            "Samplerate;10000 Hz\nCH;A;B;\ns;V;V;\n"
+            + "".join(f"{k},0;{k},5;0,25\n" for k in range(80)),
+            ["CH [s]", "A [V]", "B [V]"],
+            "Samplerate",
+        ),
+        (
+            "".join(f" {k}.0  {k}.5 0.25\n" for k in range(80)),
+            ["column 1", "column 2", "column 3"],
+            "",
+        ),
+        (
+            '"t;x;x"\r' + "".join(f'"{k}.0;{k}.5;0.25"\r' for k in range(80)),
+            ["t", "2 x", "3 x"],
+            "",
+        ),
+        (
+            "# t [ms],x,y\n#\n" + "".join(f"{k}.0,{k}.5,0.25\n" for k in range(80)),
+            ["t [ms]", "x", "y"],
+            "#",
+        ),
+        (
+            "t/ms\tx µε\ty\n" + "".join(f"{k}\t{k}.5\t0.25\n" for k in range(79)) + "79\t79.5\n",
+            ["t/ms", "x µε", "y"],
+            "",
+        ),
+    ],
+)
 def test_what_a_recorder_writes(text: str, headings: list[str], above: str, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(text, encoding="utf-8", newline="")
     table, metadata = read_recorded(tmp_path / "t.csv")
@@ -385,23 +509,39 @@ def test_the_rows_of_the_sheet_are_the_numbers_of_the_test(tmp_path: Path) -> No
     shown = {name.partition(",")[0]: value for name, value, _ in rows(test)}
     assert test.energies is not None
     for name, value in (
-        ("largest force at A", test.peaks["A"].value * 1e-3), ("largest force at B", test.peaks["B"].value * 1e-3),
-        ("energy absorbed", test.energies["absorbed"]), ("loading rate", test.loading_rate * 1e-9),
+        ("largest force at A", test.peaks["A"].value * 1e-3),
+        ("largest force at B", test.peaks["B"].value * 1e-3),
+        ("energy absorbed", test.energies["absorbed"]),
+        ("loading rate", test.loading_rate * 1e-9),
         ("first touch", test.touch * 1e6),
-    ):  # fmt: skip
+    ):
         assert float(shown[name].split()[0]) == pytest.approx(value, rel=1e-3), name
     # half the rise of sin² from a quarter of its length to its half: 12.5 kN in 30 us
     assert test.loading_rate == pytest.approx(12.5e3 / 30e-6, rel=0.05)
 
 
-def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_sheet_the_forces_and_the_pulse(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     waves().to_csv(tmp_path / "one.csv", index=False)
     text = (
         'title = "A <b>test</b>"\n[incident_bar]\nE = "200 GPa"\ndensity = "7850 kg/m3"\ndiameter = "20 mm"\n'
         'length = "1.5 m"\ngauge = "0.75 m"\n[receiving_bar]\ngauge = "0.6 m"\n[record]\nfile = "one.csv"\n'
     )
     (tmp_path / "one.toml").write_text(text)
-    assert main(["shpb", "records", str(tmp_path / "one.toml"), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert (
+        main(
+            [
+                "shpb",
+                "records",
+                str(tmp_path / "one.toml"),
+                "--out",
+                str(tmp_path / "out"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     content = json.loads(capsys.readouterr().out)
     assert content["forces"]["B"]["sound"]
     page = (tmp_path / "out/sheet.html").read_text()
@@ -409,7 +549,9 @@ def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.Captu
     assert "two waves" in page
     assert "<svg" in page
     pulse = pd.read_csv(tmp_path / "out/pulse.csv")
-    assert pulse["strain [microstrain]"][lambda strain: strain > 400.0].median() == pytest.approx(800.0, abs=8.0)
+    assert pulse["strain [microstrain]"][lambda strain: strain > 400.0].median() == pytest.approx(
+        800.0, abs=8.0
+    )
     assert abs(pulse["strain [microstrain]"].iloc[-1]) < 20.0
     forces = pd.read_csv(tmp_path / "out/forces.csv")
     assert forces["B [kN]"].max() == pytest.approx(25.0, rel=0.03)
@@ -418,7 +560,12 @@ def test_the_sheet_the_forces_and_the_pulse(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "three.toml").write_text(text.replace("[record]", "[record]\nfoo = 1"))
     assert main(["shpb", "records", str(tmp_path / "three.toml")]) == 2
     assert "record.foo" in capsys.readouterr().err
-    assert main(["shpb", "records", *[str(tmp_path / "one.toml")] * 2, "--out", str(tmp_path / "many")]) == 0
+    assert (
+        main(
+            ["shpb", "records", *[str(tmp_path / "one.toml")] * 2, "--out", str(tmp_path / "many")]
+        )
+        == 0
+    )
     assert len((tmp_path / "many/tests.csv").read_text().splitlines()) == 3
     with pytest.raises(SystemExit):
         main(["shpb", "nothing"])

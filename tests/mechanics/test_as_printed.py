@@ -38,7 +38,10 @@ def test_times_of_the_printed_force_curve():
         return float(as_printed.approach(t, 1.0, 1.0)) ** 1.5
 
     assert as_printed.equivalent_duration(1.0) == pytest.approx(quad(force, 0.0, 1.0)[0], rel=1e-9)
-    low, high = brentq(lambda t: force(t) - 0.1, 0.0, 0.5), brentq(lambda t: force(t) - 0.9, 0.0, 0.5)
+    low, high = (
+        brentq(lambda t: force(t) - 0.1, 0.0, 0.5),
+        brentq(lambda t: force(t) - 0.9, 0.0, 0.5),
+    )
     assert as_printed.rise_time(1.0) == pytest.approx(high - low, rel=1e-10)
     assert force(1.1) == 0.0
 
@@ -51,8 +54,12 @@ def test_the_missing_factor_two_after_the_pulse():
 
 def test_peaks_are_those_of_an_endless_step(table):
     scales = SCENE.scales
-    step = replace(SCENE, shape="step", horizon=60.0 * float(scales.time[0]),
-                   columns={k: v for k, v in SCENE.columns.items() if k != "striker.length"})  # fmt: skip
+    step = replace(
+        SCENE,
+        shape="step",
+        horizon=60.0 * float(scales.time[0]),
+        columns={k: v for k, v in SCENE.columns.items() if k != "striker.length"},
+    )
     endless = solve_closed(step).values
     for name in ("p_max", "P_max", "alpha_max", "a_max"):
         assert table[name].as_printed == pytest.approx(endless[name][0], rel=1e-12)
@@ -73,7 +80,9 @@ def test_values_of_the_table(table):
     assert "not over within the record" in table["time_to_first_loss"].note
     half = table["mean_pressure_at_half_approach"]
     assert half.as_printed == pytest.approx(table["p_max"].as_printed / 3.0, rel=1e-12)
-    assert half.corrected == pytest.approx(table["p_max"].corrected * 2.0 / 3.0 * math.sqrt(0.5), rel=1e-12)
+    assert half.corrected == pytest.approx(
+        table["p_max"].corrected * 2.0 / 3.0 * math.sqrt(0.5), rel=1e-12
+    )
 
 
 def test_the_linear_plateau_is_printed_twice_too_high(table):
@@ -88,17 +97,31 @@ def test_a_light_sphere_confirms_the_corrected_values():
     columns = {**SCENE.columns, "sphere.density": np.array([20.0])}
     found = as_printed.compare(replace(SCENE, columns=columns), tolerance=1e-6)
     rows = {row.quantity: row for row in found}
-    for name in ("p_max", "approach_at_t_c", "approach_after_pulse", "linear_plateau", "mean_pressure"):
+    for name in (
+        "p_max",
+        "approach_at_t_c",
+        "approach_after_pulse",
+        "linear_plateau",
+        "mean_pressure",
+    ):
         assert rows[name].full == pytest.approx(rows[name].corrected, rel=1e-2)
         assert abs(rows[name].error) > 0.2
 
 
 def test_other_pulses_and_finite_bars_are_compared_with_the_rectangle():
-    finite = {"bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
-              "bars.receiving_end": 1.0, "pulse.rise": 25e-6, "pulse.fall": 25e-6}  # fmt: skip
+    finite = {
+        "bars.incident_length": 1.5,
+        "bars.receiving_length": 1.5,
+        "bars.incident_end": 1.0,
+        "bars.receiving_end": 1.0,
+        "pulse.rise": 25e-6,
+        "pulse.fall": 25e-6,
+    }
     columns = {**SCENE.columns, **{name: np.array([value]) for name, value in finite.items()}}
     rows = {r.quantity: r for r in as_printed.compare(Scene(columns=columns, shape="trapezoid"))}
-    assert rows["p_max"].corrected == pytest.approx(solve_closed(SCENE).values["p_max"][0], rel=1e-12)
+    assert rows["p_max"].corrected == pytest.approx(
+        solve_closed(SCENE).values["p_max"][0], rel=1e-12
+    )
     assert rows["p_max"].full > 1.1 * rows["p_max"].corrected  # the reload
     assert rows["time_to_first_loss"].full is not None
 

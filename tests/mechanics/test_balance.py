@@ -48,7 +48,10 @@ class Balance:
         scales = self.scene.scales
         (R_1, R_3), (T_1, T_3) = self.scene.reflections[0], self.scene.round_trips[0]
         whole = self.integrals(0.0, time)
-        early_a, early_b = self.integrals(0.0, time - T_1)[:, 1], self.integrals(0.0, time - T_3)[:, 2]
+        early_a, early_b = (
+            self.integrals(0.0, time - T_1)[:, 1],
+            self.integrals(0.0, time - T_3)[:, 2],
+        )
         alpha_1, alpha_2, w = self.motion.states_at(np.array([time]))[0]
         Z, M, beta = scales.impedance[0], scales.mass[0], scales.hertz_constant[0]
         if self.fidelity == "linear":
@@ -67,7 +70,11 @@ class Balance:
 SCENES = {
     "granite": {},
     "slow": {"striker_speed": 0.05},
-    "unequal bars": {"bars_receiving_length": 0.97, "striker_length": 0.25, "sphere_density": 7000.0},
+    "unequal bars": {
+        "bars_receiving_length": 0.97,
+        "striker_length": 0.25,
+        "sphere_density": 7000.0,
+    },
     "heavy sphere": {"sphere_density": 2e5, "striker_length": 0.1},
     "half sine": {"shape": "half_sine"},
     "trapezoid": {"shape": "trapezoid", "pulse_rise": 25e-6, "pulse_fall": 40e-6},
@@ -103,7 +110,9 @@ BALL = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.008, "sphere.den
 
 def rig_scene(rig: str, options: dict[str, str | bool] | None = None, **numbers: float) -> Scene:
     columns = {**BALL, **{name.replace("__", "."): value for name, value in numbers.items()}}
-    return Scene(columns={n: np.array([v]) for n, v in columns.items()}, rig=rig, options=options or {})
+    return Scene(
+        columns={n: np.array([v]) for n, v in columns.items()}, rig=rig, options=options or {}
+    )
 
 
 def steel(table: str, **more: float) -> dict[str, float]:
@@ -112,13 +121,20 @@ def steel(table: str, **more: float) -> dict[str, float]:
 
 RIG_SCENES = {
     "impact": rig_scene("impact", rig__speed=3.6, **steel("target")),
-    "plate": rig_scene("impact", {"target.kind": "plate"}, rig__speed=3.0, **steel("target", thickness=0.012)),
-    "drop_weight": rig_scene("drop_weight", hammer__speed=0.5, hammer__mass=0.5, **steel("hammer"), **steel("anvil")),
-    "load_cell": rig_scene(
-        "load_cell", hammer__speed=2.0, hammer__mass=0.07,
-        **steel("hammer"), **steel("rod", diameter=0.02, length=1.5),
+    "plate": rig_scene(
+        "impact", {"target.kind": "plate"}, rig__speed=3.0, **steel("target", thickness=0.012)
     ),
-}  # fmt: skip
+    "drop_weight": rig_scene(
+        "drop_weight", hammer__speed=0.5, hammer__mass=0.5, **steel("hammer"), **steel("anvil")
+    ),
+    "load_cell": rig_scene(
+        "load_cell",
+        hammer__speed=2.0,
+        hammer__mass=0.07,
+        **steel("hammer"),
+        **steel("rod", diameter=0.02, length=1.5),
+    ),
+}
 
 
 @pytest.mark.parametrize("name", RIG_SCENES)
@@ -132,7 +148,11 @@ def test_energy_of_a_blow_is_where_it_is_said_to_be(name: str) -> None:
 
 def test_a_face_that_yields_keeps_its_dent_and_its_work() -> None:
     scene = scene_with("trapezoid", pulse_rise=25e-6, pulse_fall=25e-6, striker_speed=0.5)
-    columns = {**scene.columns, "contact.onset_pressure": np.array([1.35e9]), "contact.hardness": np.array([2.4e9])}
+    columns = {
+        **scene.columns,
+        "contact.onset_pressure": np.array([1.35e9]),
+        "contact.hardness": np.array([2.4e9]),
+    }
     columns["contact.pile_up"] = np.array([8.0 / 3.0])
     law = {"contact_law": "plastic"}
     found = dynamics.motion(Scene(columns=columns, shape="trapezoid", **law), 0, tolerance=1e-9)

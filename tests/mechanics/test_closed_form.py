@@ -27,7 +27,14 @@ from uqsphere.mechanics.integrator import solve as dynamics
 
 def test_loading_time_oracles():
     found = loading_time([0.0, 0.1, 0.5, 0.9, 0.99, 1.0])
-    expected = [0.0, 0.101290500691672, 0.591935816247519, 1.74173318478238, 3.29214573533166, np.inf]
+    expected = [
+        0.0,
+        0.101290500691672,
+        0.591935816247519,
+        1.74173318478238,
+        3.29214573533166,
+        np.inf,
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
@@ -69,7 +76,9 @@ def test_massless_approach_obeys_its_equation():
     theta, h = 0.8, 1e-5
     for s in (0.02, 0.4, 0.79, 0.81, 3.0, 30.0):
         slope = (massless_approach(s + h, theta) - massless_approach(s - h, theta)) / (2.0 * h)
-        assert slope == pytest.approx(float(s < theta) - massless_approach(s, theta) ** 1.5, abs=1e-9)
+        assert slope == pytest.approx(
+            float(s < theta) - massless_approach(s, theta) ** 1.5, abs=1e-9
+        )
     # 0.0667757 at s = 6: an integration to 12 digits, docs/errata.md
     assert massless_approach(6.0, theta) == pytest.approx(0.0667757, abs=5e-8)
 
@@ -79,16 +88,26 @@ def test_massless_approach_obeys_its_equation():
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"horizon_in_t_c": 0.5}, {"horizon_in_t_c": 4.0}, {"shape": "step", "horizon_in_t_c": 6.0},
-     {"rigid_contact": True}],
-)  # fmt: skip
+    [
+        {},
+        {"horizon_in_t_c": 0.5},
+        {"horizon_in_t_c": 4.0},
+        {"shape": "step", "horizon_in_t_c": 6.0},
+        {"rigid_contact": True},
+    ],
+)
 def test_closed_form_against_the_integrator(settings):
     scene = scaled_scene(1e-3, np.geomspace(0.1, 10.0, 20), **settings)
     tolerance = 1e-9
-    closed, integrated = solve_closed(scene), dynamics.solve(scene, fidelity="massless", tolerance=tolerance)
+    closed, integrated = (
+        solve_closed(scene),
+        dynamics.solve(scene, fidelity="massless", tolerance=tolerance),
+    )
     assert set(closed.values) == set(integrated.values)
     for name, value in integrated.values.items():
-        np.testing.assert_allclose(closed.values[name], value, rtol=5 * tolerance, atol=0.0, err_msg=name)
+        np.testing.assert_allclose(
+            closed.values[name], value, rtol=5 * tolerance, atol=0.0, err_msg=name
+        )
     for name, flags in integrated.censored.items():
         np.testing.assert_array_equal(closed.censored[name], flags, err_msg=name)
     np.testing.assert_allclose(closed.record, integrated.record, rtol=5 * tolerance)
@@ -98,7 +117,11 @@ def test_closed_form_against_the_integrator(settings):
 def test_where_the_closed_form_applies():
     scene = scaled_scene(1e-3, 1.0)
     assert closed_form_applies(scene, "massless")
-    others = [(scene, "full"), (scene, "linear"), (scaled_scene(1e-3, 1.0, shape="half_sine"), "massless")]
+    others = [
+        (scene, "full"),
+        (scene, "linear"),
+        (scaled_scene(1e-3, 1.0, shape="half_sine"), "massless"),
+    ]
     for other, fidelity in others:
         assert not closed_form_applies(other, fidelity)
         with pytest.raises(ValueError, match="no closed form"):
@@ -161,7 +184,9 @@ def test_linear_closed_form_against_the_integrator(mu, theta):
     face = int(abs(approach(end, 1)) < abs(approach(end, 0)))
     lost = brentq(lambda s: approach(s, face), 0.999 * end, 1.001 * end, xtol=1e-14)
     assert end == pytest.approx(lost, rel=5 * tolerance)
-    s = np.sort(np.append(np.linspace(0.0, end, 400_001), theta))  # a peak may stand at the end of the pulse
+    s = np.sort(
+        np.append(np.linspace(0.0, end, 400_001), theta)
+    )  # a peak may stand at the end of the pulse
     both = np.array(linear_approaches(s, mu, theta))
     assert (both[:, 1:-1] > -1e-12).all()
     assert found.values["P_max"][0] / force == pytest.approx(both.max(), rel=1e-8)

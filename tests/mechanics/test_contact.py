@@ -40,10 +40,19 @@ def test_pressure_over_the_contact_carries_the_force():
     a = float(contact.contact_radius(alpha, radius))
     # R = a sin(phi) takes the square-root end out of the quadrature
     carried, _ = quad(
-        lambda phi: 2.0 * math.pi * a * math.sin(phi) * a * math.cos(phi)
-        * float(contact.pressure_over_contact(a * math.sin(phi), alpha, E_star, radius)),
-        0.0, 0.5 * math.pi, epsrel=1e-12,
-    )  # fmt: skip
+        lambda phi: (
+            2.0
+            * math.pi
+            * a
+            * math.sin(phi)
+            * a
+            * math.cos(phi)
+            * float(contact.pressure_over_contact(a * math.sin(phi), alpha, E_star, radius))
+        ),
+        0.0,
+        0.5 * math.pi,
+        epsrel=1e-12,
+    )
     force = float(contact.hertz_force(alpha, contact.hertz_constant(E_star, radius)))
     assert carried == pytest.approx(force, rel=1e-10)
     assert contact.pressure_over_contact(1.0001 * a, alpha, E_star, radius) == 0.0
@@ -51,7 +60,9 @@ def test_pressure_over_the_contact_carries_the_force():
 
 def test_energy_is_the_work_of_the_force():
     beta, alpha = 6e9, 3e-5
-    work, _ = quad(lambda x: float(contact.hertz_force(x, beta)), 0.0, alpha, epsabs=0.0, epsrel=1e-12)
+    work, _ = quad(
+        lambda x: float(contact.hertz_force(x, beta)), 0.0, alpha, epsabs=0.0, epsrel=1e-12
+    )
     assert contact.contact_energy(alpha, beta) == pytest.approx(work, rel=1e-10)
 
 
@@ -66,7 +77,9 @@ def test_rigid_bars_and_rounded_ends():
     rigid = contact.reduced_modulus(52e9, 0.25, 210e9, 0.3, rigid_bars=True)
     assert rigid == pytest.approx(52e9 / 0.9375, rel=EXACT)
     # two equal bodies: half the modulus of one against a rigid one
-    assert contact.reduced_modulus(52e9, 0.25, 52e9, 0.25) == pytest.approx(26e9 / 0.9375, rel=EXACT)
+    assert contact.reduced_modulus(52e9, 0.25, 52e9, 0.25) == pytest.approx(
+        26e9 / 0.9375, rel=EXACT
+    )
     assert contact.effective_radius(0.01) == pytest.approx(0.01, rel=EXACT)
     assert contact.effective_radius(0.01, 0.01) == pytest.approx(0.005, rel=EXACT)
 

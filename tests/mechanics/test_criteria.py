@@ -19,18 +19,36 @@ from uqsphere.units import UNITS
 
 #: length, mass and time exponents of a dimension
 EXPONENTS = {
-    "pressure": (-1, 1, -2), "force": (1, 1, -2), "length": (1, 0, 0), "specific_energy": (2, 0, -2),
-    "toughness": (-0.5, 1, -2), "volume": (3, 0, 0), "area": (2, 0, 0), "strain_rate": (0, 0, -1),
-    "loading_rate": (1, 1, -3), "number": (0, 0, 0),
-}  # fmt: skip
+    "pressure": (-1, 1, -2),
+    "force": (1, 1, -2),
+    "length": (1, 0, 0),
+    "specific_energy": (2, 0, -2),
+    "toughness": (-0.5, 1, -2),
+    "volume": (3, 0, 0),
+    "area": (2, 0, 0),
+    "strain_rate": (0, 0, -1),
+    "loading_rate": (1, 1, -3),
+    "number": (0, 0, 0),
+}
 DIMENSIONS = {
-    "p_max": "pressure", "P_max": "force", "a_max": "length", "specific_energy": "specific_energy",
-    "specific_energy_sphere": "specific_energy", "specific_impact_energy": "specific_energy",
-    "loading_rate": "loading_rate", "sphere.radius": "length", "sphere.nu": "number", "sphere.E": "pressure",
-}  # fmt: skip
+    "p_max": "pressure",
+    "P_max": "force",
+    "a_max": "length",
+    "specific_energy": "specific_energy",
+    "specific_energy_sphere": "specific_energy",
+    "specific_impact_energy": "specific_energy",
+    "loading_rate": "loading_rate",
+    "sphere.radius": "length",
+    "sphere.nu": "number",
+    "sphere.E": "pressure",
+}
 GIVEN = {
-    "modulus": 8.0, "reference_volume": 1e-6, "reference_area": 1e-4, "largest_energy": 500.0, "rate_0": 200.0,
-}  # fmt: skip
+    "modulus": 8.0,
+    "reference_volume": 1e-6,
+    "reference_area": 1e-4,
+    "largest_energy": 500.0,
+    "rate_0": 200.0,
+}
 
 
 def rows(force: Any = 20e3, *, radius: float = 0.01, nu: float = 0.22) -> dict[str, Any]:
@@ -44,7 +62,9 @@ def rows(force: Any = 20e3, *, radius: float = 0.01, nu: float = 0.22) -> dict[s
         "p_max": contact.pressure_at_force(force, modulus, radius),
         "P_max": force,
         "a_max": contact.contact_radius(approach, radius),
-        **dict.fromkeys(("specific_energy", "specific_energy_sphere", "specific_impact_energy"), energy),
+        **dict.fromkeys(
+            ("specific_energy", "specific_energy_sphere", "specific_impact_energy"), energy
+        ),
         "loading_rate": force / 60e-6,
         "sphere.radius": np.full(len(force), radius),
         "sphere.nu": np.full(len(force), nu),
@@ -100,7 +120,11 @@ def test_core_tension_lies_between_centre_and_practice() -> None:
     core, centre = (demand(CRITERIA[name], columns) for name in ("core_tension", "centre_tension"))
     assert np.all(core > centre)
     # at the largest contact of the table both are nearly one
-    wide = rows(float(contact.hertz_force(0.3**2 * 0.01, contact.hertz_constant(52e9 / (1 - 0.22**2), 0.01))))
+    wide = rows(
+        float(
+            contact.hertz_force(0.3**2 * 0.01, contact.hertz_constant(52e9 / (1 - 0.22**2), 0.01))
+        )
+    )
     assert demand(CRITERIA["core_tension"], wide) == pytest.approx(
         demand(CRITERIA["hiramatsu_oka"], wide) * 0.86, rel=0.05
     )
@@ -121,11 +145,15 @@ def test_the_weakest_of_many_links_breaks_with_the_weibull_probability() -> None
     # strength of a link of volume v: sigma_0 (v/V_0)^(-1/m) times a unit Weibull variable
     broken = 0
     for _ in range(draws):
-        strength = sigma_0 * (reference / volume * rng.exponential(size=len(volume))) ** (1.0 / modulus)
+        strength = sigma_0 * (reference / volume * rng.exponential(size=len(volume))) ** (
+            1.0 / modulus
+        )
         broken += bool(np.any(hoop > strength))
     expected = 1.0 - math.exp(-((equivalent / sigma_0) ** modulus))
     assert 0.05 < expected < 0.95
-    assert broken / draws == pytest.approx(expected, abs=4.0 * math.sqrt(expected * (1.0 - expected) / draws))
+    assert broken / draws == pytest.approx(
+        expected, abs=4.0 * math.sqrt(expected * (1.0 - expected) / draws)
+    )
 
 
 def test_size_effect() -> None:
@@ -166,7 +194,9 @@ def test_a_truncated_energy_is_lognormal_after_the_change() -> None:
 def test_ring_cracks_follow_auerbach() -> None:
     # P_C = A K_Ic² r/E
     force = 8600.0 * 0.7e6**2 * np.array([0.005, 0.01]) / 70e9
-    assert criteria.ring_crack_toughness(force, np.array([0.005, 0.01]), 70e9) == pytest.approx([0.7e6] * 2, rel=1e-12)
+    assert criteria.ring_crack_toughness(force, np.array([0.005, 0.01]), 70e9) == pytest.approx(
+        [0.7e6] * 2, rel=1e-12
+    )
 
 
 def test_ranges_are_checked_row_by_row() -> None:
@@ -174,7 +204,11 @@ def test_ranges_are_checked_row_by_row() -> None:
     columns["a_max"] = np.array([1e-5, 1e-3, 1e-3])
     assert in_range(CRITERIA["core_tension"], columns).tolist() == [False, True, True]
     parameters = {"modulus": 8.0, "reference_volume": 1e-6}
-    assert in_range(CRITERIA["weakest_link_volume"], columns, parameters).tolist() == [False, True, False]
+    assert in_range(CRITERIA["weakest_link_volume"], columns, parameters).tolist() == [
+        False,
+        True,
+        False,
+    ]
     parameters["modulus"] = 80.0
     assert not in_range(CRITERIA["weakest_link_volume"], columns, parameters).any()
 
@@ -199,11 +233,17 @@ def test_the_tension_of_a_grain_is_that_of_practice_over_its_factor() -> None:
 
 def test_the_model_answers_them_for_every_fidelity() -> None:
     scene = example(rows=2, striker_speed=[0.5, 2.0])
-    own = {c.quantity: key for key, c in CRITERIA.items() if c.follows == "force" and c.quantity not in (None, "p_max")}
+    own = {
+        c.quantity: key
+        for key, c in CRITERIA.items()
+        if c.follows == "force" and c.quantity not in (None, "p_max")
+    }
     names = ("p_max", "P_max", "a_max", *own)
     for fidelity in ("massless", "linear", "full"):
         found = solve(scene, fidelity=fidelity, tolerance=1e-6, quantities=names).values
         columns = {name: found[name] for name in ("p_max", "P_max", "a_max")}
-        columns |= {name: scene.columns[name] for name in ("sphere.radius", "sphere.nu", "sphere.E")}
+        columns |= {
+            name: scene.columns[name] for name in ("sphere.radius", "sphere.nu", "sphere.E")
+        }
         for name, criterion in own.items():
             assert found[name] == pytest.approx(demand(CRITERIA[criterion], columns), rel=1e-12)

@@ -45,11 +45,17 @@ def test_a_massless_sphere_keeps_the_impulse_of_the_pulse() -> None:
     assert found.values["contact_duration"][0] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("theta", "expected", "rel"), [(1e-3, 1e-3**-0.5, 1e-3), (3.0, 3.071, 2e-4), (1e3, 1e3, 0.05)])
-def test_a_light_sphere_is_lost_late_and_its_duration_is_finite(theta: float, expected: float, rel: float) -> None:
+@pytest.mark.parametrize(
+    ("theta", "expected", "rel"), [(1e-3, 1e-3**-0.5, 1e-3), (3.0, 3.071, 2e-4), (1e3, 1e3, 0.05)]
+)
+def test_a_light_sphere_is_lost_late_and_its_duration_is_finite(
+    theta: float, expected: float, rel: float
+) -> None:
     """Over t_c: theta^(-1/2) of a pulse that gives the approach alpha_c theta at once; a long pulse's own duration."""
     scene = scaled_scene(1e-3, theta)
-    found = (solve if theta > 1.0 else solve_closed)(scene, quantities=("contact_duration",)).values["contact_duration"]
+    found = (solve if theta > 1.0 else solve_closed)(
+        scene, quantities=("contact_duration",)
+    ).values["contact_duration"]
     assert found / scene.scales.time == pytest.approx(expected, rel=rel)
 
 
@@ -59,9 +65,9 @@ def test_a_record_that_is_cut_at_once_keeps_its_digits(fidelity: str, share: flo
     """Two fifths of it, and little more; the impulse is a 10^-7 of the approaches then."""
     scene = scaled_scene(1.0, 1.0, shape="step", horizon_in_t_c=share)
     rough, fine = (
-        solve(scene, fidelity=fidelity, tolerance=tolerance, quantities=("contact_duration",)).values[
-            "contact_duration"
-        ][0]
+        solve(
+            scene, fidelity=fidelity, tolerance=tolerance, quantities=("contact_duration",)
+        ).values["contact_duration"][0]
         for tolerance in (1e-6, 1e-10)
     )
     assert rough == pytest.approx(fine, rel=5e-6)
@@ -71,10 +77,17 @@ def test_a_record_that_is_cut_at_once_keeps_its_digits(fidelity: str, share: flo
 def test_a_free_blow_has_half_of_its_contact() -> None:
     """Hertz: 0.5436 of 2.943 alpha/v, equally M* v (1 + e)/P_max."""
     columns = {
-        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "rig.speed": 3.0,
-        "target.E": 210e9, "target.nu": 0.3,
-    }  # fmt: skip
-    scene = Scene(columns={name: np.array([value]) for name, value in columns.items()}, rig="impact")
+        "sphere.E": 52e9,
+        "sphere.nu": 0.25,
+        "sphere.radius": 0.01,
+        "sphere.density": 2650.0,
+        "rig.speed": 3.0,
+        "target.E": 210e9,
+        "target.nu": 0.3,
+    }
+    scene = Scene(
+        columns={name: np.array([value]) for name, value in columns.items()}, rig="impact"
+    )
     found = solve_blow(scene).values
     assert found["contact_duration"][0] / found["loaded_time"][0] == pytest.approx(0.5436, abs=5e-5)
     momentum = 2.0 * scene.scales.mass[0] * 3.0 / found["P_max"][0]
@@ -84,22 +97,33 @@ def test_a_free_blow_has_half_of_its_contact() -> None:
 def test_the_whole_record_counts_what_comes_after_the_first_loss() -> None:
     """Forces, energies and duration are over the same record: the duration is the quadrature up to the horizon."""
     kept = ("p_max", "contact_duration", "time_to_first_loss", "energy")
-    first, whole = (example(rows=3, striker_speed=[0.5, 1.0, 2.0], whole_record=followed) for followed in (False, True))
+    first, whole = (
+        example(rows=3, striker_speed=[0.5, 1.0, 2.0], whole_record=followed)
+        for followed in (False, True)
+    )
     early, late = (solve(scene, tolerance=1e-9, quantities=kept) for scene in (first, whole))
-    assert late.values["time_to_first_loss"] == pytest.approx(early.values["time_to_first_loss"], rel=1e-8)
+    assert late.values["time_to_first_loss"] == pytest.approx(
+        early.values["time_to_first_loss"], rel=1e-8
+    )
     for name in ("p_max", "contact_duration", "energy"):
         assert (late.values[name] >= early.values[name] * (1.0 - 1e-8)).all()
     assert (late.record > 2.0 * early.record).all()
     for course in motions(whole, np.arange(3), tolerance=1e-10, quantities=kept):
-        assert quadrature(course) * course.unit == pytest.approx(late.values["contact_duration"][course.row], rel=1e-6)
+        assert quadrature(course) * course.unit == pytest.approx(
+            late.values["contact_duration"][course.row], rel=1e-6
+        )
 
 
 def short_striker(**changes: object) -> Scene:
     """A striker of 30 mm: the sphere rattles, and is pressed harder by a later echo than before the first loss."""
     return example(
-        "trapezoid", striker_length=0.03, pulse_rise=3e-6, pulse_fall=3e-6, striker_speed=8.0,
+        "trapezoid",
+        striker_length=0.03,
+        pulse_rise=3e-6,
+        pulse_fall=3e-6,
+        striker_speed=8.0,
         **changes,
-    )  # fmt: skip
+    )
 
 
 def test_a_later_loading_that_is_larger_is_counted_and_found() -> None:

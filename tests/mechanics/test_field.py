@@ -27,12 +27,17 @@ def test_the_far_ends_reflect_as_said(scene):
     """Free: no stress; fixed: no velocity; absorbing: sigma = -rho c0 v; in between the impedance (1-R)/(1+R)."""
     _, history = scene
     times = np.linspace(0.0, 0.9 * history.horizon, 400)
-    for bar, length, end in (("incident", 1.5, "incident_end"), ("receiving", 1.2, "receiving_end")):
+    for bar, length, end in (
+        ("incident", 1.5, "incident_end"),
+        ("receiving", 1.2, "receiving_end"),
+    ):
         R = history.motion.scene.columns[f"bars.{end}"][0]
         found = field_at(history.motion, bar, length, times[times > 0.9 / C0])
         outwards = found.velocity if bar == "receiving" else -found.velocity
         # v0/2 and its stress are of the order one here
-        np.testing.assert_allclose((1.0 + R) * found.stress / (7850.0 * C0), -(1.0 - R) * outwards, rtol=0.0, atol=2e-9)
+        np.testing.assert_allclose(
+            (1.0 + R) * found.stress / (7850.0 * C0), -(1.0 - R) * outwards, rtol=0.0, atol=2e-9
+        )
 
 
 def test_the_faces_move_with_sphere_and_approach(scene):
@@ -41,8 +46,9 @@ def test_the_faces_move_with_sphere_and_approach(scene):
     t = np.linspace(0.03, 0.45, 150) * history.horizon + 1.234e-6
     h = 2e-8
     states = history.motion.states_at(t)
-    rates = (history.motion.states_at(t + h)[:, :2]
-             - history.motion.states_at(t - h)[:, :2]) / (2.0 * h)  # fmt: skip
+    rates = (history.motion.states_at(t + h)[:, :2] - history.motion.states_at(t - h)[:, :2]) / (
+        2.0 * h
+    )
     faces = [field_at(history.motion, bar, 0.0, t).velocity for bar in ("incident", "receiving")]
     expected = np.stack([faces[0] - states[:, 2], states[:, 2] - faces[1]], axis=1)
     # a jump of the waves within h of an instant spoils the difference quotient there
@@ -58,7 +64,9 @@ def test_the_field_obeys_the_wave_equation(scene):
         low, high, begin, end = 0.31, 0.87, 1.3 / C0, 2.1 / C0
         d, t = low + 0.5 * (high - low) * (1 + points), begin + 0.5 * (end - begin) * (1 + points)
         width, span = 0.5 * (high - low), 0.5 * (end - begin)
-        late, early = (field_at(history.motion, bar, d, np.full(400, when)) for when in (end, begin))
+        late, early = (
+            field_at(history.motion, bar, d, np.full(400, when)) for when in (end, begin)
+        )
         near, far = (field_at(history.motion, bar, where, t) for where in (low, high))
         momentum = 7850.0 * width * (late.velocity - early.velocity) @ weights
         force = span * (far.stress - near.stress) @ weights * turn
@@ -78,24 +86,34 @@ def test_tension_begins_where_the_tail_meets_the_reflection():
 
 @pytest.mark.parametrize(
     ("bar", "shape", "numbers", "share", "near"),
-    [("receiving", "rectangular", {}, 1e-6, 0.001), ("incident", "half_sine", {}, 0.01, 0.005),
-     ("incident", "trapezoid", {"pulse_rise": 30e-6, "pulse_fall": 50e-6}, 0.01, 0.005)],
-)  # fmt: skip
+    [
+        ("receiving", "rectangular", {}, 1e-6, 0.001),
+        ("incident", "half_sine", {}, 0.01, 0.005),
+        ("incident", "trapezoid", {"pulse_rise": 30e-6, "pulse_fall": 50e-6}, 0.01, 0.005),
+    ],
+)
 def test_the_first_tension_against_a_plain_search(bar, shape, numbers, share, near):
     """Nothing a little earlier anywhere, tension somewhere a little later, and at the place found at once."""
     history = history_with(shape, **numbers)
     found, level = first_tension(history.motion, bar, share=share), share * 0.5 * 7850.0 * C0
     d = np.linspace(0.0, {"incident": 1.5, "receiving": 1.2}[bar], 3001)
     for time, some in (((1.0 - near) * found.time, False), ((1.0 + near) * found.time, True)):
-        assert (field_at(history.motion, bar, d, np.full(d.shape, time)).stress > level).any() == some
-    assert field_at(history.motion, bar, found.position, [found.time * (1.0 + 1e-5)]).stress[0] > 0.0
+        assert (
+            field_at(history.motion, bar, d, np.full(d.shape, time)).stress > level
+        ).any() == some
+    assert (
+        field_at(history.motion, bar, found.position, [found.time * (1.0 + 1e-5)]).stress[0] > 0.0
+    )
 
 
 def test_no_tension_where_nothing_pulls():
     history = history_with("step", infinite=True, horizon=1e-3)
     assert first_tension(history.motion, "incident") is None
     assert first_tension(history.motion, "receiving") is None
-    assert first_tension(history_with(bars_receiving_end=-1.0, horizon=7e-4).motion, "receiving") is None
+    assert (
+        first_tension(history_with(bars_receiving_end=-1.0, horizon=7e-4).motion, "receiving")
+        is None
+    )
 
 
 def test_endless_bars_have_a_field_at_any_distance():
@@ -103,7 +121,9 @@ def test_endless_bars_have_a_field_at_any_distance():
     v = field_at(history.motion, "receiving", 50.0, np.array([50.0 / C0 + 5e-5])).velocity[0]
     approach = history.motion.states_at(np.array([5e-5]))[0, 1]
     assert v == pytest.approx(hertz_force(approach, history.hertz_constant) / Z, rel=1e-6)
-    assert field_at(history.motion, "receiving", 50.0, np.array([0.99 * 50.0 / C0])).stress[0] == 0.0
+    assert (
+        field_at(history.motion, "receiving", 50.0, np.array([0.99 * 50.0 / C0])).stress[0] == 0.0
+    )
 
 
 def test_the_grid_lies_within_the_bars_and_has_the_stress_of_the_field() -> None:

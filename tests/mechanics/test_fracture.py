@@ -39,7 +39,9 @@ def test_massless_step_in_closed_form() -> None:
     shares = np.stack([force / largest.values["P_max"], energy / largest.values["energy"]], axis=1)
     exact = scales.time * loading_time(x)
     for column, path in enumerate((FORCE, ENERGY)):
-        found = first_fractures(one, shares[:, [column]], [path], fidelity="massless", tolerance=1e-10)
+        found = first_fractures(
+            one, shares[:, [column]], [path], fidelity="massless", tolerance=1e-10
+        )
         np.testing.assert_allclose(found.times[:, 0], exact, rtol=1e-7)
         np.testing.assert_allclose(found.force, force, rtol=1e-7)
         np.testing.assert_allclose(found.energy, energy, rtol=1e-7)
@@ -75,11 +77,16 @@ def test_against_the_history_of_the_scene() -> None:
         assert found.imbalance[0] == pytest.approx(abs(a[k] - b[k]) / largest[k], abs=2e-3)
         assert bool(found.early[0]) == bool(time[k] < one.first_echo[0])
     # theory section 3: the first loading reaches 2.554 of 3.021 GPa, the rest comes with the reload
-    fine = [first_fractures(one, np.array([[q]]), [path_of("p_max") or FORCE]).early[0] for q in (0.84, 0.85)]
+    fine = [
+        first_fractures(one, np.array([[q]]), [path_of("p_max") or FORCE]).early[0]
+        for q in (0.84, 0.85)
+    ]
     assert fine == [True, False]
 
 
-@pytest.mark.parametrize("name", ["core_tension", "subsurface_shear", "ring_crack", "centre_tension", "edge_tension"])
+@pytest.mark.parametrize(
+    "name", ["core_tension", "subsurface_shear", "ring_crack", "centre_tension", "edge_tension"]
+)
 def test_the_criterion_equals_its_strength_at_fracture(name: str) -> None:
     many = scene(4)
     quantity = CRITERIA[name].quantity
@@ -145,13 +152,20 @@ def test_every_demand_has_a_path_but_what_breaks_nothing() -> None:
 
 def test_where_faces_yield_the_path_is_that_of_the_law():
     """At the moment found the force is that of the level: by the law, or by Hertz's third power."""
-    numbers = ENDLESS | {"bars.E": 205e9, "bars.yield_strength": 1e9, "striker.speed": 0.5, "striker.length": 0.8}
+    numbers = ENDLESS | {
+        "bars.E": 205e9,
+        "bars.yield_strength": 1e9,
+        "striker.speed": 0.5,
+        "striker.length": 0.8,
+    }
     one = example(numbers=numbers, infinite=True, contact_law="plastic")
     answers = solve(one, tolerance=1e-9, threads=1, quantities=("P_max", "p_max", "energy")).values
     top, whole = answers["P_max"], one.faces.pressed(one.faces.depth_at(answers["P_max"]))
     for share in (0.5, 0.97):
         paths = [PATHS[name] for name in ("P_max", "p_hertz", "p_max", "energy")]
-        single = [first_fractures(one, np.array([[share]]), [path], tolerance=1e-9) for path in paths]
+        single = [
+            first_fractures(one, np.array([[share]]), [path], tolerance=1e-9) for path in paths
+        ]
         force, hertz, true, energy = single
         assert force.force[0] == pytest.approx(share * top[0], rel=1e-5)
         assert hertz.force[0] == pytest.approx(share**3 * top[0], rel=1e-5)

@@ -7,7 +7,13 @@ import pytest
 from scenes import EXAMPLE, example
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.field import default_positions, force_imbalance, gauge_record, gauge_strain, overlaps
+from uqsphere.mechanics.field import (
+    default_positions,
+    force_imbalance,
+    gauge_record,
+    gauge_strain,
+    overlaps,
+)
 from uqsphere.mechanics.history import History, equilibrium, trace
 
 BASE = EXAMPLE | {"bars.receiving_length": 1.2}
@@ -17,8 +23,13 @@ Z = 7850.0 * C0 * F0
 TOLERANCE = 1e-9
 
 
-def history_with(shape: str = "rectangular", fidelity: str = "full", infinite: bool = False,
-                 horizon: float | None = None, **changes: float) -> History:  # fmt: skip
+def history_with(
+    shape: str = "rectangular",
+    fidelity: str = "full",
+    infinite: bool = False,
+    horizon: float | None = None,
+    **changes: float,
+) -> History:
     scene = example(shape, numbers=BASE, infinite=infinite, horizon=horizon, **changes)
     return trace(scene, fidelity=fidelity, tolerance=TOLERANCE)
 
@@ -51,17 +62,25 @@ def test_the_signals_are_those_of_the_paper_corrected():
     t = np.linspace(t_i * 1.001, history.horizon * 0.999, 200)
     force = beta * (alpha_c * (start**-0.5 + 0.5 * (t - t_i) / t_c) ** -2) ** 1.5
     np.testing.assert_allclose(
-        gauge_strain(history.motion, "receiving", d, t + delay), -force / (Z * C0), rtol=1e-7, atol=1e-14
+        gauge_strain(history.motion, "receiving", d, t + delay),
+        -force / (Z * C0),
+        rtol=1e-7,
+        atol=1e-14,
     )
     np.testing.assert_allclose(
-        gauge_strain(history.motion, "incident", d, t + delay), -force / (Z * C0), rtol=1e-7, atol=1e-14
+        gauge_strain(history.motion, "incident", d, t + delay),
+        -force / (Z * C0),
+        rtol=1e-7,
+        atol=1e-14,
     )
     before = np.linspace(0.01, 0.99, 50) * t_i - delay
     seen = gauge_strain(history.motion, "incident", d, before[before < delay])
     np.testing.assert_allclose(seen, -0.5 / C0, rtol=1e-12)
     during = np.linspace(delay, delay + t_i, 50, endpoint=False)
     during = during[during > t_i - delay]
-    seen = gauge_strain(history.motion, "incident", d, during) + gauge_strain(history.motion, "receiving", d, during)
+    seen = gauge_strain(history.motion, "incident", d, during) + gauge_strain(
+        history.motion, "receiving", d, during
+    )
     # eps_r = v0/(2 c0) + eps_t, since both faces of a massless sphere carry one force
     free = gauge_strain(history.motion, "receiving", d, during)
     np.testing.assert_allclose(seen, 0.5 / C0 + 2.0 * free, rtol=1e-10)
@@ -70,8 +89,9 @@ def test_the_signals_are_those_of_the_paper_corrected():
 @pytest.mark.parametrize("end", [1.0, -0.5, 0.3])
 def test_without_a_sphere_the_pulse_runs_to_and_fro(end):
     """A sphere next to nothing: d'Alembert's solution of a free face, f_in every round trip and turned at the end."""
-    history = history_with(bars_incident_end=end, fidelity="massless", horizon=4e-3,
-                           sphere_radius=1e-5, sphere_E=1e8)  # fmt: skip
+    history = history_with(
+        bars_incident_end=end, fidelity="massless", horizon=4e-3, sphere_radius=1e-5, sphere_E=1e8
+    )
     d, trip = 1.1, 3.0 / C0
 
     def pulse(times):
@@ -79,9 +99,12 @@ def test_without_a_sphere_the_pulse_runs_to_and_fro(end):
 
     times = np.linspace(-d / C0, 3.9e-3, 1501)
     expected = sum(
-        end**k * (pulse(times - d / C0 - k * trip) - pulse(times + d / C0 - k * trip)) / C0 for k in range(9)
+        end**k * (pulse(times - d / C0 - k * trip) - pulse(times + d / C0 - k * trip)) / C0
+        for k in range(9)
     )
-    np.testing.assert_allclose(gauge_strain(history.motion, "incident", d, times), expected, atol=2e-4 / C0)
+    np.testing.assert_allclose(
+        gauge_strain(history.motion, "incident", d, times), expected, atol=2e-4 / C0
+    )
 
 
 def test_overlap_is_found_where_the_pulse_is_longer_than_twice_the_way(granite):
@@ -113,7 +136,9 @@ def test_the_return_of_a_wave_is_an_overlap(granite):
 def test_equilibrium_is_the_level_of_the_imbalance(granite):
     granite = history_with("half_sine", sphere_radius=0.005)
     first = equilibrium(granite, 0.1)
-    forces = contact.hertz_force(granite.motion.states_at(np.array([first]))[:, :2], granite.hertz_constant)
+    forces = contact.hertz_force(
+        granite.motion.states_at(np.array([first]))[:, :2], granite.hertz_constant
+    )
     assert force_imbalance(forces[:, 0], forces[:, 1])[0] == pytest.approx(0.1, rel=1e-9)
     assert equilibrium(granite, 0.5) <= first
 
@@ -125,6 +150,13 @@ def test_records_show_jumps_and_say_what_overlaps(granite):
         (record.time < -0.75 / C0 - 1e-9).sum()
     )
     at = np.flatnonzero(np.diff(record.time) == 0.0)
-    assert np.abs(record.strain[at + 1] - record.strain[at]).max() == pytest.approx(0.5 / C0, rel=1e-6)
-    assert default_positions(granite.motion) == (("incident", pytest.approx(0.75)), ("receiving", pytest.approx(0.6)))
-    assert default_positions(history_with(fidelity="massless", infinite=True, bars_incident_length=1e9).motion)[0][0]
+    assert np.abs(record.strain[at + 1] - record.strain[at]).max() == pytest.approx(
+        0.5 / C0, rel=1e-6
+    )
+    assert default_positions(granite.motion) == (
+        ("incident", pytest.approx(0.75)),
+        ("receiving", pytest.approx(0.6)),
+    )
+    assert default_positions(
+        history_with(fidelity="massless", infinite=True, bars_incident_length=1e9).motion
+    )[0][0]

@@ -37,9 +37,16 @@ def test_scales_that_overflow_have_a_status_and_no_number(name: str, value: floa
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("sphere_nu", 0.4999), ("sphere_E", 1e6), ("sphere_E", 1e12), ("sphere_radius", 1e-4),
-     ("striker_speed", 1e-6), ("striker_speed", 100.0), ("sphere_density", 1.0)],
-)  # fmt: skip
+    [
+        ("sphere_nu", 0.4999),
+        ("sphere_E", 1e6),
+        ("sphere_E", 1e12),
+        ("sphere_radius", 1e-4),
+        ("striker_speed", 1e-6),
+        ("striker_speed", 100.0),
+        ("sphere_density", 1.0),
+    ],
+)
 def test_ends_of_the_inputs_are_answered(name: str, value: float) -> None:
     scene = scene_with(**{name: value})
     found, closer = (solve(scene, tolerance=tolerance) for tolerance in (1e-6, 1e-9))
@@ -53,7 +60,10 @@ def test_ends_of_the_inputs_are_answered(name: str, value: float) -> None:
 
 def test_the_largest_pressure_alone_needs_no_tail() -> None:
     scene = scaled_scene([3e-3], [3.0])
-    alone, tail = solve(scene, quantities=("p_max",)), solve(scene, quantities=("p_max", "time_to_first_loss"))
+    alone, tail = (
+        solve(scene, quantities=("p_max",)),
+        solve(scene, quantities=("p_max", "time_to_first_loss")),
+    )
     assert alone.steps[0] < 0.6 * tail.steps[0]
     assert alone.values["p_max"][0] == pytest.approx(tail.values["p_max"][0], rel=1e-7)
 
@@ -100,7 +110,9 @@ def test_a_first_loss_that_errors_decide_is_found_by_a_closer_look() -> None:
     assert not found.grazes[0]
     for name in ("time_to_first_loss", "contact_duration"):
         assert found.values[name][0] == pytest.approx(closer.values[name][0], rel=5e-6)
-    assert found.values["time_to_first_loss"][0] / scene.scales.time[0] == pytest.approx(559.343, abs=1e-3)
+    assert found.values["time_to_first_loss"][0] / scene.scales.time[0] == pytest.approx(
+        559.343, abs=1e-3
+    )
 
 
 def test_a_first_loss_that_rounding_decides_is_marked_and_said() -> None:

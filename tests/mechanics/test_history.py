@@ -47,8 +47,9 @@ def test_a_history_agrees_with_the_quantities(example):
     largest = max(history.pressure_a[record].max(), history.pressure_b[record].max())
     assert largest == pytest.approx(history.first_peak.pressure, rel=1e-12)
     assert (history.mass_number, history.pulse_number) == (
-        scene.scales.mass_number[0], scene.scales.pulse_number[0]
-    )  # fmt: skip
+        scene.scales.mass_number[0],
+        scene.scales.pulse_number[0],
+    )
     assert history.horizon == pytest.approx(float(scene.record_end[0]), rel=1e-12)
 
 
@@ -57,7 +58,9 @@ def test_contacts_are_lost_and_found_in_turn(example):
     assert len(history.changes) > 4
     for face, approach in (("A", history.approach_a), ("B", history.approach_b)):
         own = [change for change in history.changes if change.face == face]
-        assert [change.kind for change in own] == [("lost", "found")[k % 2] for k in range(len(own))]
+        assert [change.kind for change in own] == [
+            ("lost", "found")[k % 2] for k in range(len(own))
+        ]
         # between two changes of a face its approach has the sign that they say
         edges = [0.0, *(change.time for change in own), history.horizon]
         for k, (begin, end) in enumerate(pairwise(edges)):
@@ -110,7 +113,9 @@ def test_pressure_over_the_contact(example):
     field = history.pressure_over_contact([0.0, 0.6 * radius, radius, 1.01 * radius], "B")
     assert field.shape == (len(history.time), 4)
     np.testing.assert_allclose(field[:, 0], history.pressure_b, rtol=1e-12)
-    np.testing.assert_allclose(field[peak] / history.pressure_b[peak], [1.0, 0.8, 0.0, 0.0], atol=1e-7)
+    np.testing.assert_allclose(
+        field[peak] / history.pressure_b[peak], [1.0, 0.8, 0.0, 0.0], atol=1e-7
+    )
     apart = history.approach_b < 0.0
     assert apart.any()
     assert (field[apart] == 0.0).all()

@@ -37,7 +37,14 @@ def solved(lam: float) -> tuple[float, float, float]:
     top.direction = end.direction = -1
     end.terminal = True
     way = solve_ivp(
-        motion, (0.0, 40.0), [0.0, 1.0], method="DOP853", rtol=1e-13, atol=1e-15, events=[top, end], first_step=1e-8
+        motion,
+        (0.0, 40.0),
+        [0.0, 1.0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-15,
+        events=[top, end],
+        first_step=1e-8,
     )
     return -way.y_events[1][0][1], way.y_events[0][0][0] ** 1.5, way.t_events[1][0]
 
@@ -71,7 +78,9 @@ def test_thin_plates_take_a_share_of_the_force():
     impedance = rigs.plate_impedance(210e9, 0.3, 7850.0, thickness)
     lam = beta**0.4 * mass**0.6 * 3.6**0.2 / impedance
     assert lam == pytest.approx([0.206, 0.116, 0.074, 0.052, 0.029], abs=6e-4)
-    share = closed_form.blow(beta, mass, 3.6, impedance).force / closed_form.blow(beta, mass, 3.6).force
+    share = (
+        closed_form.blow(beta, mass, 3.6, impedance).force / closed_form.blow(beta, mass, 3.6).force
+    )
     assert share[[0, -1]] == pytest.approx([0.82, 0.97], abs=6e-3)
 
 
@@ -116,6 +125,8 @@ def test_waves_take_little_of_a_blow():
 
 
 def test_a_fall_loses_speed_to_the_air():
-    assert rigs.drop_speed(1e-3, 0.01, 2600.0) == pytest.approx(math.sqrt(2 * rigs.GRAVITY * 1e-3), rel=1e-4)
+    assert rigs.drop_speed(1e-3, 0.01, 2600.0) == pytest.approx(
+        math.sqrt(2 * rigs.GRAVITY * 1e-3), rel=1e-4
+    )
     lost = 1.0 - rigs.drop_speed(8.0, 0.01, 2600.0) ** 2 / (2 * rigs.GRAVITY * 8.0)
     assert lost == pytest.approx(0.06, abs=0.01)

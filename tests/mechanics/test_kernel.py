@@ -39,9 +39,11 @@ def random_scene(count: int, seed: int, **structure: Any) -> Scene:
 
 def over(answers: Answers, scene: Scene, name: str) -> Any:
     """A quantity over its scale."""
-    scale = {"alpha_max": scene.scales.approach, "time_to_first_loss": scene.scales.time, "P_max": scene.scales.force}[
-        name
-    ]
+    scale = {
+        "alpha_max": scene.scales.approach,
+        "time_to_first_loss": scene.scales.time,
+        "P_max": scene.scales.force,
+    }[name]
     return answers.values[name] / scale
 
 
@@ -58,8 +60,15 @@ def test_reference_scenes_between_finite_bars() -> None:
     found = solve(Scene(columns=columns), tolerance=1e-8)
     assert (found.status == 0).all()
     # the reference is converged to about 1e-8, its times to 1e-7; its force_imbalance, a small difference, to 1e-6
-    for name, tolerance in (("p_max", 5e-8), ("P_max", 5e-8), ("contact_time", 2e-7), ("force_imbalance", 5e-6)):
-        expected = np.array([np.nan if row["answer"][name] is None else row["answer"][name] for row in rows])
+    for name, tolerance in (
+        ("p_max", 5e-8),
+        ("P_max", 5e-8),
+        ("contact_time", 2e-7),
+        ("force_imbalance", 5e-6),
+    ):
+        expected = np.array(
+            [np.nan if row["answer"][name] is None else row["answer"][name] for row in rows]
+        )
         known = np.isfinite(expected)
         values = found.values["time_to_first_loss" if name == "contact_time" else name]
         assert relative(values, expected)[known].max() < tolerance, name
@@ -71,20 +80,30 @@ def test_reference_peaks_on_infinite_bars() -> None:
     rows = REFERENCE["infinite"]
     scene = scaled_scene([row["mu"] for row in rows], [row["theta"] for row in rows])
     found = solve(scene, tolerance=1e-9)
-    assert relative(over(found, scene, "alpha_max"), [row["x_max"] for row in rows]).max() < SOLVER * 1e-9
+    assert (
+        relative(over(found, scene, "alpha_max"), [row["x_max"] for row in rows]).max()
+        < SOLVER * 1e-9
+    )
 
 
 def test_first_separation_on_infinite_bars() -> None:
     scene = scaled_scene([1.0, 0.03], 3.0, horizon_in_t_c=40.0)
     found = solve(scene, tolerance=1e-9)
     assert not found.censored["time_to_first_loss"].any()
-    assert relative(over(found, scene, "time_to_first_loss"), [3.828559013, 28.040523689]).max() < 2e-9
+    assert (
+        relative(over(found, scene, "time_to_first_loss"), [3.828559013, 28.040523689]).max() < 2e-9
+    )
     assert relative(over(found, scene, "alpha_max"), [1.1250021777, 1.0058905197]).max() < 2e-10
 
 
 def test_step_pulse_on_infinite_bars() -> None:
-    for mu, peak, imbalance in ((10.0, 1.7535, None), (1.0, 1.1932, None), (0.1, 1.03297, 0.43488),
-                                (0.01, 1.00436, 0.16420), (0.001, None, 0.05880)):  # fmt: skip
+    for mu, peak, imbalance in (
+        (10.0, 1.7535, None),
+        (1.0, 1.1932, None),
+        (0.1, 1.03297, 0.43488),
+        (0.01, 1.00436, 0.16420),
+        (0.001, None, 0.05880),
+    ):
         scene = scaled_scene(mu, 1.0, shape="step", horizon_in_t_c=40.0)
         found = solve(scene, tolerance=1e-8)
         if peak is not None:  # the oracle is that of face A alone
@@ -117,13 +136,18 @@ def test_a_row_depends_on_nothing_but_the_row(finite: bool) -> None:
     scene = random_scene(count, 7)
     if not finite:
         scene = Scene(columns=scene.columns, infinite=True)
-        scene = Scene(columns=scene.columns, infinite=True, horizon=float(8.0 * scene.scales.time[0]))
+        scene = Scene(
+            columns=scene.columns, infinite=True, horizon=float(8.0 * scene.scales.time[0])
+        )
     together = solve(scene, tolerance=1e-4, threads=1)
     _same_bits(together, solve(scene, tolerance=1e-4, threads=3), slice(None))
     shuffled = np.random.default_rng(8).permutation(count)
     for rows in (shuffled, np.arange(13, 300), np.array([5])):
-        part = Scene(columns={name: column[rows] for name, column in scene.columns.items()}, infinite=scene.infinite,
-                     horizon=scene.horizon)  # fmt: skip
+        part = Scene(
+            columns={name: column[rows] for name, column in scene.columns.items()},
+            infinite=scene.infinite,
+            horizon=scene.horizon,
+        )
         _same_bits(together, solve(part, tolerance=1e-4), rows)
 
 
@@ -135,7 +159,14 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
         found = solve(scene, tolerance=tolerance)
         assert answered(found.status).all()
-        for name in ("p_max", "first_peak", "contact_duration", "rise_time", "force_imbalance", "energy"):
+        for name in (
+            "p_max",
+            "first_peak",
+            "contact_duration",
+            "rise_time",
+            "force_imbalance",
+            "energy",
+        ):
             error = relative(found.values[name], exact.values[name]) / tolerance
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows
             assert np.quantile(error, 0.98) < SOLVER, (name, tolerance)
@@ -150,12 +181,18 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
 def test_what_is_asked_for_is_what_is_answered() -> None:
     scene = random_scene(60, 12)
     every = solve(scene, tolerance=1e-7)
-    for names in (("p_max", "time_to_first_loss"), ("rise_time",), ("force_imbalance", "specific_energy")):
+    for names in (
+        ("p_max", "time_to_first_loss"),
+        ("rise_time",),
+        ("force_imbalance", "specific_energy"),
+    ):
         found = solve(scene, tolerance=1e-7, quantities=names)
         assert set(found.values) == set(names)
         assert set(found.censored) == {"time_to_first_loss"} & set(names)
         for name in names:
-            assert np.quantile(relative(found.values[name], every.values[name]), 0.9) < SOLVER * 1e-7
+            assert (
+                np.quantile(relative(found.values[name], every.values[name]), 0.9) < SOLVER * 1e-7
+            )
     with pytest.raises(ValueError, match="unknown quantities p_maximum"):
         solve(scene, quantities=("p_maximum",))
 
@@ -166,14 +203,18 @@ def test_steps_of_a_motion_join() -> None:
         found = motion(scene, row, tolerance=1e-6)
         gaps = found.states[:-1].sum(axis=2) - found.states[1:, :, 0]
         assert np.abs(gaps).max() < EXACT
-        assert np.abs(found.start[:-1] + found.length[:-1] - found.start[1:]).max() < EXACT * found.end
+        assert (
+            np.abs(found.start[:-1] + found.length[:-1] - found.start[1:]).max() < EXACT * found.end
+        )
         assert found.start[-1] + found.length[-1] == pytest.approx(found.end, rel=EXACT)
 
 
 def test_motions_of_many_rows_are_those_of_each() -> None:
     scene = random_scene(40, 16)
     rows = np.random.default_rng(2).permutation(40)[: 2 * LANES + 3]
-    for row, one in zip(rows.tolist(), dynamics.motions(scene, rows, stop_at_loss=False, threads=2), strict=True):
+    for row, one in zip(
+        rows.tolist(), dynamics.motions(scene, rows, stop_at_loss=False, threads=2), strict=True
+    ):
         alone = motion(scene, row)
         assert isinstance(one, dynamics.Motion)
         assert (one.row, one.end) == (row, alone.end)
@@ -195,14 +236,20 @@ def test_record_on_infinite_bars_ends_where_both_forces_are_small() -> None:
 
 
 def test_extremes_end_and_say_how() -> None:
-    mu, theta = (grid.ravel() for grid in np.meshgrid(10.0 ** np.arange(-6.0, 3.0), 10.0 ** np.arange(-3.0, 2.0)))
+    mu, theta = (
+        grid.ravel()
+        for grid in np.meshgrid(10.0 ** np.arange(-6.0, 3.0), 10.0 ** np.arange(-3.0, 2.0))
+    )
     for tolerance in (1e-3, 1e-6):
         found = solve(scaled_scene(mu, theta), tolerance=tolerance)
         assert answered(found.status).all()
         assert np.isfinite(found.values["p_max"]).all()
     long = solve(scaled_scene([1e-3, 1.0, 100.0], [1e3, 1e3, 1e3]), tolerance=1e-6)
     assert (long.status == 0).all()
-    assert relative(long.values["P_max"][0], 1.0 * scaled_scene([1e-3], [1e3]).scales.force).max() < 1e-2
+    assert (
+        relative(long.values["P_max"][0], 1.0 * scaled_scene([1e-3], [1e3]).scales.force).max()
+        < 1e-2
+    )
 
 
 # ---- rows that cannot be done
@@ -224,10 +271,23 @@ def test_too_many_reflections_have_a_status() -> None:
 def test_rows_outside_the_domain_do_not_touch_the_others() -> None:
     scene = random_scene(5, 17)
     columns = {name: column.copy() for name, column in scene.columns.items()}
-    columns["sphere.E"][1], columns["sphere.radius"][2], columns["pulse.duration"][3] = np.nan, -1.0, 1.0
+    columns["sphere.E"][1], columns["sphere.radius"][2], columns["pulse.duration"][3] = (
+        np.nan,
+        -1.0,
+        1.0,
+    )
     columns["bars.incident_end"][:] = 1.0
-    good = solve(Scene(columns={**columns, **{name: scene.columns[name] for name in ("sphere.E", "sphere.radius",
-                                                                                    "pulse.duration")}}))  # fmt: skip
+    good = solve(
+        Scene(
+            columns={
+                **columns,
+                **{
+                    name: scene.columns[name]
+                    for name in ("sphere.E", "sphere.radius", "pulse.duration")
+                },
+            }
+        )
+    )
     found = solve(Scene(columns=columns))
     assert found.status.tolist() == [0, 1, 1, 2, 0]
     assert np.isnan(found.values["p_max"][1:4]).all()
@@ -244,7 +304,11 @@ def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
     }
     scene = Scene(columns={name: np.array([number]) for name, number in numbers.items()})
     found = [
-        float(solve(scene, tolerance=tolerance, quantities=("time_to_first_loss",)).values["time_to_first_loss"][0])
+        float(
+            solve(scene, tolerance=tolerance, quantities=("time_to_first_loss",)).values[
+                "time_to_first_loss"
+            ][0]
+        )
         for tolerance in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10)
     ]
     np.testing.assert_allclose(found, 193.18e-6, rtol=1e-4)

@@ -10,7 +10,14 @@ from scenes import EXAMPLE, example
 
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PRESETS, Pulse, build_pulse, pulse_value, striker_steps
+from uqsphere.mechanics.pulses import (
+    DEFAULT_VALLEY,
+    PRESETS,
+    Pulse,
+    build_pulse,
+    pulse_value,
+    striker_steps,
+)
 from uqsphere.mechanics.scene import Scene
 
 EXACT = 1e-12
@@ -23,7 +30,9 @@ def area(pulse: Pulse, row: int = 0, moment: int = 0) -> float:
     total = 0.0
     for begin, end in zip(pulse.breaks[row, :-1], pulse.breaks[row, 1:], strict=True):
         times = begin + 0.5 * (end - begin) * (nodes + 1.0)
-        total += 0.5 * (end - begin) * float(weights @ (pulse_value(pulse, row, times) * times**moment))
+        total += (
+            0.5 * (end - begin) * float(weights @ (pulse_value(pulse, row, times) * times**moment))
+        )
     return total
 
 
@@ -38,7 +47,10 @@ ramp_shares = st.just(0.0) | st.floats(1e-6, 1.0)
 @settings(max_examples=60, deadline=None)
 def test_rectangle_and_trapezoid_keep_the_impulse_of_the_striker(duration, rise, fall):
     ramps = {"rise": [rise * duration], "fall": [fall * duration]}
-    rectangle, trapezoid = build_pulse("rectangular", [duration]), build_pulse("trapezoid", [duration], ramps)
+    rectangle, trapezoid = (
+        build_pulse("rectangular", [duration]),
+        build_pulse("trapezoid", [duration], ramps),
+    )
     assert trapezoid.valid.all()
     assert area(rectangle) == pytest.approx(duration, rel=EXACT)
     assert area(trapezoid) == pytest.approx(duration, rel=1e-11)
@@ -50,13 +62,25 @@ def test_rectangle_and_trapezoid_keep_the_impulse_of_the_striker(duration, rise,
     [
         ("half_sine", {}, [40e-6], [1.0], 2.0 / np.pi * 80e-6),
         # half height at 15 us and at 95 us: the width is the duration
-        ("trapezoid", {"rise": [30e-6], "fall": [10e-6]}, [15e-6, 30e-6, 89e-6, 95e-6], [0.5, 1, 1, 0.5], 80e-6),
+        (
+            "trapezoid",
+            {"rise": [30e-6], "fall": [10e-6]},
+            [15e-6, 30e-6, 89e-6, 95e-6],
+            [0.5, 1, 1, 0.5],
+            80e-6,
+        ),
         ("rectangular", {}, [-1e-9, 0.0, 79.999e-6, 80e-6], [0, 1, 1, 0], 80e-6),
         # rises over its rise and falls at once
-        ("ramp", {"rise": [60e-6]}, [0.0, 30e-6, 60e-6, 109.9e-6, 110.1e-6], [0, 0.5, 1, 1, 0], 80e-6),
+        (
+            "ramp",
+            {"rise": [60e-6]},
+            [0.0, 30e-6, 60e-6, 109.9e-6, 110.1e-6],
+            [0, 0.5, 1, 1, 0],
+            80e-6,
+        ),
         ("two_peak", TWO_PEAK | {"valley": [0.3]}, [19e-6, 39.5e-6, 60e-6], [1.0, 0.3, 0.8], None),
     ],
-)  # fmt: skip
+)
 def test_a_pulse_of_80_us_takes_its_values_and_has_its_area(shape, numbers, times, expected, whole):
     pulse = build_pulse(shape, [80e-6], numbers)
     np.testing.assert_allclose(values(pulse, times), expected, rtol=1e-10, atol=1e-12)
@@ -64,7 +88,8 @@ def test_a_pulse_of_80_us_takes_its_values_and_has_its_area(shape, numbers, time
 
 
 @pytest.mark.parametrize(
-    ("shape", "numbers"), [("trapezoid", {"rise": [20e-6], "fall": [30e-6]}), ("half_sine", {}), ("two_peak", TWO_PEAK)]
+    ("shape", "numbers"),
+    [("trapezoid", {"rise": [20e-6], "fall": [30e-6]}), ("half_sine", {}), ("two_peak", TWO_PEAK)],
 )
 def test_smooth_shapes_are_continuous(shape, numbers):
     pulse = build_pulse(shape, [100e-6], numbers)
@@ -123,9 +148,12 @@ def test_rows_do_not_depend_on_each_other():
 
 
 BASE = EXAMPLE | {
-    "bars.incident_length": 3.0, "bars.receiving_length": 3.0, "bars.receiving_end": 0.0, "striker.length": 0.2,
+    "bars.incident_length": 3.0,
+    "bars.receiving_length": 3.0,
+    "bars.receiving_end": 0.0,
+    "striker.length": 0.2,
     "striker.speed": 2.0,
-}  # fmt: skip
+}
 
 
 def impact(ratio: float, cells: int, turns: int) -> np.ndarray:
@@ -133,7 +161,10 @@ def impact(ratio: float, cells: int, turns: int) -> np.ndarray:
 
     Contact carries no tension: once it would, the striker is off.
     """
-    right, left = np.full(cells, 1.0), np.full(cells, 1.0)  # velocity (right + left)/2 of each cell, v0 = 1
+    right, left = (
+        np.full(cells, 1.0),
+        np.full(cells, 1.0),
+    )  # velocity (right + left)/2 of each cell, v0 = 1
     course, together = [], True
     for _ in range(turns * cells):
         # what arrives at the interface from the striker, nothing from the long bar: force Z_s (r - v) = Z v
@@ -160,9 +191,15 @@ def test_steps_are_those_of_two_bars_that_meet(ratio):
     np.testing.assert_allclose(pulse_value(pulse, 0, times), found, atol=2.1e-3)
 
 
-@pytest.mark.parametrize(("rise", "fall", "fits"), [(0.8, 0.8, True), (1.0, 1.0, True), (1.2, 0.9, False)])
-def test_ramps_of_steps_may_fill_the_width_and_no_more(rise: float, fall: float, fits: bool) -> None:
-    pulse = build_pulse("trapezoid", [1.0], {"rise": [rise], "fall": [fall], "striker_ratio": [2.0]})
+@pytest.mark.parametrize(
+    ("rise", "fall", "fits"), [(0.8, 0.8, True), (1.0, 1.0, True), (1.2, 0.9, False)]
+)
+def test_ramps_of_steps_may_fill_the_width_and_no_more(
+    rise: float, fall: float, fits: bool
+) -> None:
+    pulse = build_pulse(
+        "trapezoid", [1.0], {"rise": [rise], "fall": [fall], "striker_ratio": [2.0]}
+    )
     assert bool(pulse.valid[0]) is fits
 
 
@@ -180,7 +217,9 @@ def test_a_striker_like_the_bar_sends_the_plain_pulse():
     own = {"striker.E": 210e9, "striker.density": 7850.0, "striker.diameter": 0.04}
     same = example(numbers=BASE | own)
     names = ("p_max", "time_to_first_loss", "force_imbalance")
-    one, other = (dynamics.solve(scene, tolerance=1e-9, quantities=names).values for scene in (plain, same))
+    one, other = (
+        dynamics.solve(scene, tolerance=1e-9, quantities=names).values for scene in (plain, same)
+    )
     for name in names:
         np.testing.assert_allclose(other[name], one[name], rtol=1e-9)
 
@@ -192,7 +231,9 @@ def test_length_and_speed_of_sound_are_the_strikers():
     assert scene.scales.duration[0] == pytest.approx(0.4 / np.sqrt(70e9 / 2700.0))
     expected = np.sqrt(70e9 * 2700.0) / np.sqrt(210e9 * 7850.0)
     assert scene.striker_ratio[0] == pytest.approx(expected)
-    assert pulse_value(scene.pulse, 0, np.array([1e-6]))[0] == pytest.approx(2.0 * expected / (1.0 + expected))
+    assert pulse_value(scene.pulse, 0, np.array([1e-6]))[0] == pytest.approx(
+        2.0 * expected / (1.0 + expected)
+    )
     assert scene.pulse.end[0] == pytest.approx(0.4 / np.sqrt(70e9 / 2700.0))
     assert bars.impedance(70e9, 2700.0, 0.04) < scene.scales.impedance[0]
 
@@ -202,7 +243,9 @@ def test_edges_keep_the_impulse_of_the_steps():
     pulse = build_pulse("trapezoid", [100e-6], numbers)
     times = np.linspace(0.0, pulse.end[0], 2_000_001)
     levels = striker_steps([2.5])[0]
-    assert np.trapezoid(pulse_value(pulse, 0, times), times) == pytest.approx(levels.sum() * 100e-6, rel=1e-9)
+    assert np.trapezoid(pulse_value(pulse, 0, times), times) == pytest.approx(
+        levels.sum() * 100e-6, rel=1e-9
+    )
     assert not build_pulse("trapezoid", [20e-6], numbers).valid[0]
 
 
@@ -213,9 +256,15 @@ def test_a_very_stiff_striker_is_refused():
 
 
 def test_presets_have_the_durations_of_the_paper():
-    assert [PRESETS[name][1]["duration"] for name in ("very_short", "short", "long")] == [24.8e-6, 60e-6, 400e-6]
+    assert [PRESETS[name][1]["duration"] for name in ("very_short", "short", "long")] == [
+        24.8e-6,
+        60e-6,
+        400e-6,
+    ]
     second = PRESETS["very_short"][1]["t2"]
-    pulse = build_pulse("two_peak", [24.8e-6], {key: [value] for key, value in PRESETS["very_short"][1].items()})
+    pulse = build_pulse(
+        "two_peak", [24.8e-6], {key: [value] for key, value in PRESETS["very_short"][1].items()}
+    )
     values = pulse_value(pulse, 0, second + np.array([-1e-6, 0.0, 1e-6]))
     assert second == 19e-6
     assert values[1] == max(values)

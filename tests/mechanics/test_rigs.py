@@ -31,7 +31,9 @@ def of(table: str, **numbers: Any) -> dict[str, Any]:
 
 
 def scene(rig: str, numbers: dict[str, Any], **given: Any) -> Scene:
-    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, dtype=float)) for value in numbers.values()))
+    columns = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(value, dtype=float)) for value in numbers.values())
+    )
     return Scene(columns=dict(zip(numbers, map(np.array, columns), strict=True)), rig=rig, **given)
 
 
@@ -51,7 +53,10 @@ def converged_scene(name: str) -> Scene:
     numbers = {f"sphere.{key}": given["sphere"][short] for key, short in sphere.items()}
     table = {"impact": "target", "drop_weight": "anvil", "load_cell": "rod"}[given["rig"]]
     ahead, behind = given["B"], given["A"]
-    numbers |= {f"{table}.{key}": ahead[short] for key, short in {"E": "E", "nu": "nu", "density": "rho"}.items()}
+    numbers |= {
+        f"{table}.{key}": ahead[short]
+        for key, short in {"E": "E", "nu": "nu", "density": "rho"}.items()
+    }
     if given["rig"] == "impact":
         numbers["rig.speed"] = given["sphere_speed"]
     else:
@@ -69,7 +74,14 @@ def test_converged_scenes(name: str) -> None:
     """Answers of a code of another method at a relative tolerance of 1e-13."""
     given, wanted = converged_scene(name), CONVERGED[name]["results"]
     found = {key: float(value[0]) for key, value in solved(given, tolerance=1e-10).values.items()}
-    same = ("P_max", "p_max", "energy", "energy_sphere", "specific_energy", "specific_energy_sphere")
+    same = (
+        "P_max",
+        "p_max",
+        "energy",
+        "energy_sphere",
+        "specific_energy",
+        "specific_energy_sphere",
+    )
     assert found["time_to_first_loss"] == pytest.approx(wanted["contact_time"], rel=1e-9)
     for quantity in same:
         assert found[quantity] == pytest.approx(wanted[quantity], rel=1e-9), quantity
@@ -96,9 +108,22 @@ BLOWS: dict[str, tuple[str, dict[str, Any], str]] = {
     "thick yields": ("thick", {"yield_strength": 834e6}, "plastic"),
     "mass yields": ("mass", {"mass": 0.02, "yield_strength": 834e6}, "plastic"),
 }
-TOLD = ("P_max", "p_max", "p_mean", "a_max", "time_to_first_loss", "loaded_time", "contact_duration", "rise_time",
-        "energy", "energy_sphere", "rebound_speed", "restitution", "core_tension",
-        "centre_tension")  # fmt: skip
+TOLD = (
+    "P_max",
+    "p_max",
+    "p_mean",
+    "a_max",
+    "time_to_first_loss",
+    "loaded_time",
+    "contact_duration",
+    "rise_time",
+    "energy",
+    "energy_sphere",
+    "rebound_speed",
+    "restitution",
+    "core_tension",
+    "centre_tension",
+)
 
 
 @pytest.mark.parametrize("name", BLOWS)
@@ -109,7 +134,9 @@ def test_closed_forms_are_what_the_integrator_finds(name: str) -> None:
     closed = closed_form.solve_blow(given, TOLD)
     marched = dynamics.solve(given, tolerance=1e-8, threads=1, quantities=TOLD)
     for quantity in TOLD:
-        assert closed.values[quantity] == pytest.approx(marched.values[quantity], rel=1e-7), quantity
+        assert closed.values[quantity] == pytest.approx(marched.values[quantity], rel=1e-7), (
+            quantity
+        )
     assert closed.status.tolist() == [0, 0, 0]
 
 
@@ -127,7 +154,9 @@ def test_every_answer_is_a_power_of_the_inputs() -> None:
     base = {**LIMESTONE, **of("target"), "rig.speed": 2.0}
     found = {}
     for name in ("sphere.E", "sphere.radius", "sphere.density", "rig.speed"):
-        given = scene("impact", {**base, name: base[name] * np.array([1.0, 1.3])}, rigid_contact=True)
+        given = scene(
+            "impact", {**base, name: base[name] * np.array([1.0, 1.3])}, rigid_contact=True
+        )
         answers = solved(given, "P_max", "p_max").values
         found[name] = [math.log(value[1] / value[0]) / math.log(1.3) for value in answers.values()]
     assert found["sphere.E"] == pytest.approx([0.4, 0.8], abs=1e-11)
@@ -138,18 +167,33 @@ def test_every_answer_is_a_power_of_the_inputs() -> None:
 
 def test_lengths_scale() -> None:
     """All lengths by k at one speed: times k, forces k², energies k³, pressures and restitution 1."""
-    for kind, numbers in {"thick": {}, "plate": {"thickness": 0.01}, "bar": {"diameter": 0.02}}.items():
+    for kind, numbers in {
+        "thick": {},
+        "plate": {"thickness": 0.01},
+        "bar": {"diameter": 0.02},
+    }.items():
         k = np.array([1.0, 3.0])
         lengths = {name: value * k for name, value in numbers.items()}
-        given = scene("impact", {**LIMESTONE, **of("target", **lengths), "sphere.radius": 0.01 * k, "rig.speed": 3.0},
-                      options={"target.kind": kind})  # fmt: skip
-        found = solved(given, "time_to_first_loss", "P_max", "energy", "p_max", "restitution").values
-        assert [value[1] / value[0] for value in found.values()] == pytest.approx([3.0, 9.0, 27.0, 1.0, 1.0], rel=1e-11)
+        given = scene(
+            "impact",
+            {**LIMESTONE, **of("target", **lengths), "sphere.radius": 0.01 * k, "rig.speed": 3.0},
+            options={"target.kind": kind},
+        )
+        found = solved(
+            given, "time_to_first_loss", "P_max", "energy", "p_max", "restitution"
+        ).values
+        assert [value[1] / value[0] for value in found.values()] == pytest.approx(
+            [3.0, 9.0, 27.0, 1.0, 1.0], rel=1e-11
+        )
 
 
 def test_limits_of_partners() -> None:
     thick = solved(struck(3.6), *TOLD).values
-    for kind, numbers in {"plate": {"thickness": 50.0}, "mass": {"mass": 1e5}, "bar": {"diameter": 300.0}}.items():
+    for kind, numbers in {
+        "plate": {"thickness": 50.0},
+        "mass": {"mass": 1e5},
+        "bar": {"diameter": 300.0},
+    }.items():
         found = solved(struck(3.6, kind, **numbers), *TOLD).values
         for quantity in TOLD:
             assert found[quantity] == pytest.approx(thick[quantity], rel=2e-6), (kind, quantity)
@@ -161,7 +205,9 @@ def test_a_crushed_pole_takes_more_speed_for_the_same_force() -> None:
     numbers = {**LIMESTONE, **of("target"), "rig.speed": speeds}
     pole = {"sphere.onset_pressure": 0.75e9, "sphere.hardness": 1.5e9}
     elastic = solved(scene("impact", numbers), "P_max").values["P_max"]
-    crushed = solved(scene("impact", {**numbers, **pole}, contact_law="plastic"), "P_max").values["P_max"]
+    crushed = solved(scene("impact", {**numbers, **pole}, contact_law="plastic"), "P_max").values[
+        "P_max"
+    ]
     due = np.interp(forces, crushed, speeds) / np.interp(forces, elastic, speeds)
     assert due == pytest.approx([1.11, 1.15, 1.24, 1.27], abs=0.006)
 
@@ -169,13 +215,32 @@ def test_a_crushed_pole_takes_more_speed_for_the_same_force() -> None:
 def test_only_the_closing_speed_counts() -> None:
     """Two spheres of one kind: reduced mass M/2, face radius r; the mirror has the same blow."""
     one = scene(
-        "sphere_on_sphere", {**LIMESTONE, **of("other", E=70e9, nu=0.2, density=2500.0, radius=0.006), "rig.speed": 5.0}
+        "sphere_on_sphere",
+        {
+            **LIMESTONE,
+            **of("other", E=70e9, nu=0.2, density=2500.0, radius=0.006),
+            "rig.speed": 5.0,
+        },
     )
-    two = scene("sphere_on_sphere", {
-        "sphere.E": 70e9, "sphere.nu": 0.2, "sphere.density": 2500.0, "sphere.radius": 0.006,
-        **of("other", E=60e9, nu=0.25, density=2600.0, radius=0.01), "rig.speed": 5.0,
-    })  # fmt: skip
-    for quantity in ("P_max", "p_max", "time_to_first_loss", "energy", "impact_energy", "restitution"):
+    two = scene(
+        "sphere_on_sphere",
+        {
+            "sphere.E": 70e9,
+            "sphere.nu": 0.2,
+            "sphere.density": 2500.0,
+            "sphere.radius": 0.006,
+            **of("other", E=60e9, nu=0.25, density=2600.0, radius=0.01),
+            "rig.speed": 5.0,
+        },
+    )
+    for quantity in (
+        "P_max",
+        "p_max",
+        "time_to_first_loss",
+        "energy",
+        "impact_energy",
+        "restitution",
+    ):
         assert solved(one, quantity).values[quantity] == pytest.approx(
             solved(two, quantity).values[quantity], rel=1e-12
         )
@@ -185,7 +250,10 @@ def test_oblique_blows_count_by_their_normal_speed() -> None:
     numbers = {**LIMESTONE, **of("target"), "rig.speed": 4.0}
     oblique = scene("impact", {**numbers, "rig.angle": math.radians(60.0)})
     assert closing_speed(oblique)[0] == pytest.approx(4.0 * math.sin(math.radians(60.0)), rel=1e-15)
-    fallen = scene("drop_weight", {**LIMESTONE, **of("anvil"), **of("hammer", mass=1.0), "hammer.drop_height": 0.2})
+    fallen = scene(
+        "drop_weight",
+        {**LIMESTONE, **of("anvil"), **of("hammer", mass=1.0), "hammer.drop_height": 0.2},
+    )
     assert closing_speed(fallen)[0] == pytest.approx(1.9805706248452741, rel=1e-12)
 
 
@@ -193,24 +261,51 @@ def test_oblique_blows_count_by_their_normal_speed() -> None:
 def test_a_light_sphere_under_a_weight(ratio: float, more: float) -> None:
     """(R15), (R16): the force is that of two springs in series, and more by 0.70 (M/m)^0.45 of itself."""
     mass = float(contact.sphere_mass(0.01, 2600.0))
-    given = scene("drop_weight", {**LIMESTONE, **of("anvil"), **of("hammer", mass=ratio * mass), "hammer.speed": 0.5})
+    given = scene(
+        "drop_weight",
+        {**LIMESTONE, **of("anvil"), **of("hammer", mass=ratio * mass), "hammer.speed": 0.5},
+    )
     behind, ahead = given.partners
     series = closed_form.light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
     light = closed_form.blow(series, behind.mass, 0.5).force
-    assert solved(given, "P_max").values["P_max"][0] / light[0] - 1.0 == pytest.approx(more, abs=0.006)
+    assert solved(given, "P_max").values["P_max"][0] / light[0] - 1.0 == pytest.approx(
+        more, abs=0.006
+    )
 
 
 @pytest.mark.parametrize("kind", ["thick", "mass"])
 def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
-    numbers = {**LIMESTONE, "sphere.density": 0.6, **of("anvil", E=100e9, mass=3.0), **of("hammer", mass=10.0)}
+    numbers = {
+        **LIMESTONE,
+        "sphere.density": 0.6,
+        **of("anvil", E=100e9, mass=3.0),
+        **of("hammer", mass=10.0),
+    }
     given = scene("drop_weight", {**numbers, "hammer.speed": 0.5}, options={"anvil.kind": kind})
-    told = ("P_max", "p_max", "alpha_max", "time_to_first_loss", "contact_duration", "rise_time", "energy",
-            "energy_sphere", "mean_force_max", "rebound_speed", "core_tension")  # fmt: skip
-    light, full = closed_form.solve_light(given, told).values, solved(given, *told, tolerance=1e-6).values
+    told = (
+        "P_max",
+        "p_max",
+        "alpha_max",
+        "time_to_first_loss",
+        "contact_duration",
+        "rise_time",
+        "energy",
+        "energy_sphere",
+        "mean_force_max",
+        "rebound_speed",
+        "core_tension",
+    )
+    light, full = (
+        closed_form.solve_light(given, told).values,
+        solved(given, *told, tolerance=1e-6).values,
+    )
     for quantity in told:
         assert light[quantity] == pytest.approx(full[quantity], rel=5e-3), quantity
     # (R16): what the mass of the sphere adds
-    assert abs(full["P_max"][0] / light["P_max"][0] - 1.0) < 0.4 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
+    assert (
+        abs(full["P_max"][0] / light["P_max"][0] - 1.0)
+        < 0.4 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
+    )
     with pytest.raises(ValueError, match="weights on elastic faces"):
         closed_form.solve_light(struck())
 
@@ -229,22 +324,46 @@ def test_platens_are_static() -> None:
     for law, more in (("hertz", {}), ("plastic", {"platens.yield_strength": 834e6})):
         forced = scene("platens", {**steel, **more, "platens.force": 4230.0}, contact_law=law)
         each = float(solved(forced, "alpha_max").values["alpha_max"][0])
-        moved = scene("platens", {**steel, **more, "platens.displacement": 2.0 * each + 4230.0 / 1e8,
-                                  "platens.machine_stiffness": 1e8}, contact_law=law)  # fmt: skip
+        moved = scene(
+            "platens",
+            {
+                **steel,
+                **more,
+                "platens.displacement": 2.0 * each + 4230.0 / 1e8,
+                "platens.machine_stiffness": 1e8,
+            },
+            contact_law=law,
+        )
         assert solved(moved, "P_max").values["P_max"][0] == pytest.approx(4230.0, rel=1e-12)
 
 
 def test_one_contact_has_half_of_what_lives_at_the_centre() -> None:
     """(R19) to (R21) against the formulas of two equal forces at the same force."""
-    area, volume = {"modulus": 8.0, "reference_area": 1e-4}, {"modulus": 8.0, "reference_volume": 1e-6}
+    area, volume = (
+        {"modulus": 8.0, "reference_area": 1e-4},
+        {"modulus": 8.0, "reference_volume": 1e-6},
+    )
     own = {"volume": volume, "surface": area, "rim": area}
     links = {f"link.{over}": (f"weakest_link_{over}", given) for over, given in own.items()}
     blow = scene("impact", {**LIMESTONE, **of("target"), "rig.speed": 20.0}, demands=links)
-    names = ("core_tension", "centre_tension", "hiramatsu_oka_tension", "equatorial_tension", "edge_tension",
-             "subsurface_shear", "ring_crack_toughness", "P_max", "p_max", "a_max", "mean_force_max",
-             *links)  # fmt: skip
+    names = (
+        "core_tension",
+        "centre_tension",
+        "hiramatsu_oka_tension",
+        "equatorial_tension",
+        "edge_tension",
+        "subsurface_shear",
+        "ring_crack_toughness",
+        "P_max",
+        "p_max",
+        "a_max",
+        "mean_force_max",
+        *links,
+    )
     one = {key: float(value[0]) for key, value in solved(blow, *names).values.items()}
-    pressed = scene("platens", {**LIMESTONE, **of("platens"), "platens.force": one["P_max"]}, demands=links)
+    pressed = scene(
+        "platens", {**LIMESTONE, **of("platens"), "platens.force": one["P_max"]}, demands=links
+    )
     two = {key: float(value[0]) for key, value in solved(pressed, *names).values.items()}
     ratio = one["a_max"] / 0.01
     shares = {name: one[name] / two[name] for name in names}
@@ -256,7 +375,9 @@ def test_one_contact_has_half_of_what_lives_at_the_centre() -> None:
         float(stress.ratio("core_one", ratio, 0.25) / stress.core_ratio(ratio, 0.25)[0]), rel=1e-11
     )
     for over in ("volume", "surface"):
-        wanted = stress.ratio(f"{over}_one", ratio, 0.25, 8.0) / stress.ratio(over, ratio, 0.25, 8.0)
+        wanted = stress.ratio(f"{over}_one", ratio, 0.25, 8.0) / stress.ratio(
+            over, ratio, 0.25, 8.0
+        )
         assert shares[f"link.{over}"] == pytest.approx(float(wanted), rel=1e-11)
     assert shares["link.rim"] == pytest.approx(0.5 ** (1.0 / 8.0), rel=1e-11)
 
@@ -274,13 +395,20 @@ def test_tensions_around_a_dent_are_those_of_its_mean_pressure() -> None:
 def test_unequal_forces_lie_between_one_and_two() -> None:
     """A weight on soft ground: each face has its own circle, and the other's force counts by its share."""
     given = converged_scene("07_drop_weight_chatter")
-    found = solved(given, "core_tension", "centre_tension", "P_max", "mean_force_max", "p_max", "a_max").values
+    found = solved(
+        given, "core_tension", "centre_tension", "P_max", "mean_force_max", "p_max", "a_max"
+    ).values
     assert found["centre_tension"] == pytest.approx(
         contact.centre_tension(found["mean_force_max"], 0.01, 0.25), rel=1e-12
     )
     assert 0.5 * found["P_max"] < found["mean_force_max"] < found["P_max"]
     face = {"p_max": found["p_max"], "sphere.radius": 0.01, "sphere.nu": 0.25}
-    hard = {**face, "a_max": np.sqrt(0.01 * contact.approach_at_force(found["P_max"], given.scales.hertz_constant))}
+    hard = {
+        **face,
+        "a_max": np.sqrt(
+            0.01 * contact.approach_at_force(found["P_max"], given.scales.hertz_constant)
+        ),
+    }
     one = demand(CRITERIA["core_tension"], {**hard, "balance": np.zeros(1)})
     two = demand(CRITERIA["core_tension"], hard)
     assert min(one, two) <= found["core_tension"] <= max(one, two)
@@ -306,10 +434,14 @@ def test_rows_outside_their_range_say_so() -> None:
     assert np.isnan(solved(speeds, "P_max").values["P_max"]).tolist() == [True, True, True, False]
     plates = struck(50.0, "plate", thickness=np.array([1e-3, 1e-2]))
     assert plates.status.tolist() == [1, 0]
-    deep = scene("platens", {**LIMESTONE, **of("platens"), "platens.displacement": np.array([1e-5, 0.011])})
+    deep = scene(
+        "platens", {**LIMESTONE, **of("platens"), "platens.displacement": np.array([1e-5, 0.011])}
+    )
     assert deep.status.tolist() == [0, 1]
     # a rod may be thinner than the sphere, but not than their contact
-    assert solved(struck(300.0, "bar", diameter=np.array([5e-3, 2e-2])), "P_max").status.tolist() == [1, 0]
+    assert solved(
+        struck(300.0, "bar", diameter=np.array([5e-3, 2e-2])), "P_max"
+    ).status.tolist() == [1, 0]
     with pytest.raises(ValueError, match=r"lacks target\.thickness, rig\.speed"):
         scene("impact", {**LIMESTONE, **of("target")}, options={"target.kind": "plate"})
     with pytest.raises(ValueError, match="unknown rig"):
@@ -318,7 +450,9 @@ def test_rows_outside_their_range_say_so() -> None:
 
 def grade(given: Scene, name: str) -> int | None:
     answers = solved(given, tolerance=1e-6)
-    return next((check.grade for check in check_validity(given, answers) if check.check == name), None)
+    return next(
+        (check.grade for check in check_validity(given, answers) if check.check == name), None
+    )
 
 
 def test_every_rig_has_its_checks() -> None:
@@ -342,7 +476,8 @@ def test_every_rig_has_its_checks() -> None:
     assert grade(scene("impact", fall), "drag") == 0
     assert grade(scene("impact", {**fall, "rig.drop_height": 300.0}), "drag") == 2
     oblique = [
-        grade(scene("impact", {**fall, "rig.angle": math.radians(a)}), "oblique") for a in (80.0, 60.0, 30.0, 10.0)
+        grade(scene("impact", {**fall, "rig.angle": math.radians(a)}), "oblique")
+        for a in (80.0, 60.0, 30.0, 10.0)
     ]
     assert oblique == [0, 1, 2, 3]
     assert grade(converged_scene("07_drop_weight_chatter"), "chatter") == 1

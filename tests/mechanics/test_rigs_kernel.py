@@ -16,12 +16,24 @@ from uqsphere.mechanics.scene import Scene
 
 #: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa, onset, b, C; a pole
 #: that is not named is free
-RIGID: dict[str, float] = {"zeta": 0.0, "mu": math.inf, "V": 0.0, "kappa": 1.0, "onset": math.inf, "b": 1.0, "C": 1.0}
+RIGID: dict[str, float] = {
+    "zeta": 0.0,
+    "mu": math.inf,
+    "V": 0.0,
+    "kappa": 1.0,
+    "onset": math.inf,
+    "b": 1.0,
+    "C": 1.0,
+}
 Row = dict[str, Any]
 
 
 def rig(mu: float = 1.0, speed: float = 0.0, A: Row | None = None, B: Row | None = None) -> Row:
-    return {"mu": mu, "speed": speed, "poles": [None if pole is None else {**RIGID, **pole} for pole in (A, B)]}
+    return {
+        "mu": mu,
+        "speed": speed,
+        "poles": [None if pole is None else {**RIGID, **pole} for pole in (A, B)],
+    }
 
 
 def arguments(rows: list[Row]) -> dict[str, Any]:
@@ -36,12 +48,19 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
             laws[i, :, k] = pole["onset"], pole["b"], pole["C"], pole["kappa"], 0.5
             rigs[i, :, k] = pole["zeta"], 1.0 / pole["mu"], (1 - 2 * k) * pole["V"], 1.0
     return {
-        "mass": np.array([row["mu"] for row in rows]), "ends": np.zeros((n, 2)),
-        "round_trips": np.full((n, 2), np.inf), "breaks": np.zeros((n, 1)), "coefficients": np.zeros((n, 0, 4)),
-        "frequencies": np.zeros(n), "horizon": np.full(n, np.inf), "pulse_end": np.full(n, np.inf),
-        "level": np.full(n, 0.1), "laws": laws, "rigs": rigs,
+        "mass": np.array([row["mu"] for row in rows]),
+        "ends": np.zeros((n, 2)),
+        "round_trips": np.full((n, 2), np.inf),
+        "breaks": np.zeros((n, 1)),
+        "coefficients": np.zeros((n, 0, 4)),
+        "frequencies": np.zeros(n),
+        "horizon": np.full(n, np.inf),
+        "pulse_end": np.full(n, np.inf),
+        "level": np.full(n, 0.1),
+        "laws": laws,
+        "rigs": rigs,
         "speed": np.array([row["speed"] for row in rows]),
-    }  # fmt: skip
+    }
 
 
 def kernel(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
@@ -50,11 +69,16 @@ def kernel(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
 
 def second(row: Row, rtol: float = 1e-12) -> Motion:
     poles = [
-        Pole() if pole is None
-        else Pole(gives=pole["zeta"], mass=pole["mu"], speed=pole["V"],
-                  law=Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]))
+        Pole()
+        if pole is None
+        else Pole(
+            gives=pole["zeta"],
+            mass=pole["mu"],
+            speed=pole["V"],
+            law=Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]),
+        )
         for pole in row["poles"]
-    ]  # fmt: skip
+    ]
     return march(row["mu"], row["speed"], (poles[0], poles[1]), rtol=rtol)
 
 
@@ -66,12 +90,15 @@ SCENES = {
     "load cell": rig(mu=0.0206, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.14, "kappa": 1.18}),
     "anvil": rig(mu=0.3, A={"mu": 1.0, "V": 1.0}, B={"mu": 5.0, "kappa": 3.0}),
     "plate yields": rig(speed=1.0, B={"zeta": 0.2, "onset": 0.15, "b": 3.0, "C": 2.0}),
-    "one face yields": rig(mu=0.05, A={"mu": 1.0, "V": 1.0, "onset": 0.1, "b": 2.0, "C": 8 / 3}, B={"zeta": 0.1}),
+    "one face yields": rig(
+        mu=0.05, A={"mu": 1.0, "V": 1.0, "onset": 0.1, "b": 2.0, "C": 8 / 3}, B={"zeta": 0.1}
+    ),
     "both yield": rig(
-        mu=0.2, A={"mu": 1.0, "V": 1.0, "onset": 0.2, "b": 0.0, "C": 1.0},
+        mu=0.2,
+        A={"mu": 1.0, "V": 1.0, "onset": 0.2, "b": 0.0, "C": 1.0},
         B={"kappa": 0.5, "onset": 0.3, "b": 3.69, "C": 8 / 3},
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("row", SCENES.values(), ids=SCENES)
@@ -84,10 +111,14 @@ def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
             at = other.peak(lambda rows, k=k: rows[2 + k])[1]
             assert answers[tracked.ANSWER_FACES + k] == pytest.approx(at[k], rel=1e-7)
             assert answers[tracked.ANSWER_OTHERS + k] == pytest.approx(at[3 - k], abs=1e-6)
-            assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.state[5 + k], rel=1e-7)
+            assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(
+                other.state[5 + k], rel=1e-7
+            )
     mean = other.top(lambda rows: 0.5 * (rows[2] + rows[3]))
     assert answers[tracked.ANSWER_MEAN] == pytest.approx(mean, rel=1e-7)
-    assert answers[tracked.ANSWER_DURATION] == pytest.approx(other.state[7:9].mean() / mean, rel=1e-7)
+    assert answers[tracked.ANSWER_DURATION] == pytest.approx(
+        other.state[7:9].mean() / mean, rel=1e-7
+    )
     difference = other.top(lambda rows: np.abs(rows[2] - rows[3]))
     assert answers[tracked.ANSWER_DIFFERENCE] == pytest.approx(difference, rel=1e-7)
     assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
@@ -106,25 +137,47 @@ def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -
     table = "target" if kind == "impact" else "rod"
     numbers = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2600.0}
     numbers |= {
-        f"{table}.{key}": value for key, value in (STEEL | {"diameter": 0.02, "length": 0.04, "end": end}).items()
+        f"{table}.{key}": value
+        for key, value in (STEEL | {"diameter": 0.02, "length": 0.04, "end": end}).items()
     }
     if kind == "impact":
         numbers |= {"rig.speed": 3.0}
     else:
-        numbers |= {f"hammer.{key}": value for key, value in (STEEL | {"mass": 0.05, "speed": 2.0}).items()}
-    scene = Scene(columns={key: np.array([value]) for key, value in numbers.items()}, rig=kind,
-                  options={"target.kind": "bar"} if kind == "impact" else {}, horizon=4e-4)  # fmt: skip
+        numbers |= {
+            f"hammer.{key}": value for key, value in (STEEL | {"mass": 0.05, "speed": 2.0}).items()
+        }
+    scene = Scene(
+        columns={key: np.array([value]) for key, value in numbers.items()},
+        rig=kind,
+        options={"target.kind": "bar"} if kind == "impact" else {},
+        horizon=4e-4,
+    )
     found = motion(scene, 0, tolerance=1e-10)
     scales, rod = scene.scales, scene.partners[1]
     behind, unit = scene.partners[0], float(scales.time[0])
-    ahead = Pole(gives=float(scales.force[0] / (rod.impedance[0] * scales.speed[0])), end=end,
-                 trip=float(rod.round_trip[0]) / unit,
-                 law=Law(stiffness=float(rod.hertz_constant[0] / scales.hertz_constant[0])))  # fmt: skip
-    weight = Pole() if behind is None else Pole(
-        law=Law(), speed=1.0, mass=float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit))
-    )  # fmt: skip
-    other = march(float(scales.mass_number[0]), 1.0 if behind is None else 0.0, (weight, ahead), stop="end",
-                  jumps=np.arange(ahead.trip, found.end, ahead.trip).tolist(), record=found.end)  # fmt: skip
+    ahead = Pole(
+        gives=float(scales.force[0] / (rod.impedance[0] * scales.speed[0])),
+        end=end,
+        trip=float(rod.round_trip[0]) / unit,
+        law=Law(stiffness=float(rod.hertz_constant[0] / scales.hertz_constant[0])),
+    )
+    weight = (
+        Pole()
+        if behind is None
+        else Pole(
+            law=Law(),
+            speed=1.0,
+            mass=float(behind.mass[0] * scales.speed[0] / (scales.force[0] * unit)),
+        )
+    )
+    other = march(
+        float(scales.mass_number[0]),
+        1.0 if behind is None else 0.0,
+        (weight, ahead),
+        stop="end",
+        jumps=np.arange(ahead.trip, found.end, ahead.trip).tolist(),
+        record=found.end,
+    )
     largest = [other.top(lambda rows, k=k: rows[2 + k]) for k in (0, 1)]
     times = np.linspace(0.0, found.horizon, 20_001)
     pushes = found.forces_at(times).max(axis=0) / scales.force[0]
@@ -134,7 +187,9 @@ def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -
     kept = slice(1 if behind is None else 0, 3)
     assert (at_end / units)[kept] == pytest.approx(other.state[:3][kept], abs=2e-7)
     answers = solve(scene, tolerance=1e-9, quantities=("time_to_first_loss", "P_max"))
-    assert answers.values["time_to_first_loss"][0] == pytest.approx(other.first_loss * unit, rel=1e-7)
+    assert answers.values["time_to_first_loss"][0] == pytest.approx(
+        other.first_loss * unit, rel=1e-7
+    )
     assert answers.values["P_max"][0] == pytest.approx(max(largest) * scales.force[0], rel=2e-6)
 
 
@@ -160,13 +215,21 @@ def random_rigs(count: int, seed: int) -> list[Row]:
             if rng.random() < 0.5:
                 ratio = rng.uniform(1.3, 4.0)
                 pole |= {"onset": 10.0 ** rng.uniform(-2, 0), "C": 2.0, "b": 2.0 * ratio - 1.0}
-            pole |= [{}, {"zeta": 10.0 ** rng.uniform(-2, 0)}, {"mu": 10.0 ** rng.uniform(-0.5, 2)}][rng.integers(3)]
+            pole |= [
+                {},
+                {"zeta": 10.0 ** rng.uniform(-2, 0)},
+                {"mu": 10.0 ** rng.uniform(-0.5, 2)},
+            ][rng.integers(3)]
             poles.append(pole)
         if rng.random() < 0.3:
             rows.append(rig(speed=1.0, mu=1.0, B=poles[1]))
         else:
             rows.append(
-                rig(mu=10.0 ** rng.uniform(-2, 1), A={**poles[0], "mu": 1.0, "zeta": 0.0, "V": 1.0}, B=poles[1])
+                rig(
+                    mu=10.0 ** rng.uniform(-2, 1),
+                    A={**poles[0], "mu": 1.0, "zeta": 0.0, "V": 1.0},
+                    B=poles[1],
+                )
             )
     return rows
 
@@ -178,7 +241,9 @@ def test_energy_and_momentum_of_random_rigs() -> None:
     assert (found.status == 0).all()
     for row, answers in zip(rows, found.answers, strict=True):
         speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
-        before = np.array([row["speed"], *(0.0 if pole is None else pole["V"] for pole in row["poles"])])
+        before = np.array(
+            [row["speed"], *(0.0 if pole is None else pole["V"] for pole in row["poles"])]
+        )
         masses = [row["mu"], *(math.inf if pole is None else pole["mu"] for pole in row["poles"])]
         lost, change = 0.0, 0.0
         for mass, old, new in zip(masses, before, speeds, strict=True):
@@ -187,25 +252,40 @@ def test_energy_and_momentum_of_random_rigs() -> None:
                 change += mass * (new - old)
         for k, pole in enumerate(row["poles"]):
             if pole is not None:
-                law = Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"])
+                law = Law(
+                    onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]
+                )
                 lost -= pole["zeta"] * answers[tracked.ANSWER_CARRIED + k]
                 deepest = answers[tracked.ANSWER_FACES + k]
                 if deepest > pole["onset"]:
                     law.unload(deepest)
                     lost -= law.energy(law.dent)
         assert abs(lost) < 10.0 * tolerance
-        if all(pole is None or (pole["mu"] < math.inf and pole["zeta"] == 0.0) for pole in row["poles"]):
+        if all(
+            pole is None or (pole["mu"] < math.inf and pole["zeta"] == 0.0) for pole in row["poles"]
+        ):
             assert abs(change) < 10.0 * tolerance
 
 
 def test_mirrored_rigs_have_mirrored_answers() -> None:
     for row in random_rigs(12, 5):
-        mirror = {**row, "speed": -row["speed"], "poles": [pole and {**pole, "V": -pole["V"]} for pole in row["poles"]]}
+        mirror = {
+            **row,
+            "speed": -row["speed"],
+            "poles": [pole and {**pole, "V": -pole["V"]} for pole in row["poles"]],
+        }
         mirror["poles"].reverse()
         one, other = kernel([row, mirror], 1e-7).answers
         for column in (tracked.ANSWER_FACES, tracked.ANSWER_CARRIED, tracked.ANSWER_OTHERS):
-            assert one[[column, column + 1]] == pytest.approx(other[[column + 1, column]], rel=1e-9, abs=1e-12)
-        for column in (tracked.ANSWER_CONTACT, tracked.ANSWER_PARTING, tracked.ANSWER_ENERGY, tracked.ANSWER_MEAN):
+            assert one[[column, column + 1]] == pytest.approx(
+                other[[column + 1, column]], rel=1e-9, abs=1e-12
+            )
+        for column in (
+            tracked.ANSWER_CONTACT,
+            tracked.ANSWER_PARTING,
+            tracked.ANSWER_ENERGY,
+            tracked.ANSWER_MEAN,
+        ):
             assert one[column] == pytest.approx(other[column], rel=1e-8)
         assert one[tracked.ANSWER_SPEED] == pytest.approx(-other[tracked.ANSWER_SPEED], abs=1e-9)
 
@@ -214,14 +294,26 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
     """300 spheres on thick metals, most of them far beyond yield, against (R23) with its own quadrature of times."""
     draw = np.random.default_rng(7)
     columns = {
-        "sphere.E": 10.0 ** draw.uniform(9.5, 11.6, 300), "sphere.nu": draw.uniform(0.05, 0.4, 300),
-        "sphere.radius": 10.0 ** draw.uniform(-3.5, -1.3, 300), "sphere.density": draw.uniform(1e3, 8e3, 300),
-        "target.E": 10.0 ** draw.uniform(9.5, 11.7, 300), "target.nu": draw.uniform(0.1, 0.4, 300),
-        "target.yield_strength": 10.0 ** draw.uniform(8.0, 9.7, 300), "rig.speed": 10.0 ** draw.uniform(-2.0, 2.0, 300),
-    }  # fmt: skip
+        "sphere.E": 10.0 ** draw.uniform(9.5, 11.6, 300),
+        "sphere.nu": draw.uniform(0.05, 0.4, 300),
+        "sphere.radius": 10.0 ** draw.uniform(-3.5, -1.3, 300),
+        "sphere.density": draw.uniform(1e3, 8e3, 300),
+        "target.E": 10.0 ** draw.uniform(9.5, 11.7, 300),
+        "target.nu": draw.uniform(0.1, 0.4, 300),
+        "target.yield_strength": 10.0 ** draw.uniform(8.0, 9.7, 300),
+        "rig.speed": 10.0 ** draw.uniform(-2.0, 2.0, 300),
+    }
     scene = Scene(columns=columns, rig="impact", contact_law="plastic")
-    asked = ("P_max", "p_max", "time_to_first_loss", "rise_time", "energy", "restitution", "a_max",
-             "contact_duration")  # fmt: skip
+    asked = (
+        "P_max",
+        "p_max",
+        "time_to_first_loss",
+        "rise_time",
+        "energy",
+        "restitution",
+        "a_max",
+        "contact_duration",
+    )
     closed, found = solve_blow(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
     assert (closed.status == 0).all()
     assert (found.status == 0).all()

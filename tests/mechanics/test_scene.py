@@ -42,8 +42,16 @@ def test_a_structure_without_meaning_is_refused(changes, message):
     ("changes", "code"),
     [
         ({}, 0),
-        *(({name.replace(".", "_", 1): value}, 1) for name in EXAMPLE for value in (np.nan, np.inf)),
-        *(({name.replace(".", "_", 1): 0.0}, 1) for name in EXAMPLE if not name.endswith(("_end", ".nu"))),
+        *(
+            ({name.replace(".", "_", 1): value}, 1)
+            for name in EXAMPLE
+            for value in (np.nan, np.inf)
+        ),
+        *(
+            ({name.replace(".", "_", 1): 0.0}, 1)
+            for name in EXAMPLE
+            if not name.endswith(("_end", ".nu"))
+        ),
         ({"sphere_nu": 0.5}, 1),
         ({"sphere_nu": -1.0}, 1),
         ({"bars_nu": 0.5}, 1),
@@ -79,12 +87,17 @@ def test_scales_by_hand():
     scales = granite().scales
     # P_0 = Z v0/2, alpha_c = (P_0/beta)^(2/3), t_c = 2 alpha_c/v0: the stiffness at alpha_c over Z is 1/t_c
     np.testing.assert_allclose(scales.force, 0.5 * scales.impedance, rtol=EXACT)
-    np.testing.assert_allclose(scales.hertz_constant * np.sqrt(scales.approach) / scales.impedance,
-                               1.0 / scales.time, rtol=EXACT)  # fmt: skip
+    np.testing.assert_allclose(
+        scales.hertz_constant * np.sqrt(scales.approach) / scales.impedance,
+        1.0 / scales.time,
+        rtol=EXACT,
+    )
     np.testing.assert_allclose(scales.mass, 4.0 / 3.0 * np.pi * 0.01**3 * 2650.0, rtol=EXACT)
     # the Zener number: 1/mu = 2^(1/3) lam^(-5/3)
     zener = scales.hertz_constant**0.4 * scales.mass**0.6 / scales.impedance
-    np.testing.assert_allclose(1.0 / scales.mass_number, 2.0 ** (1 / 3) * zener ** (-5 / 3), rtol=EXACT)
+    np.testing.assert_allclose(
+        1.0 / scales.mass_number, 2.0 ** (1 / 3) * zener ** (-5 / 3), rtol=EXACT
+    )
 
 
 def test_record_end():

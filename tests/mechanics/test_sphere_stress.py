@@ -23,7 +23,13 @@ from tests.independent import elements
 from tests.independent.elements import compare
 from uqsphere.mechanics import stress
 from uqsphere.mechanics.contact import centre_tension
-from uqsphere.mechanics.stress import Load, load_coefficients, pressure_on_surface, series_stress, surface_stress
+from uqsphere.mechanics.stress import (
+    Load,
+    load_coefficients,
+    pressure_on_surface,
+    series_stress,
+    surface_stress,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -34,7 +40,9 @@ NODES = 14
 def differentiation(low: float, high: float) -> tuple[Array, Array]:
     """Chebyshev points on [low, high] and the matrix that differentiates a polynomial through them."""
     x = np.cos(np.pi * np.arange(NODES) / (NODES - 1))
-    ends = np.where((np.arange(NODES) == 0) | (np.arange(NODES) == NODES - 1), 2.0, 1.0) * (-1.0) ** np.arange(NODES)
+    ends = np.where((np.arange(NODES) == 0) | (np.arange(NODES) == NODES - 1), 2.0, 1.0) * (
+        -1.0
+    ) ** np.arange(NODES)
     gaps = x[:, None] - x[None, :] + np.eye(NODES)
     matrix = ends[:, None] / ends[None, :] / gaps
     matrix -= np.diag(matrix.sum(axis=1))
@@ -48,7 +56,10 @@ def patches() -> list[tuple[float, float]]:
 
 def resultant(load: Load) -> float:
     """Force of the load along the axis, over p_0 r²: each cap presses with (2/3) pi a² p_0."""
-    forces = [2.0 / 3.0 * math.pi * a**2 * p for a, p in zip(load.contact_ratio, load.pressure, strict=True)]
+    forces = [
+        2.0 / 3.0 * math.pi * a**2 * p
+        for a, p in zip(load.contact_ratio, load.pressure, strict=True)
+    ]
     return forces[0] - forces[1]
 
 
@@ -88,9 +99,18 @@ def test_strains_belong_to_displacements(load: Load, place: tuple[float, float])
         s.azimuthal - nu * (s.radial + s.polar),
     )
     shear = 2.0 * (1.0 + nu) * s.shear
-    first = cot * (around @ by_t.T) - cot**2 * (across - around) + by_r @ (r * around) - along - shear * cot
+    first = (
+        cot * (around @ by_t.T)
+        - cot**2 * (across - around)
+        + by_r @ (r * around)
+        - along
+        - shear * cot
+    )
     second = (
-        r * (by_r @ (by_r @ (r * across))) + along @ by_t.T @ by_t.T - r * (by_r @ along) - by_r @ (r * shear) @ by_t.T
+        r * (by_r @ (by_r @ (r * across)))
+        + along @ by_t.T @ by_t.T
+        - r * (by_r @ along)
+        - by_r @ (r * shear) @ by_t.T
     )
     assert np.abs(first).max() < 1e-9
     assert np.abs(second).max() < 2e-7
@@ -119,9 +139,16 @@ def test_the_surface_is_the_end_of_the_inside() -> None:
 
 def test_terms_left_out_are_bounded() -> None:
     point = (np.array([0.9, 0.97]), np.array([0.05, 0.3]))
-    exact, rough = (series_stress(*point, Load.balanced(0.1), 0.25, tolerance=tolerance) for tolerance in (1e-15, 1e-5))
+    exact, rough = (
+        series_stress(*point, Load.balanced(0.1), 0.25, tolerance=tolerance)
+        for tolerance in (1e-15, 1e-5)
+    )
     error = np.max(
-        [np.abs(getattr(exact, k) - getattr(rough, k)) for k in ("radial", "polar", "azimuthal", "shear")], 0
+        [
+            np.abs(getattr(exact, k) - getattr(rough, k))
+            for k in ("radial", "polar", "azimuthal", "shear")
+        ],
+        0,
     )
     assert np.all(error <= rough.truncation)
     assert 0.0 < rough.truncation.max() < 1e-2
@@ -149,7 +176,12 @@ def test_small_contacts_tend_to_the_half_space(nu: float) -> None:
     for ratio in ratios:
         u = (1.0 - depth * ratio) ** 2
         load = load_on_axis(ratio)
-        values.append([[float(np.sum(part * x ** np.arange(len(part)))) for x in u] for part in axis_series(load, nu)])
+        values.append(
+            [
+                [float(np.sum(part * x ** np.arange(len(part)))) for x in u]
+                for part in axis_series(load, nu)
+            ]
+        )
     coarse, middle, fine = (np.array(value) for value in values)
     limit = (8.0 * fine - 6.0 * middle + coarse) / 3.0
     hoop = -(1.0 + nu) * (1.0 - depth * np.arctan(1.0 / depth)) + 0.5 / (1.0 + depth**2)
@@ -160,22 +192,30 @@ def test_small_contacts_tend_to_the_half_space(nu: float) -> None:
 def test_the_rim_tends_to_the_edge_tension() -> None:
     """(1 - 2 nu)/3 p_0 (a/rho)² just outside the contact, theory (17)."""
     ratio = 0.005
-    beside = surface_stress(np.arcsin(np.array([1.05, 2.0]) * ratio), Load.balanced(ratio), 0.25, terms=60_000)
+    beside = surface_stress(
+        np.arcsin(np.array([1.05, 2.0]) * ratio), Load.balanced(ratio), 0.25, terms=60_000
+    )
     assert beside.polar * [1.05**2, 4.0] == pytest.approx(0.5 / 3.0, rel=0.04)
     assert beside.azimuthal == pytest.approx(-beside.polar, rel=0.1)
 
 
 def test_equal_faces_are_two_unequal_halves() -> None:
-    here, there = (Load(contact_ratio=(0.1, 0.1), pressure=pressure) for pressure in ((1.0, 0.0), (0.0, 1.0)))
+    here, there = (
+        Load(contact_ratio=(0.1, 0.1), pressure=pressure) for pressure in ((1.0, 0.0), (0.0, 1.0))
+    )
     point = (np.array([0.2, 0.7]), np.array([0.4, 2.0]))
     parts = [series_stress(*point, load, 0.2) for load in (here, there, Load.balanced(0.1))]
     for name in ("radial", "polar", "azimuthal", "shear"):
-        assert getattr(parts[0], name) + getattr(parts[1], name) == pytest.approx(getattr(parts[2], name), abs=1e-13)
+        assert getattr(parts[0], name) + getattr(parts[1], name) == pytest.approx(
+            getattr(parts[2], name), abs=1e-13
+        )
     assert load_coefficients(Load.balanced(0.1), 9)[1::2] == pytest.approx(np.zeros(5), abs=0.0)
 
 
 def test_principal_stresses() -> None:
-    s = series_stress(np.array([0.0, 0.9, 0.5]), np.array([0.0, 0.2, 1.0]), Load.balanced(0.1), 0.25)
+    s = series_stress(
+        np.array([0.0, 0.9, 0.5]), np.array([0.0, 0.2, 1.0]), Load.balanced(0.1), 0.25
+    )
     upper, lower, around = s.principal
     assert upper + lower == pytest.approx(s.radial + s.polar, rel=1e-13)
     assert upper * lower == pytest.approx(s.radial * s.polar - s.shear**2, abs=1e-15)
@@ -187,7 +227,9 @@ def test_the_grid_of_the_weakest_link_holds_the_series(ratio: float) -> None:
     field = hoop_field(ratio)
     hoop = field.hoop(0.2)
     i, j = (np.linspace(5, n - 5, 6).astype(int) for n in hoop.shape)
-    exact = series_stress(field.radius[i][:, None], field.angle[j], Load.balanced(ratio), 0.2).azimuthal
+    exact = series_stress(
+        field.radius[i][:, None], field.angle[j], Load.balanced(ratio), 0.2
+    ).azimuthal
     deep = field.radius[i] < 1.0 - 0.5 * ratio
     assert hoop[np.ix_(i, j)][deep] == pytest.approx(exact[deep], abs=1e-11)
     assert float(field.weight.sum()) == pytest.approx(1.0, rel=1e-13)
@@ -200,7 +242,9 @@ def test_weakest_link_against_a_plain_sum() -> None:
     """Brute force: points evenly spread over half a meridian, without any grading."""
     ratio, nu, moduli = 0.25, 0.2, (3.0, 10.0)
     r, t = (np.arange(100) + 0.5) / 100.0, (np.arange(80) + 0.5) / 80.0 * 0.5 * math.pi
-    hoop = np.maximum(series_stress(r[:, None], t, Load.balanced(ratio), nu, tolerance=1e-6).azimuthal, 0.0)
+    hoop = np.maximum(
+        series_stress(r[:, None], t, Load.balanced(ratio), nu, tolerance=1e-6).azimuthal, 0.0
+    )
     weight = 3.0 * (r**2 / 100.0)[:, None] * (np.sin(t) * 0.5 * math.pi / 80.0)
     plain = [float(np.sum(weight * hoop**m)) ** (1.0 / m) for m in moduli]
     field = hoop_field(ratio)
@@ -239,10 +283,14 @@ def test_tables_of_the_axis_and_the_equator(name: str) -> None:
 def test_tables_of_the_weakest_link(name: str) -> None:
     integrals = volume_integrals if name.startswith("volume") else surface_integrals
     one = name.endswith("one")
-    moduli = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 50.0] if one else [2.0, 2.7, 5.0, 8.3, 15.0, 31.0, 50.0])
+    moduli = np.array(
+        [2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 50.0] if one else [2.0, 2.7, 5.0, 8.3, 15.0, 31.0, 50.0]
+    )
     # of one force alone the ends of m are rougher
     most = 2.0 * STATED * np.array([10.0, *[1.0] * 5, 50.0] if one else [1.0] * 7)
-    for ratio, nu in random_points(4, 0.4)[4:] if one else [(0.3, 0.0), (0.3, 0.4), *random_points(8, 0.4)[4:]]:
+    for ratio, nu in (
+        random_points(4, 0.4)[4:] if one else [(0.3, 0.0), (0.3, 0.4), *random_points(8, 0.4)[4:]]
+    ):
         wanted = integrals(hoop_field(ratio, nodes=20, growth=1.4, one_sided=one), nu, moduli)
         found = stress.ratio(name, np.full(7, ratio), nu, moduli)
         assert (np.abs(found / wanted - 1.0) < most).all(), (ratio, nu)
@@ -259,8 +307,13 @@ def test_fields_of_one_force_are_those_of_the_theory() -> None:
         found = stress.ratio("core_one", ratio, nu) / stress.core_ratio(ratio, nu)[0]
         assert found == pytest.approx(wanted, abs=6e-5)
     moduli = np.array([3.0, 5.0, 8.0, 12.0, 20.0])
-    for ratio, wanted in {0.1: (0.616, 0.745, 0.879, 0.932, 0.961), 0.2: (0.577, 0.630, 0.693, 0.753, 0.813)}.items():
-        one, two = (stress.ratio(name, np.full(5, ratio), 0.25, moduli) for name in ("volume_one", "volume"))
+    for ratio, wanted in {
+        0.1: (0.616, 0.745, 0.879, 0.932, 0.961),
+        0.2: (0.577, 0.630, 0.693, 0.753, 0.813),
+    }.items():
+        one, two = (
+            stress.ratio(name, np.full(5, ratio), 0.25, moduli) for name in ("volume_one", "volume")
+        )
         assert one / two == pytest.approx(wanted, abs=6e-4)
 
 
@@ -278,7 +331,9 @@ def test_the_core_is_continuous_where_its_place_reaches_the_centre() -> None:
 
 def test_outside_the_nearest_ratio_is_taken_and_said() -> None:
     for name in ("core", "shear"):
-        assert stress.ratio(name, [1e-4, 0.9], [0.2, 0.2]) == pytest.approx(stress.ratio(name, [0.005, 0.3], 0.2))
+        assert stress.ratio(name, [1e-4, 0.9], [0.2, 0.2]) == pytest.approx(
+            stress.ratio(name, [0.005, 0.3], 0.2)
+        )
     assert stress.outside([1e-4, 0.1, 0.9], 0.2).tolist() == [True, False, True]
     assert stress.outside(0.1, [-0.1, 0.45]).tolist() == [True, False]
     assert stress.outside(0.1, [0.3, 0.45], 10.0).tolist() == [False, True]
@@ -293,7 +348,9 @@ def test_the_rim_against_the_series_step_by_step() -> None:
     for ratio in grown:
         outside = sine >= ratio * (1.0 - 1e-12)
         z = np.sqrt(np.maximum(np.log(sine[outside] / ratio), 0.0) / math.log(1.0 / ratio))
-        seen[outside] = np.maximum(seen[outside], ratio / 0.3 * rim_tension(float(ratio), z, poisson))
+        seen[outside] = np.maximum(
+            seen[outside], ratio / 0.3 * rim_tension(float(ratio), z, poisson)
+        )
     for m in (5.0, 9.0):
         totals = np.trapezoid(seen**m * sine[:, None], np.arcsin(np.minimum(sine, 1.0)), axis=0)
         found = stress.half_space_rim(0.3, poisson, m) * stress.ratio("rim", 0.3, poisson, m)

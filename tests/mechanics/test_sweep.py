@@ -35,7 +35,9 @@ def test_no_hard_scene_is_wrong_and_silent() -> None:
 
 
 def test_kernel_against_itself_over_the_whole_range_of_mass_and_pulse() -> None:
-    found = against_itself(design(55, 3, narrower={"theta": (1e-4, 30.0, True)}), quantities=("p_max", "energy"))
+    found = against_itself(
+        design(55, 3, narrower={"theta": (1e-4, 30.0, True)}), quantities=("p_max", "energy")
+    )
     assert found.silent == (), report(found)
     assert answered(found.status).mean() > 0.95
 
@@ -43,7 +45,10 @@ def test_kernel_against_itself_over_the_whole_range_of_mass_and_pulse() -> None:
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
 def test_other_tolerances_hold_too(tolerance: float) -> None:
     found = against_reference(
-        design(11, 8, narrower=SHORT), tolerance=tolerance, budget=300, rtol=max(1e-3 * tolerance, 1e-12)
+        design(11, 8, narrower=SHORT),
+        tolerance=tolerance,
+        budget=300,
+        rtol=max(1e-3 * tolerance, 1e-12),
     )
     assert found.silent == (), report(found)
 
@@ -65,12 +70,16 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
         return found
 
     monkeypatch.setattr(sweep, "solve", spoiled)
-    found = against_itself(design(4, 1, strata=STRATA[5:6], narrower={**SHORT, "theta": (1.0, 2.0, True)}))
+    found = against_itself(
+        design(4, 1, strata=STRATA[5:6], narrower={**SHORT, "theta": (1.0, 2.0, True)})
+    )
     assert len(found.silent) == 1
     row = found.silent[0]
     assert set(row.quantities) == {"time_to_first_loss"}
     assert row.quantities["time_to_first_loss"][2] == pytest.approx(10.0, abs=ALLOWED)
-    again = Scene(**{**row.inputs, "columns": {n: np.array([v]) for n, v in row.inputs["columns"].items()}})
+    again = Scene(
+        **{**row.inputs, "columns": {n: np.array([v]) for n, v in row.inputs["columns"].items()}}
+    )
     assert again.scales.mass_number[0] == pytest.approx(row.mu, rel=1e-12)
     assert "wrong and silent: 1 rows" in report(found)
 
@@ -89,8 +98,16 @@ def test_energy_is_kept_where_a_face_yields_at_its_first_touch() -> None:
 
 def test_the_forces_of_a_motion_keep_its_energy_to_the_end_of_a_step() -> None:
     """(C15) of heavy spheres under a step: the series of the force, cut off sooner than the approach, had 83."""
-    plan = design(110, 22, narrower={**SHORT, "mu": (1e-4, 1e3, True), "theta": (0.1, 30.0, True),
-                                       "incident": (1.0, 30.0, True)})  # fmt: skip
+    plan = design(
+        110,
+        22,
+        narrower={
+            **SHORT,
+            "mu": (1e-4, 1e3, True),
+            "theta": (0.1, 30.0, True),
+            "incident": (1.0, 30.0, True),
+        },
+    )
     lacking = balances(with_law(plan, 22)[10:11], 1e-6)
     assert np.nanmax(lacking) < 10.0
 
@@ -104,7 +121,9 @@ def test_errors_of_many_steps_to_one_side_do_not_add_up() -> None:
 def test_the_largest_difference_of_forces_is_found_where_one_of_them_ends() -> None:
     """The series of a force that falls to zero errs there: the place of the largest difference was missed by 11."""
     plan = with_law(design(110, 78, narrower=sweep._SHORT), 78)
-    scene = next(scene for scene in plan if np.isclose(scene.scales.mass_number, 4.8793376446694).any())
+    scene = next(
+        scene for scene in plan if np.isclose(scene.scales.mass_number, 4.8793376446694).any()
+    )
     place = np.flatnonzero(np.isclose(scene.scales.mass_number, 4.8793376446694))
     found = against_reference([scene.at(place)], budget=4000)
     assert found.errors[0, found.names.index("force_imbalance")] < 1.0

@@ -16,9 +16,13 @@ from uqsphere.mechanics.validity import RULES, Check, check_ranges, check_validi
 from uqsphere.mechanics.yielding import Face
 
 BASE = EXAMPLE | {
-    "bars.yield_strength": 2.5e9, "bars.receiving_end": 0.0, "striker.length": 0.8, "striker.speed": 0.5,
-    "pulse.rise": 50e-6, "pulse.fall": 50e-6,
-}  # fmt: skip
+    "bars.yield_strength": 2.5e9,
+    "bars.receiving_end": 0.0,
+    "striker.length": 0.8,
+    "striker.speed": 0.5,
+    "pulse.rise": 50e-6,
+    "pulse.fall": 50e-6,
+}
 #: infinite bars, told how long they are: waves would be back after 580 us, 193 us in the receiving bar
 SHORT = {"infinite": True, "horizon": 570e-6, "bars_receiving_length": 0.5}
 
@@ -34,7 +38,9 @@ def checks(scene: Scene, **values: object) -> dict[str, Check]:
     """Checks of a scene; `values` replace answers, so that thresholds can be met exactly."""
     answers = dynamics.solve(scene, tolerance=1e-6)
     if values:
-        changed = {name: np.broadcast_to(np.asarray(v, float), len(scene)) for name, v in values.items()}
+        changed = {
+            name: np.broadcast_to(np.asarray(v, float), len(scene)) for name, v in values.items()
+        }
         answers = replace(answers, values={**answers.values, **changed})
     return {check.check: check for check in check_validity(scene, answers)}
 
@@ -42,7 +48,9 @@ def checks(scene: Scene, **values: object) -> dict[str, Check]:
 def test_every_rule_is_answered_in_order():
     found = checks(scene_with(sphere_onset_pressure=3e9, sphere_hardness=6e9))
     assert list(found) == [
-        rule.name for rule in RULES if "hertz" in rule.laws and "bars" in rule.rigs and rule.name != "insert_thickness"
+        rule.name
+        for rule in RULES
+        if "hertz" in rule.laws and "bars" in rule.rigs and rule.name != "insert_thickness"
     ]
     for check in found.values():
         assert 0.0 <= check.share <= 1.0
@@ -72,19 +80,26 @@ def test_thresholds_of_the_answers(name, quantity, ok, warning, failure):
 
 def test_what_yields_is_told_with_what_the_static_law_says():
     """The bars begin at c(nu) Y, the sphere at its onset; pressure and dent come from the force alone."""
-    soft = scene_with(bars_yield_strength=1.15e9, bars_nu=0.2, sphere_onset_pressure=1.5e9, sphere_hardness=3e9)
+    soft = scene_with(
+        bars_yield_strength=1.15e9, bars_nu=0.2, sphere_onset_pressure=1.5e9, sphere_hardness=3e9
+    )
     found = checks(soft, p_max=2e9, P_max=4000.0)
-    assert found["bar_yield_contact"].worst == pytest.approx(2.0 / (1.15 * 1.295 * np.exp(0.736 * 0.2)))
+    assert found["bar_yield_contact"].worst == pytest.approx(
+        2.0 / (1.15 * 1.295 * np.exp(0.736 * 0.2))
+    )
     assert found["sphere_yield_contact"].worst == pytest.approx(2.0 / 1.5)
     scales = soft.scales
     for name, body in (
         ("bar_yield_contact", softest_partner(soft)),
         ("sphere_yield_contact", sphere_body(soft.columns)),
     ):
-        face = Face(**body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius)
+        face = Face(
+            **body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius
+        )
         press = face.pressed(face.depth_at(np.array([4000.0])))
-        assert f"p_max is at most {press.centre[0] / 1e9:.3g} GPa, a dent of {1e6 * press.dent[0]:.2g} um" in (
-            found[name].text
+        assert (
+            f"p_max is at most {press.centre[0] / 1e9:.3g} GPa, a dent of {1e6 * press.dent[0]:.2g} um"
+            in (found[name].text)
         )
 
 
@@ -124,7 +139,10 @@ def test_what_cannot_be_checked_is_said():
         assert found[name].grade == 0
         assert found[name].worst is None
         assert "yield strength of the bars is not given" in found[name].text
-    assert "what the far ends send back, if anything, is part of the model" in found["before_reflection"].text
+    assert (
+        "what the far ends send back, if anything, is part of the model"
+        in found["before_reflection"].text
+    )
     lengths = {"bars_incident_length": np.nan, "bars_receiving_length": np.nan}
     assert "no length" in checks(scene_with(infinite=True, **lengths))["before_reflection"].text
 
@@ -140,8 +158,12 @@ def test_two_peaks_count_with_their_higher_level():
 def test_massless_answers_are_judged_by_the_mass_number():
     scene = scene_with(shape="rectangular", infinite=True)
     heavy = scene_with(shape="rectangular", infinite=True, sphere_density=2e5)
-    light = {check.check: check for check in check_validity(scene, solve_closed(scene))}["force_balance"]
-    worse = {check.check: check for check in check_validity(heavy, solve_closed(heavy))}["force_balance"]
+    light = {check.check: check for check in check_validity(scene, solve_closed(scene))}[
+        "force_balance"
+    ]
+    worse = {check.check: check for check in check_validity(heavy, solve_closed(heavy))}[
+        "force_balance"
+    ]
     full = checks(scene)["force_balance"]
     assert 0.3 < light.worst / full.worst < 3.0
     assert worse.worst > 3.0 * light.worst
@@ -161,7 +183,9 @@ def test_shares_of_a_mixed_batch():
 def test_the_share_of_rows_outside_the_range_of_a_criterion():
     scene = scene_with(rows=4)
     found = dynamics.solve(scene, tolerance=1e-6)
-    found = replace(found, values={**found.values, "a_max": np.array([0.001, 0.0025, 0.0029, 0.0035])})
+    found = replace(
+        found, values={**found.values, "a_max": np.array([0.001, 0.0025, 0.0029, 0.0035])}
+    )
     (check,) = check_ranges(scene, found, ("core_tension",))
     assert check.share == 0.25
     assert check.text.startswith("in 25 % of the rows")

@@ -46,7 +46,9 @@ def test_the_law_has_the_values_of_its_table(row):
         assert value[0] == pytest.approx(row[name], rel=2e-9), name
 
 
-@pytest.mark.parametrize(("z", "e"), [(1.5, 0.959026475555), (4.0, 0.772048646978), (30.0, 0.468045828767)])
+@pytest.mark.parametrize(
+    ("z", "e"), [(1.5, 0.959026475555), (4.0, 0.772048646978), (30.0, 0.468045828767)]
+)
 def test_thornton_has_his_closed_form(z, e):
     law = face(0.0, 1.0)
     rho = math.sqrt(0.4 / law.work(np.array([z]))[0])
@@ -84,7 +86,13 @@ def test_work_is_the_integral_of_force():
     for b, pile_up in ((0.0, 1.0), (0.5, 1.5), (3.0, 2.0), (80.0, 8.0 / 3.0)):
         law = face(b, pile_up)
         for z in (1.01, 2.0, 50.0):
-            beyond = quad(lambda x, law=law: float(law.force(np.array([x]))[0]), 1.0, z, epsabs=0.0, epsrel=1e-13)[0]
+            beyond = quad(
+                lambda x, law=law: float(law.force(np.array([x]))[0]),
+                1.0,
+                z,
+                epsabs=0.0,
+                epsrel=1e-13,
+            )[0]
             assert law.work(np.array([z]))[0] == pytest.approx(0.4 + beyond, rel=1e-12)
 
 
@@ -93,7 +101,9 @@ def test_hardness_without_end_is_hertz():
     z = np.array([1.5, 4.0, 25.0])
     assert face(1e7, 2.0).force(z) == pytest.approx(z**1.5, rel=1e-5)
     law = face(1e7, 1.0)
-    assert law.onset_force == pytest.approx(4.0 / 3.0 * 45e9 * math.sqrt(0.01) * law.onset_approach**1.5)
+    assert law.onset_force == pytest.approx(
+        4.0 / 3.0 * 45e9 * math.sqrt(0.01) * law.onset_approach**1.5
+    )
     assert np.all(law.pressed(z).dent < 1e-4 * z * law.onset_approach)
 
 

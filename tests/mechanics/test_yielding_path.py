@@ -30,14 +30,21 @@ GRANITE = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.d
 
 def scene_of(numbers: dict, **law: float) -> Scene:
     given = {**numbers, **{f"contact.{key}": value for key, value in law.items()}}
-    infinite, shape, horizon = given.pop("infinite", False), given.pop("pulse"), given.pop("horizon", None)
+    infinite, shape, horizon = (
+        given.pop("infinite", False),
+        given.pop("pulse"),
+        given.pop("horizon", None),
+    )
     columns = {key: np.atleast_1d(np.asarray(value, dtype=float)) for key, value in given.items()}
     rows = max(map(len, columns.values()))
     columns = {key: np.resize(column, rows) for key, column in columns.items()}
     return Scene(
-        columns=columns, shape=shape, infinite=infinite, horizon=horizon,
+        columns=columns,
+        shape=shape,
+        infinite=infinite,
+        horizon=horizon,
         contact_law="plastic" if any(key.startswith("contact.") for key in columns) else "hertz",
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("case", SCENES, ids=lambda case: case["name"])
@@ -49,7 +56,9 @@ def test_converged_scenes(case):
     depth = answers[ANSWER_FACES : ANSWER_FACES + 2] * scale.approach / faces.onset_approach
     for k, name in enumerate("AB"):
         state = faces.pressed(depth[[k]])
-        assert state.dent[0] == pytest.approx(wanted[f"residual_{name}"], abs=1e-7 * wanted["alpha_max"])
+        assert state.dent[0] == pytest.approx(
+            wanted[f"residual_{name}"], abs=1e-7 * wanted["alpha_max"]
+        )
         work = state.plastic[0] + state.stored[0]
         assert state.plastic[0] == pytest.approx(wanted[f"dissipated_{name}"], abs=1e-7 * work)
     top = faces.pressed(depth.max(keepdims=True))
@@ -59,11 +68,15 @@ def test_converged_scenes(case):
         "P_max": top.force,
         "a_max": top.radius,
         "alpha_max": answers[[ANSWER_X_MAX]] * scale.approach,
-        "first_P": faces.pressed(answers[[ANSWER_X_FIRST]] * scale.approach / faces.onset_approach).force,
+        "first_P": faces.pressed(
+            answers[[ANSWER_X_FIRST]] * scale.approach / faces.onset_approach
+        ).force,
     }.items():
         assert value[0] == pytest.approx(wanted[name], rel=1e-7), name
     if wanted["contact_time"] is not None:
-        assert answers[ANSWER_CONTACT] * scale.time[0] == pytest.approx(wanted["contact_time"], rel=1e-7)
+        assert answers[ANSWER_CONTACT] * scale.time[0] == pytest.approx(
+            wanted["contact_time"], rel=1e-7
+        )
 
 
 def granite_rows(**law: float) -> Scene:
@@ -90,9 +103,12 @@ def test_what_never_yields_has_the_bits_of_hertz():
     assert np.array_equal(hard.answers[:, same], elastic.answers[:, same], equal_nan=True)
     # thresholds are approaches of a force, not shares of an approach: the same but for rounding
     timed = [ANSWER_RISE, ANSWER_DURATION]
-    assert hard.answers[:, timed] == pytest.approx(elastic.answers[:, timed], rel=1e-12, nan_ok=True)
+    assert hard.answers[:, timed] == pytest.approx(
+        elastic.answers[:, timed], rel=1e-12, nan_ok=True
+    )
     assert np.array_equal(
-        hard.answers[:, ANSWER_FACES : ANSWER_FACES + 2].max(axis=1), elastic.answers[:, ANSWER_X_MAX]
+        hard.answers[:, ANSWER_FACES : ANSWER_FACES + 2].max(axis=1),
+        elastic.answers[:, ANSWER_X_MAX],
     )
 
 
@@ -110,13 +126,25 @@ def test_a_row_that_yields_depends_on_nothing_but_the_row():
 def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
     """Soft faces under a step ratchet 69 times, some for less than a quarter of a step: the rise time was off by 31."""
     numbers = {
-        "sphere.E": 598.9e6, "sphere.nu": 0.4133, "sphere.radius": 0.40219, "sphere.density": 26764.7,
-        "striker.speed": 6.978e-6, "bars.E": 13.5557e9, "bars.nu": 0.2993, "bars.density": 3861.6,
-        "bars.diameter": 0.82047, "pulse": "step", "infinite": True, "horizon": 30.07,
-    }  # fmt: skip
+        "sphere.E": 598.9e6,
+        "sphere.nu": 0.4133,
+        "sphere.radius": 0.40219,
+        "sphere.density": 26764.7,
+        "striker.speed": 6.978e-6,
+        "bars.E": 13.5557e9,
+        "bars.nu": 0.2993,
+        "bars.density": 3861.6,
+        "bars.diameter": 0.82047,
+        "pulse": "step",
+        "infinite": True,
+        "horizon": 30.07,
+    }
     scene = scene_of(numbers, onset_pressure=149.864e3, hardness=149.864e3, pile_up=1.0)
     names = ("rise_time", "contact_duration", "P_max", "dent", "energy")
-    rough, fine = (solve.solve(scene, tolerance=tolerance, threads=1, quantities=names) for tolerance in (1e-6, 1e-9))
+    rough, fine = (
+        solve.solve(scene, tolerance=tolerance, threads=1, quantities=names)
+        for tolerance in (1e-6, 1e-9)
+    )
     for name in names:
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-7), name
     counted = [solve.integrate(scene, tolerance=tolerance, threads=1) for tolerance in (1e-6, 1e-9)]
@@ -126,20 +154,61 @@ def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
 @pytest.mark.parametrize(
     ("numbers", "law"),
     [
-        ((6571494.65799, 0.3681631, 0.1796269, 10019167799.33, 4.7767795e-4, 101010695717.57, 0.2777251, 18402.6716,
-          0.3664389, 0.220659745), (9313.873193, 15477.74825, 2.9)),
-        ((5697320.887385, 0.3835769, 0.25661270, 602852485428.2, 1.5845846e-4, 115035479503.3, 0.4248630, 8545.9495,
-          0.5234899, 0.530161786), (6980.978941, 17090.49984, 2.9)),
+        (
+            (
+                6571494.65799,
+                0.3681631,
+                0.1796269,
+                10019167799.33,
+                4.7767795e-4,
+                101010695717.57,
+                0.2777251,
+                18402.6716,
+                0.3664389,
+                0.220659745,
+            ),
+            (9313.873193, 15477.74825, 2.9),
+        ),
+        (
+            (
+                5697320.887385,
+                0.3835769,
+                0.25661270,
+                602852485428.2,
+                1.5845846e-4,
+                115035479503.3,
+                0.4248630,
+                8545.9495,
+                0.5234899,
+                0.530161786,
+            ),
+            (6980.978941, 17090.49984, 2.9),
+        ),
     ],
-)  # fmt: skip
+)
 def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
     """A soft face under a step, in nine steps: read off the series of the force, times were off by 556 and 75."""
-    names = ("sphere.E", "sphere.nu", "sphere.radius", "sphere.density", "striker.speed", "bars.E", "bars.nu",
-             "bars.density", "bars.diameter", "horizon")  # fmt: skip
+    names = (
+        "sphere.E",
+        "sphere.nu",
+        "sphere.radius",
+        "sphere.density",
+        "striker.speed",
+        "bars.E",
+        "bars.nu",
+        "bars.density",
+        "bars.diameter",
+        "horizon",
+    )
     given = {**dict(zip(names, numbers, strict=True)), "pulse": "step", "infinite": True}
-    scene = scene_of(given, **dict(zip(("onset_pressure", "hardness", "pile_up"), law, strict=True)))
+    scene = scene_of(
+        given, **dict(zip(("onset_pressure", "hardness", "pile_up"), law, strict=True))
+    )
     times = ("rise_time", "time_to_first_loss")
-    rough, fine = (solve.solve(scene, tolerance=tolerance, threads=1, quantities=times) for tolerance in (1e-6, 1e-10))
+    rough, fine = (
+        solve.solve(scene, tolerance=tolerance, threads=1, quantities=times)
+        for tolerance in (1e-6, 1e-10)
+    )
     for name in times:
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-6), name
 
@@ -167,18 +236,30 @@ def test_virgin_loading_reaches_a_force_where_it_is_said_to(law, approaches):
     given = np.ones((LAWS, 2))
     given[:LAW_STIFFNESS, 0] = law
     for approach in approaches:
-        assert there_and_back(empty_lanes(), given, law[0] < 1.0, approach) == pytest.approx(approach, rel=1e-11)
+        assert there_and_back(empty_lanes(), given, law[0] < 1.0, approach) == pytest.approx(
+            approach, rel=1e-11
+        )
 
 
 def test_one_force_alone_is_an_imbalance_of_one():
     """A heavy sphere feels face A alone at first: the series of the forces had told 1 + 1.5e-5."""
     numbers = {
-        "sphere.E": 181.67e6, "sphere.nu": 0.39836, "sphere.radius": 34.487e-6, "sphere.density": 3551110.0,
-        "striker.speed": 6.7146e-6, "bars.E": 2.21846e9, "bars.nu": 0.33329, "bars.density": 794.83,
-        "bars.diameter": 70.353e-6, "striker.length": 0.73851, "bars.incident_length": 20.839,
-        "bars.receiving_length": 4.8101, "bars.incident_end": 0.53603, "bars.receiving_end": 0.0,
+        "sphere.E": 181.67e6,
+        "sphere.nu": 0.39836,
+        "sphere.radius": 34.487e-6,
+        "sphere.density": 3551110.0,
+        "striker.speed": 6.7146e-6,
+        "bars.E": 2.21846e9,
+        "bars.nu": 0.33329,
+        "bars.density": 794.83,
+        "bars.diameter": 70.353e-6,
+        "striker.length": 0.73851,
+        "bars.incident_length": 20.839,
+        "bars.receiving_length": 4.8101,
+        "bars.incident_end": 0.53603,
+        "bars.receiving_end": 0.0,
         "pulse": "rectangular",
-    }  # fmt: skip
+    }
     scene = scene_of(numbers, onset_pressure=6679.84, hardness=17576.0, pile_up=8.0 / 3.0)
     found = solve.solve(scene, threads=1, quantities=("force_imbalance",)).values["force_imbalance"]
     assert found == pytest.approx(1.0, abs=1e-7)
@@ -188,7 +269,9 @@ def test_one_force_alone_is_an_imbalance_of_one():
 def test_a_law_the_series_cannot_follow_has_no_answer(softening):
     """b between 0 and 0.2 is singular near onset, and above 100 lost in rounding."""
     onset, pile_up = 1e9, 1.5
-    scene = granite_rows(onset_pressure=onset, hardness=(1.0 + softening) * onset / pile_up, pile_up=pile_up)
+    scene = granite_rows(
+        onset_pressure=onset, hardness=(1.0 + softening) * onset / pile_up, pile_up=pile_up
+    )
     assert (scene.status == 1).all()
 
 
@@ -204,7 +287,9 @@ def test_a_motion_has_approaches_and_forces_of_faces_that_yield(case):
     found = solve.motion(scene, 0, tolerance=1e-8)
     times = np.linspace(0.0, case["answer"]["contact_time"], 20_001)
     assert found.forces_at(times).max() == pytest.approx(case["answer"]["P_max"], rel=1e-4)
-    assert found.states_at(times)[:, :2].max() == pytest.approx(case["answer"]["alpha_max"], rel=1e-4)
+    assert found.states_at(times)[:, :2].max() == pytest.approx(
+        case["answer"]["alpha_max"], rel=1e-4
+    )
     # where contact is lost first, the dent stays
     at = found.states_at(np.array([case["answer"]["contact_time"]]))[0]
     dents = [case["answer"][f"residual_{face}"] for face in "AB"]

@@ -80,9 +80,21 @@ FAULTS: dict[str, tuple[str, type[Exception] | None, str]] = {
     "crashes": ("ctypes.string_at(0)", None, "ended the process"),
     "killed": ("os.kill(os.getpid(), 9)", None, "ended the process"),
     "hangs": ("time.sleep(99)", None, "longer than analysis.time_limit (0.2 s)"),
-    "hangs in a child": ("subprocess.run(['sleep', '3599'])", None, "longer than analysis.time_limit"),
-    "huge": ("return {'y': [10**400] * len(x['a']), 'z': x['a']}", ModelError, "is not an array of numbers"),
-    "hostile keys": ("return {Hostile(): 1.0, '\\x1b[2J' * 10_000: 2.0}", ModelError, "returned no 'y'"),
+    "hangs in a child": (
+        "subprocess.run(['sleep', '3599'])",
+        None,
+        "longer than analysis.time_limit",
+    ),
+    "huge": (
+        "return {'y': [10**400] * len(x['a']), 'z': x['a']}",
+        ModelError,
+        "is not an array of numbers",
+    ),
+    "hostile keys": (
+        "return {Hostile(): 1.0, '\\x1b[2J' * 10_000: 2.0}",
+        ModelError,
+        "returned no 'y'",
+    ),
     "hostile output": ("return {'y': Hostile(), 'z': x['a']}", ModelError, "RuntimeError"),
     "wrong shape": ("return {'y': x['a'][:-1], 'z': x['a']}", ModelError, "must have shape"),
     "unknown name": ("return {'why': x['a'], 'z': x['a']}", ModelError, "returned no 'y'"),
@@ -110,7 +122,9 @@ def study(*lines: str) -> Study:
 def box(place: Path, body: str = "", *, where: str = "(x['a'] > 2).any()") -> str:
     """A model with a fault where a > 2."""
     head = HEAD.format(log=str(place / "calls"))
-    (place / "box.py").write_text(f"{head}\ndef f(x):\n    if {where}:\n        {body or 'pass'}\n    return good(x)\n")
+    (place / "box.py").write_text(
+        f"{head}\ndef f(x):\n    if {where}:\n        {body or 'pass'}\n    return good(x)\n"
+    )
     return f"{place / 'box.py'}:f"
 
 
@@ -186,14 +200,19 @@ def test_abort_ends_with_what_the_model_raised(place: Path) -> None:
 def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str) -> None:
     (place / "box.py").write_text(f"{body}\n")
     aborting = load_study(text=STUDY.replace('"bound"', '"abort"'))
-    with Model(aborting, f"{place / 'box.py'}:f", threads=1) as model, pytest.raises(ModelError, match=text):
+    with (
+        Model(aborting, f"{place / 'box.py'}:f", threads=1) as model,
+        pytest.raises(ModelError, match=text),
+    ):
         evaluated(model)
 
 
 def test_what_a_model_has_started_ends_with_it(place: Path) -> None:
     """Its process by the limit of time, and the child with it; the process when the one that asked is killed."""
     mark = f"{time.time_ns() % 10**6 + 10**6}"
-    with Model(study("time_limit = '0.2 s'"), box(place, f"os.system('sleep {mark}')"), threads=1) as model:
+    with Model(
+        study("time_limit = '0.2 s'"), box(place, f"os.system('sleep {mark}')"), threads=1
+    ) as model:
         assert model.evaluate(["a"], ROWS[2:3], ["y"]).status.tolist() == [FAILED]
     assert not _running(f"sleep\0{mark}")
     reference = box(place, f"os.system('sleep {mark}')", where="True")
@@ -242,7 +261,10 @@ def test_where_rows_are_evaluated_changes_no_bit(place: Path) -> None:
     reference = f"{place / 'box.py'}:f"
     found = {}
     plain, limited = study(), study("time_limit = '60 s'")
-    with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+    with (
+        ThreadPoolExecutor(2) as threads,
+        ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool,
+    ):
         for name, given, of, options in (
             ("here", rough, plain, {}),
             ("a process", reference, plain, {"threads": 1}),
@@ -253,11 +275,15 @@ def test_where_rows_are_evaluated_changes_no_bit(place: Path) -> None:
         ):
             with Model(of, given, **options) as model:
                 # once what a row takes is not known yet, once it is
-                found[name] = [model.evaluate(["a"], part, ["y", "z"]).values.tobytes() for part in (rows, rows[:200])]
+                found[name] = [
+                    model.evaluate(["a"], part, ["y", "z"]).values.tobytes()
+                    for part in (rows, rows[:200])
+                ]
     assert all(values == found["here"] for values in found.values()), found.keys()
     with Model(limited, reference, threads=2) as model, Model(limited, rough, threads=1) as other:
         assert (
-            model.evaluate(["a"], rows, ["y"]).values.tobytes() == other.evaluate(["a"], rows, ["y"]).values.tobytes()
+            model.evaluate(["a"], rows, ["y"]).values.tobytes()
+            == other.evaluate(["a"], rows, ["y"]).values.tobytes()
         )
 
 
@@ -343,7 +369,9 @@ def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
 def test_a_dask_cluster_answers(place: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster) as client,
         Model(study(), box(place), executor=client) as model,
     ):
@@ -380,7 +408,10 @@ def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
     def neighbours(x: dict[str, Any]) -> dict[str, Any]:
         return {"y": x["a"] - np.mean(x["a"]), "z": x["a"]}
 
-    for unsteady, text in ((random, "two answers to the same row"), (neighbours, "the rows next to it")):
+    for unsteady, text in (
+        (random, "two answers to the same row"),
+        (neighbours, "the rows next to it"),
+    ):
         with Model(study(), unsteady) as model:
             evaluated(model)
             assert len(model.notes) == 1
@@ -432,7 +463,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], int | str]] = {
     "overwritten": (lambda path: path.write_bytes(b"x" * 5000), "not a database"),
     "a folder": (_folder, "unable to open"),
     "a link": (_link, "it is a link"),
-    "a journal of another": (lambda path: path.with_name("cache-journal").write_bytes(b"x" * 999), 8),
+    "a journal of another": (
+        lambda path: path.with_name("cache-journal").write_bytes(b"x" * 999),
+        8,
+    ),
 }
 
 
@@ -450,7 +484,9 @@ def test_a_cache_is_whole_or_refused(place: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("fault", ["no folder", "full disk", "locked"])
-def test_a_cache_that_cannot_be_written_ends_the_run(place: Path, fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_ends_the_run(
+    place: Path, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("uqsphere.models.cache._WAIT", 0.1)
     if fault == "no folder":
         with pytest.raises(AccessError, match="unable to open"):
@@ -495,7 +531,9 @@ with Model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache_file=Path
 def test_a_stop_loses_nothing(place: Path) -> None:
     reference, cache = slow(place), place / "cache"
     with (
-        Model(study(), reference, threads=1, cache_file=cache, stop=lambda: calls(place) >= 3) as model,
+        Model(
+            study(), reference, threads=1, cache_file=cache, stop=lambda: calls(place) >= 3
+        ) as model,
         pytest.raises(Interrupted),
     ):
         evaluated(model)
@@ -535,7 +573,9 @@ def test_what_a_model_reads_is_noticed_when_a_run_goes_on(place: Path) -> None:
     )
     for number, notes in (("1.0", 0), ("1.0", 0), ("3.0", 1)):
         (place / "number").write_text(number)
-        with Model(study(), f"{place / 'box.py'}:f", cache_file=place / "cache", threads=1) as model:
+        with Model(
+            study(), f"{place / 'box.py'}:f", cache_file=place / "cache", threads=1
+        ) as model:
             evaluated(model)
         assert len(model.notes) == notes
     assert "reads or imports has changed" in model.notes[0]
@@ -577,7 +617,10 @@ print(identity_of(space["f"]).hex())
 """
     (place / "script.py").write_text(script)
     commands = [[sys.executable, str(place / "script.py"), *more] for more in ([], [], ["other"])]
-    said = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for command in commands]
+    said = [
+        subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        for command in commands
+    ]
     assert said[0] == said[1] != said[2]
 
 

@@ -124,12 +124,17 @@ def test_a_blow_on_a_thick_block_is_that_of_hertz(blow: Study) -> None:
     force = beta**0.4 * (1.25 * mass * speed**2) ** 0.6
     found = evaluate(blow, {"sphere.E": E, "rig.speed": speed}, ("P_max", "p_max"))
     np.testing.assert_allclose(found["P_max"], force, rtol=1e-12)
-    np.testing.assert_allclose(found["p_max"], np.cbrt(6.0 * force * modulus**2 / (math.pi**3 * 0.005**2)), rtol=1e-12)
+    np.testing.assert_allclose(
+        found["p_max"], np.cbrt(6.0 * force * modulus**2 / (math.pi**3 * 0.005**2)), rtol=1e-12
+    )
 
 
 def test_rows_that_have_a_closed_form_are_no_others(blow: Study) -> None:
     """On a bar the echo decides row by row which sphere is answered in closed form: each as by itself."""
-    text = BLOW.replace('kind = "thick"', 'kind = "bar"\ndiameter = "40 mm"\nlength = "0.05 m"\ndensity = "7850 kg/m3"')
+    text = BLOW.replace(
+        'kind = "thick"',
+        'kind = "bar"\ndiameter = "40 mm"\nlength = "0.05 m"\ndensity = "7850 kg/m3"',
+    )
     study = load_study(text=text)
     radius = np.linspace(1e-3, 9e-3, 12)
     together = evaluate(study, {"sphere.radius": radius}, "p_max", 1e-8)["p_max"]
@@ -157,7 +162,9 @@ def test_blocks_and_threads_change_no_bit(bars: Study, monkeypatch: pytest.Monke
     ("column", "bad"),
     [("sphere.E", -1.0), ("sphere.nu", 0.5), ("sphere.radius", 0.04), ("striker.speed", 0.0)],
 )
-def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, column: str, bad: float) -> None:
+def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(
+    bars: Study, column: str, bad: float
+) -> None:
     good = bars.at_means()[column]
     with Model(bars) as model:
         answers = model.evaluate((column,), np.array([[good], [bad], [good]]), ("p_max",))
@@ -174,12 +181,19 @@ def test_a_row_without_meaning_has_a_status_a_reason_and_no_number(bars: Study, 
 def test_what_the_rig_has_not_is_refused_by_its_place(blow: Study, bars: Study) -> None:
     check_scene(blow)
     check_scene(bars)
-    wrong = load_study(text=BLOW.replace('quantities = ["p_max"]', 'quantities = ["mean_force_max", "dent"]'))
+    wrong = load_study(
+        text=BLOW.replace('quantities = ["p_max"]', 'quantities = ["mean_force_max", "dent"]')
+    )
     with pytest.raises(UsageError, match=r"analysis\.quantities"):
         check_scene(wrong)
     with pytest.raises(UsageError, match=r"margins\.between: 0 m/s|margins\.between"):
-        check_scene(load_study(text=BARS.replace('solve = "striker.speed"', 'solve = "sphere.radius"').replace(
-            '["0.1 m/s", "5 m/s"]', '["1 mm", "40 mm"]')))  # fmt: skip
+        check_scene(
+            load_study(
+                text=BARS.replace('solve = "striker.speed"', 'solve = "sphere.radius"').replace(
+                    '["0.1 m/s", "5 m/s"]', '["1 mm", "40 mm"]'
+                )
+            )
+        )
     with pytest.raises(UsageError, match=r"sphere\.colour"):
         scene_of(bars, {"sphere.colour": np.array([1.0])})
 
@@ -197,20 +211,27 @@ def test_names_and_labels_count_not_the_order(order: list[int], rows: list[int],
     found = evaluate(study, mixed, "p_max")
     assert found.index.equals(mixed.index)
     pd.testing.assert_frame_equal(found.loc[frame.index], expected)
-    columns = {name: mixed[name].iloc[np.roll(np.arange(6), k)] for k, name in enumerate(mixed.columns)}
+    columns = {
+        name: mixed[name].iloc[np.roll(np.arange(6), k)] for k, name in enumerate(mixed.columns)
+    }
     by_index = evaluate(study, columns, "p_max")
     pd.testing.assert_frame_equal(by_index.loc[frame.index], expected)
     arrays = {name: mixed[name].to_numpy() for name in mixed.columns}
     assert (evaluate(study, arrays, "p_max")["p_max"].to_numpy() == found["p_max"].to_numpy()).all()
     with Model(study) as model:
         names = tuple(mixed.columns)
-        assert (model.evaluate(names, mixed.to_numpy(), ("p_max",)).values[:, 0] == found["p_max"].to_numpy()).all()
+        assert (
+            model.evaluate(names, mixed.to_numpy(), ("p_max",)).values[:, 0]
+            == found["p_max"].to_numpy()
+        ).all()
 
 
 def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> None:
     whole = bars.at_means() | {"striker.speed": np.array([1.0, 2.0])}
     found = evaluate(bars, whole, ("p_max", "P_max"))
-    pd.testing.assert_frame_equal(found, evaluate(bars, {"striker.speed": [1.0, 2.0]}, ("p_max", "P_max")))
+    pd.testing.assert_frame_equal(
+        found, evaluate(bars, {"striker.speed": [1.0, 2.0]}, ("p_max", "P_max"))
+    )
     assert found.index.equals(pd.RangeIndex(2))
     one = evaluate(bars, bars.at_means(), "p_max")
     assert one["p_max"].tolist() == [found["p_max"][0]]
@@ -226,7 +247,11 @@ def test_numbers_spread_and_what_a_dict_leaves_out_is_the_mean(bars: Study) -> N
         (table(2).assign(colour=1.0), {}, "unknown input 'colour'"),
         ({"limits.crushing.strength": [1.0]}, {}, "unknown input"),
         ({"hammer.speed": [1.0]}, {}, "unknown input"),
-        ({"sphere.E": [5e10, 6e10], "striker.speed": [1.0, 2.0, 3.0]}, {}, "differ in length: 2, 3"),
+        (
+            {"sphere.E": [5e10, 6e10], "striker.speed": [1.0, 2.0, 3.0]},
+            {},
+            "differ in length: 2, 3",
+        ),
         ({"sphere.E": [[5e10, 6e10]]}, {}, r"shape \(n, 1\) are required"),
         ({"striker.speed": ["0.5 m/s"]}, {}, "no columns of numbers"),
         (
@@ -253,7 +278,9 @@ def test_wrong_rows_are_refused(bars: Study, rows: Any, options: dict[str, Any],
         evaluate(options.pop("study", bars), rows, **options)
 
 
-@pytest.mark.parametrize("values", [{"sphere.E": 52.0}, {"sphere.radius": 5.0}, {"sphere.density": 2.65}])
+@pytest.mark.parametrize(
+    "values", [{"sphere.E": 52.0}, {"sphere.radius": 5.0}, {"sphere.density": 2.65}]
+)
 def test_a_number_far_from_the_usual_is_warned_of(bars: Study, values: dict[str, float]) -> None:
     name = next(iter(values))
     with warnings.catch_warnings(record=True) as caught:
@@ -282,7 +309,9 @@ FORMS: dict[str, Any] = {
     "lists": lambda x: {"y": list(x["a"] + x["b"]), "z": tuple(2 * x["a"])},
     "objects": lambda x: {"y": (x["a"] + x["b"]).astype(object), "z": 2 * x["a"]},
     "a DataFrame": lambda x: pd.DataFrame({"z": 2 * x["a"], "y": x["a"] + x["b"]}),
-    "a sorted DataFrame": lambda x: pd.DataFrame({"z": 2 * x["a"], "y": x["a"] + x["b"]}).sort_values("z")[::-1],
+    "a sorted DataFrame": lambda x: pd.DataFrame(
+        {"z": 2 * x["a"], "y": x["a"] + x["b"]}
+    ).sort_values("z")[::-1],
     "Series": lambda x: {
         "y": pd.Series(x["a"] + x["b"])[::-1],
         "z": pd.Series(2 * x["a"], index=list("abcd")[: len(x["a"])]),
@@ -301,10 +330,16 @@ WRONG: dict[str, tuple[Any, str]] = {
     "one number": (lambda x: {"y": x["a"], "z": 1.0}, "numpy.vectorize"),
     "two dimensions": (lambda x: {"y": x["a"], "z": x["a"][:, None]}, r"its shape is \(4, 1\)"),
     "text": (lambda x: {"y": x["a"], "z": ["1", "2", "3", "4"]}, "not an array of numbers"),
-    "objects": (lambda x: {"y": x["a"], "z": np.array([1, 2, 3, "x"], dtype=object)}, "not an array of numbers"),
+    "objects": (
+        lambda x: {"y": x["a"], "z": np.array([1, 2, 3, "x"], dtype=object)},
+        "not an array of numbers",
+    ),
     "dates": (lambda x: {"y": x["a"], "z": np.zeros(4, "M8[s]")}, "not an array of numbers"),
     "complex": (lambda x: {"y": x["a"], "z": x["a"] + 1j}, "complex"),
-    "repeated": (lambda x: pd.DataFrame(np.zeros((4, 3)), columns=["y", "z", "y"]), r"its shape is \(4, 2\)"),
+    "repeated": (
+        lambda x: pd.DataFrame(np.zeros((4, 3)), columns=["y", "z", "y"]),
+        r"its shape is \(4, 2\)",
+    ),
     "raises": (lambda x: 1 / 0, "ZeroDivisionError"),
     "generator": (lambda x: (a for a in x["a"]), "must return a dict"),
 }
@@ -313,7 +348,10 @@ WRONG: dict[str, tuple[Any, str]] = {
 @pytest.mark.parametrize("form", FORMS)
 def test_answers_may_come_in_many_forms(form: str) -> None:
     def box(x: dict[str, np.ndarray[Any, Any]]) -> Any:
-        assert {name: column.dtype for name, column in x.items()} == {"a": np.float64, "b": np.float64}
+        assert {name: column.dtype for name, column in x.items()} == {
+            "a": np.float64,
+            "b": np.float64,
+        }
         return FORMS[form](x)
 
     study = load_study(text=BOX)
@@ -335,7 +373,10 @@ def test_answers_of_another_form_are_refused(name: str) -> None:
 
 
 def test_one_output_and_one_row_need_no_dict() -> None:
-    assert call_black_box(lambda x: 2 * x["a"], ("a",), A[:, None], ("y",)).tolist() == EXPECTED[:, 1:].tolist()
+    assert (
+        call_black_box(lambda x: 2 * x["a"], ("a",), A[:, None], ("y",)).tolist()
+        == EXPECTED[:, 1:].tolist()
+    )
     assert call_black_box(lambda x: 2.0, ("a",), A[:1, None], ("y",)).tolist() == [[2.0]]
     masked = np.ma.array([1.0, 2.0], mask=[False, True])
     assert np.isnan(call_black_box(lambda x: masked, ("a",), A[:2, None], ("y",))[1, 0])
@@ -348,13 +389,19 @@ def test_what_a_model_does_about_errors_of_numpy_is_set_back() -> None:
         return {"y": x["a"], "z": x["b"]}
 
     settings = np.geterr()
-    assert call_black_box(box, ("a", "b"), np.zeros((2, 2)), ("y", "z")).tolist() == [[0.0, 0.0], [0.0, 0.0]]
+    assert call_black_box(box, ("a", "b"), np.zeros((2, 2)), ("y", "z")).tolist() == [
+        [0.0, 0.0],
+        [0.0, 0.0],
+    ]
     assert np.geterr() == settings
 
 
 def test_unknown_inputs_and_outputs_are_refused() -> None:
     with Model(load_study(text=BOX), FORMS["a dict"]) as model:
-        for names, columns, text in ((("q",), ("y",), "unknown input 'q'"), (("a",), ("q",), "unknown output 'q'")):
+        for names, columns, text in (
+            (("q",), ("y",), "unknown input 'q'"),
+            (("a",), ("q",), "unknown output 'q'"),
+        ):
             with pytest.raises(UsageError, match=text):
                 model.evaluate(names, A[:, None], columns)
         with pytest.raises(UsageError, match=r"shape \(n, 1\)"):
@@ -364,7 +411,9 @@ def test_unknown_inputs_and_outputs_are_refused() -> None:
 # --- loading --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("reference", ["model.py", "model.txt:f", "model.py:", "model.py:not a name", ":f", ""])
+@pytest.mark.parametrize(
+    "reference", ["model.py", "model.txt:f", "model.py:", "model.py:not a name", ":f", ""]
+)
 def test_malformed_references_are_refused(reference: str) -> None:
     with pytest.raises(UsageError, match=r"FILE\.py:FUNCTION"):
         read_model(reference)
@@ -391,7 +440,13 @@ def test_models_that_cannot_be_had(tmp_path: Path) -> None:
     assert read_model(f"{file}:f").load()({"a": np.array([1.5])}).tolist() == [4.5]
 
 
-SHIPPED = ["granite", "glass_bead_small_bar", "limestone_drop_weight", "quartz_load_cell", "limestone_rotor"]
+SHIPPED = [
+    "granite",
+    "glass_bead_small_bar",
+    "limestone_drop_weight",
+    "quartz_load_cell",
+    "limestone_rotor",
+]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -409,8 +464,12 @@ def test_a_quantity_asked_for_by_itself_is_that_among_all(name: str) -> None:
 
 def test_a_row_without_meaning_has_a_status_and_warns_nobody() -> None:
     granite = Design.of(load_study("studies/granite.toml")).study  # with the modes of the library
-    found = evaluate_scene(granite, ("sphere.radius",), np.array([[-0.01], [0.01]]),
-                           ("p_max", *(limit.quantity for limit in granite.limits)))  # fmt: skip
+    found = evaluate_scene(
+        granite,
+        ("sphere.radius",),
+        np.array([[-0.01], [0.01]]),
+        ("p_max", *(limit.quantity for limit in granite.limits)),
+    )
     assert found.good.tolist() == [False, True]
     assert np.isnan(found.values[0]).all()
     assert np.isfinite(found.values[1]).all()

@@ -16,13 +16,17 @@ LOOSE = (
     "analysis.accuracy={ mean = 1, quantile = 1, sobol = 1, probability = 1 }",
     "analysis.budget.evaluations=5000",
 )
-SHIPPED = sorted(path for path in Path("studies").glob("*.toml") if not path.name.startswith("lab_"))
+SHIPPED = sorted(
+    path for path in Path("studies").glob("*.toml") if not path.name.startswith("lab_")
+)
 MODELS = {"blackbox": "studies/blackbox.py:model", "ishigami": "studies/ishigami.py:ishigami"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_every_shipped_study_runs_again_into_its_folder_and_once_more_after_an_interruption(path, tmp_path):
+def test_every_shipped_study_runs_again_into_its_folder_and_once_more_after_an_interruption(
+    path, tmp_path
+):
     study = uqsphere.load_study(path, LOOSE)
     model = MODELS.get(path.stem)
     first = uqsphere.run(study, model, out=tmp_path)
@@ -52,7 +56,10 @@ HIGH = {"high": {"quantity": "y", "strength": 5.0, "aim": "survive", "target": 0
     ("changes", "named"),
     [
         ({"inputs": {**BOX["inputs"], "b": 3.0}}, "changed: b"),
-        ({"inputs": {**BOX["inputs"], "a": {"dist": "normal", "mean": 1.0, "sd": 0.2}}}, "changed: a"),
+        (
+            {"inputs": {**BOX["inputs"], "a": {"dist": "normal", "mean": 1.0, "sd": 0.2}}},
+            "changed: a",
+        ),
         ({"limits": {"high": {**HIGH["high"], "target": 0.2}}}, "changed: limits.high.target"),
         ({"seed": 7}, "changed: seed"),
         ({"analysis": {"accuracy": {"mean": 0.01}}}, "changed: analysis.accuracy"),

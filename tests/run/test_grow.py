@@ -25,7 +25,9 @@ names = ["y"]
 """
 
 
-def test_tables_grow_in_place_to_what_they_would_be_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_grow_in_place_to_what_they_would_be_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(grow, "PART", 1 << 12)
     study = load_study(text=STUDY)
     design = Design.of(study)
@@ -44,4 +46,7 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(monkeypatch: pytest.
             assert getattr(before.sample, name).base is getattr(sample, name)
 
         pairs = paired(design, model, 100, ["y"], {})
-        assert (paired(design, model, 300, ["y"], pairs)["y"] == paired(design, model, 300, ["y"], {})["y"]).all()
+        assert (
+            paired(design, model, 300, ["y"], pairs)["y"]
+            == paired(design, model, 300, ["y"], {})["y"]
+        ).all()

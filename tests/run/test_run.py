@@ -23,7 +23,13 @@ from uqsphere.results.folder import damaged_files
 from uqsphere.run.distributions import density
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
-FIXED = ("sphere.E=52 GPa", "sphere.nu=0.25", "sphere.radius=10 mm", "dependence=[]", "analysis.failure_modes=given")
+FIXED = (
+    "sphere.E=52 GPa",
+    "sphere.nu=0.25",
+    "sphere.radius=10 mm",
+    "dependence=[]",
+    "analysis.failure_modes=given",
+)
 LOOSE = ("analysis.accuracy={ mean = 0.05, quantile = 0.1, sobol = 0.1, probability = 0.05 }",)
 PRESSURE = ("limits.crushing.strength_is=pressure",)
 
@@ -36,9 +42,13 @@ def linear(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 def study(strength: Any = 8.0, **more: Any) -> Study:
     """The linear model: y is normal with sd 5, and exceeds a strength of 8 with the probability of 1.6 sd."""
     tables: dict[str, Any] = {
-        "inputs": {"a": NORMAL, "b": NORMAL}, "outputs": "y", "seed": 3,
-        "limits": {"high": {"quantity": "y", "strength": strength, "aim": "survive", "target": 0.1}},
-    }  # fmt: skip
+        "inputs": {"a": NORMAL, "b": NORMAL},
+        "outputs": "y",
+        "seed": 3,
+        "limits": {
+            "high": {"quantity": "y", "strength": strength, "aim": "survive", "target": 0.1}
+        },
+    }
     return Study(**{**tables, **more})
 
 
@@ -68,15 +78,25 @@ def test_moments_quantiles_and_indices_are_those_of_a_normal(plain: Run) -> None
 def test_a_product_has_the_indices_of_its_closed_form(cost: str) -> None:
     """Nine lognormal factors: first-order indices (exp(s_i²) - 1)/(exp(S) - 1), S the sum of the s²."""
     s = dict(zip("abcdefghi", [0.14, 0.41, 0.41, 0.34, 0.26, 0.18, 0.36, 0.1, 0.19], strict=True))
-    inputs = {name: {"dist": "lognormal", "log_mean": 0.0, "log_sd": own} for name, own in s.items()}
-    analysis = {"accuracy": {"sobol": 0.01}, "cost": cost, "budget": {"time": "10 h"}, "quantiles": [0.5]}
+    inputs = {
+        name: {"dist": "lognormal", "log_mean": 0.0, "log_sd": own} for name, own in s.items()
+    }
+    analysis = {
+        "accuracy": {"sobol": 0.01},
+        "cost": cost,
+        "budget": {"time": "10 h"},
+        "quantiles": [0.5],
+    }
     run = uqsphere.run(
-        Study(inputs=inputs, outputs="y", analysis=analysis), lambda rows: {"y": -math.prod(rows.values())}
+        Study(inputs=inputs, outputs="y", analysis=analysis),
+        lambda rows: {"y": -math.prod(rows.values())},
     )
     found, whole = run.sobol("y"), sum(own**2 for own in s.values())
     for name, own in s.items():
         total = (math.exp(whole) - math.exp(whole - own**2)) / math.expm1(whole)
-        assert found["first"][name] == pytest.approx(math.expm1(own**2) / math.expm1(whole), abs=1e-3)
+        assert found["first"][name] == pytest.approx(
+            math.expm1(own**2) / math.expm1(whole), abs=1e-3
+        )
         assert found["total"][name] == pytest.approx(total, abs=1e-3)
     assert (found["total_high"] - found["total_low"]).max() < 2e-3
     assert run.results["accuracy"]["runs"] < 30_000
@@ -92,7 +112,9 @@ def test_a_failure_probability_is_that_of_the_normal(plain: Run) -> None:
 def test_a_strength_is_integrated_exactly() -> None:
     law = {"dist": "normal", "mean": 12.0, "sd": 2.0}
     run = uqsphere.run(study(law), linear)
-    assert holds(run, "limits.high", "failure_probability", float(stats.norm.sf(12.0 / math.hypot(5.0, 2.0))))
+    assert holds(
+        run, "limits.high", "failure_probability", float(stats.norm.sf(12.0 / math.hypot(5.0, 2.0)))
+    )
 
 
 def test_a_rare_event_is_searched_for() -> None:
@@ -111,11 +133,15 @@ def test_many_limits_on_one_quantity_share_their_searches() -> None:
         sd = 0.0 if k % 2 else 1.0 + k % 3
         mean = beta * float(np.hypot(5.0, sd))
         limits[f"l{k}"] = {
-            "quantity": "y", "strength": {"dist": "normal", "mean": mean, "sd": sd} if sd else mean, "aim": "survive",
-        }  # fmt: skip
+            "quantity": "y",
+            "strength": {"dist": "normal", "mean": mean, "sd": sd} if sd else mean,
+            "aim": "survive",
+        }
         truth[f"limits.l{k}"] = float(stats.norm.sf(beta))
     run = uqsphere.run(study(limits=limits), linear)
-    table = run.answers[(run.answers.answer == "failure_probability") & (run.answers["at"] == "")].set_index("subject")
+    table = run.answers[
+        (run.answers.answer == "failure_probability") & (run.answers["at"] == "")
+    ].set_index("subject")
     assert all(holds(run, subject, "failure_probability", p) for subject, p in truth.items())
     assert sum(table.low[subject] <= p <= table.high[subject] for subject, p in truth.items()) >= 35
     # one by one they take 22,000 runs each
@@ -123,7 +149,10 @@ def test_many_limits_on_one_quantity_share_their_searches() -> None:
 
 
 def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
-    run = uqsphere.run(study(margins={"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1, 0.5]}), linear)
+    run = uqsphere.run(
+        study(margins={"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1, 0.5]}),
+        linear,
+    )
     # y = 3 (m + z) + 4 b exceeds 8 with probability p where 3 m = 8 + 5 z_p
     for p in (0.1, 0.5):
         truth = (8.0 + 5.0 * float(stats.norm.ppf(p))) / 3.0
@@ -137,8 +166,12 @@ def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
 
 
 @pytest.mark.parametrize("between", [[-90.0, -60.0], [40.0, 80.0]])
-def test_a_range_that_misses_the_target_is_told_and_drawn(between: list[float], tmp_path: Path) -> None:
-    run = uqsphere.run(study(margins={"solve": "a", "between": between}), linear, out=tmp_path / "out")
+def test_a_range_that_misses_the_target_is_told_and_drawn(
+    between: list[float], tmp_path: Path
+) -> None:
+    run = uqsphere.run(
+        study(margins={"solve": "a", "between": between}), linear, out=tmp_path / "out"
+    )
     verdict = run.verdicts["high"]
     assert verdict["use"] is None
     assert "widen margins.between" in verdict["detail"]
@@ -171,8 +204,15 @@ def test_nothing_random_is_answered_by_one_run() -> None:
 
 def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> None:
     """A striker of 30 mm: the run of the whole record has the peak of the history, the other says what it misses."""
-    fixed = (*FIXED, "striker.length=30 mm", "striker.speed=8 m/s", "pulse.rise=3 us", "pulse.fall=3 us",
-             "model.tolerance=1e-6", "limits.crushing.target=0.05")  # fmt: skip
+    fixed = (
+        *FIXED,
+        "striker.length=30 mm",
+        "striker.speed=8 m/s",
+        "pulse.rise=3 us",
+        "pulse.fall=3 us",
+        "model.tolerance=1e-6",
+        "limits.crushing.target=0.05",
+    )
     verdicts = []
     for whole, peak in (("false", "first_peak"), ("true", "later_peak")):
         short = uqsphere.load_study("studies/granite.toml", (*fixed, f"model.whole_record={whole}"))
@@ -189,12 +229,22 @@ def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> 
 @pytest.mark.parametrize(
     ("changes", "name", "grade", "text"),
     [
-        ((*PRESSURE, "limits.crushing.strength.mean=8 GPa"), "reachable", "failure", "lie above the hardness"),
+        (
+            (*PRESSURE, "limits.crushing.strength.mean=8 GPa"),
+            "reachable",
+            "failure",
+            "lie above the hardness",
+        ),
         (PRESSURE, "reachable", "", ""),
-        (('analysis.quantities=["p_max", "edge_tension"]',), "range_of_edge_tension", "warning", "outside its range"),
+        (
+            ('analysis.quantities=["p_max", "edge_tension"]',),
+            "range_of_edge_tension",
+            "warning",
+            "outside its range",
+        ),
         (('analysis.quantities=["p_max", "core_tension"]',), "range_of_core_tension", "", ""),
     ],
-)  # fmt: skip
+)
 def test_a_strength_out_of_reach_and_a_criterion_out_of_its_range_are_said(
     changes: tuple[str, ...], name: str, grade: str, text: str
 ) -> None:
@@ -211,25 +261,50 @@ def test_a_strength_out_of_reach_and_a_criterion_out_of_its_range_are_said(
 def test_a_strength_of_another_distribution_and_without_its_tie() -> None:
     """Given the score z of the strength, y = 3 a + 4 b is normal about 3 rho z: one integral over z."""
     tied = [{"of": ["a", "limits.high.strength"], "spearman": 0.5}]
-    run = uqsphere.run(study({"dist": "lognormal", "mean": 12.0, "cov": 0.3}, dependence=tied), linear)
+    run = uqsphere.run(
+        study({"dist": "lognormal", "mean": 12.0, "cov": 0.3}, dependence=tied), linear
+    )
     found = run.answers.query("answer == 'failure_probability'").set_index("at")["value"]
-    rho, s, z = 2.0 * math.sin(math.pi / 12.0), math.sqrt(math.log1p(0.09)), np.linspace(-8.0, 8.0, 4001)
-    own, unit = 12.0 * np.exp(s * z - 0.5 * s * s), stats.weibull_min(3.7138)  # the modulus of a cov of 0.3
+    rho, s, z = (
+        2.0 * math.sin(math.pi / 12.0),
+        math.sqrt(math.log1p(0.09)),
+        np.linspace(-8.0, 8.0, 4001),
+    )
+    own, unit = (
+        12.0 * np.exp(s * z - 0.5 * s * s),
+        stats.weibull_min(3.7138),
+    )  # the modulus of a cov of 0.3
     assert unit.std() / unit.mean() == pytest.approx(0.3, abs=1e-5)
     weibull = 12.0 / unit.mean() * unit.ppf(stats.norm.cdf(z))
-    for at, strength, tie in (("", own, rho), ("assumed: Weibull strength", weibull, rho),
-                              ("assumed: strength independent of the inputs", own, 0.0)):  # fmt: skip
+    for at, strength, tie in (
+        ("", own, rho),
+        ("assumed: Weibull strength", weibull, rho),
+        ("assumed: strength independent of the inputs", own, 0.0),
+    ):
         below = stats.norm.sf((strength - 3.0 * tie * z) / math.sqrt(9.0 * (1.0 - tie**2) + 16.0))
         assert found[at] == pytest.approx(np.trapezoid(below * stats.norm.pdf(z), z), rel=0.05), at
 
 
 def test_contacts_that_yield_turn_a_verdict_of_hertz_with_their_own_numbers() -> None:
-    given = (*FIXED, *PRESSURE, *LOOSE, "limits.crushing.strength.mean=3.5 GPa", "limits.crushing.target=0.6",
-             "striker.speed.mean=1.2 m/s", "margins.for_probability=[0.6]")  # fmt: skip
-    hertz, plastic = (uqsphere.run(uqsphere.load_study("studies/granite.toml", (*given, f"contact.law={law}")))
-                      for law in ("hertz", "plastic"))  # fmt: skip
-    taken = hertz.answers[hertz.answers["at"] == "assumed: contacts yield"].set_index("answer")["value"]
-    assert taken["failure_probability"] == pytest.approx(plastic.probability("crushing")["value"], rel=0.02)
+    given = (
+        *FIXED,
+        *PRESSURE,
+        *LOOSE,
+        "limits.crushing.strength.mean=3.5 GPa",
+        "limits.crushing.target=0.6",
+        "striker.speed.mean=1.2 m/s",
+        "margins.for_probability=[0.6]",
+    )
+    hertz, plastic = (
+        uqsphere.run(uqsphere.load_study("studies/granite.toml", (*given, f"contact.law={law}")))
+        for law in ("hertz", "plastic")
+    )
+    taken = hertz.answers[hertz.answers["at"] == "assumed: contacts yield"].set_index("answer")[
+        "value"
+    ]
+    assert taken["failure_probability"] == pytest.approx(
+        plastic.probability("crushing")["value"], rel=0.02
+    )
     assert taken["margin"] == pytest.approx(plastic.margin("crushing", 0.6)["value"], rel=0.02)
     assert [reason["code"] for reason in hertz.verdicts["crushing"]["reasons"]] == ["contact law"]
     assert plastic.verdicts["crushing"]["verdict"] == "met"
@@ -316,8 +391,14 @@ def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> Non
     run = uqsphere.run(study(analysis=few, margins=margins), linear)
     assert run.probability("high")["value"] == pytest.approx(stats.norm.sf(1.6), abs=2e-3)
     margin = run.margin("high", 0.1)
-    assert margin["low"] - 0.05 < (8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0 < margin["high"] + 0.05
-    lost = uqsphere.run(study(analysis=few), lambda x: {"y": np.where(x["b"] < 1.9, linear(x)["y"], np.nan)})
+    assert (
+        margin["low"] - 0.05
+        < (8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0
+        < margin["high"] + 0.05
+    )
+    lost = uqsphere.run(
+        study(analysis=few), lambda x: {"y": np.where(x["b"] < 1.9, linear(x)["y"], np.nan)}
+    )
     failed = next(check for check in lost.results["checks"] if check["name"] == "failed_rows")
     assert failed["share"] == pytest.approx(stats.norm.sf(1.9), abs=0.01)
 
@@ -339,9 +420,13 @@ def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None
     rho = 2.0 * math.sin(math.pi * 0.4 / 6.0)
     sd = math.sqrt(25.0 + 24.0 * rho)
     assert holds(run, "y", "sd", sd)
-    assert run.probability("high")["low"] <= stats.norm.sf(8.0 / sd) <= run.probability("high")["high"]
+    assert (
+        run.probability("high")["low"] <= stats.norm.sf(8.0 / sd) <= run.probability("high")["high"]
+    )
     lost = rows.assign(y=rows["y"].where(rows["a"] < 1.5))
-    assert given.inputs().normals(rows[["a", "b"]].to_numpy()).std(axis=0) == pytest.approx(1.0, abs=0.02)
+    assert given.inputs().normals(rows[["a", "b"]].to_numpy()).std(axis=0) == pytest.approx(
+        1.0, abs=0.02
+    )
     for wrong, says in (
         (rows.head(10), "too few"),
         (rows[["a", "b", "y"]], "'w' is missing"),
@@ -374,8 +459,20 @@ def granite(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def test_a_folder_has_few_files_with_their_sums(granite: Run) -> None:
     assert granite.folder is not None
-    files = {path.relative_to(granite.folder).as_posix() for path in granite.folder.rglob("*") if path.is_file()}
-    assert files >= {"study.toml", "results.json", "answers.csv", "samples.csv", "report.html", "SHA256SUMS", "log.txt"}
+    files = {
+        path.relative_to(granite.folder).as_posix()
+        for path in granite.folder.rglob("*")
+        if path.is_file()
+    }
+    assert files >= {
+        "study.toml",
+        "results.json",
+        "answers.csv",
+        "samples.csv",
+        "report.html",
+        "SHA256SUMS",
+        "log.txt",
+    }
     assert len(files) <= 25
     assert damaged_files(granite.folder) == []
     (granite.folder / "answers.csv").write_text("", encoding="utf-8")
@@ -392,12 +489,18 @@ def test_results_are_one_long_table_without_nan(granite: Run) -> None:
     opened = uqsphere.open_run(granite.folder)
     assert opened.answers.equals(granite.answers)
     assert opened.samples.shape[0] <= 16_384
-    assert {"sphere.E", "p_max", "contact_duration", "limits.crushing.strength"} <= set(opened.samples.columns)
+    assert {"sphere.E", "p_max", "contact_duration", "limits.crushing.strength"} <= set(
+        opened.samples.columns
+    )
 
 
 def test_the_samples_have_the_failure_probability_of_the_run(granite: Run) -> None:
     table = granite.samples
-    share = float((table["p_max"] > table["limits.crushing.strength"]).mean()) if "p_max" in table else math.nan
+    share = (
+        float((table["p_max"] > table["limits.crushing.strength"]).mean())
+        if "p_max" in table
+        else math.nan
+    )
     p = granite.probability("crushing")["value"]
     assert abs(share - p) < 4.0 * math.sqrt(p / len(table))
 
@@ -420,7 +523,9 @@ def test_the_verdict_names_what_decides_it(granite: Run) -> None:
     # a speed to use is rounded down from the low end of its interval, also that of the study's own limit
     low = granite.margin("crushing", 0.01)["low"]
     assert f"crushing only: at most {math.floor(100.0 * low) / 100.0:g} m/s" in verdict["detail"]
-    assert verdict["use"]["value"] <= min(granite.margin(mode, 0.01)["low"] for mode in ("core tension", "ring crack"))
+    assert verdict["use"]["value"] <= min(
+        granite.margin(mode, 0.01)["low"] for mode in ("core tension", "ring crack")
+    )
 
 
 def test_a_folder_of_another_study_is_refused(granite: Run) -> None:
@@ -443,13 +548,19 @@ def test_salib_goes_on_with_a_runs_pairs_and_its_measures_are_asked_for_by_name(
     normal = {"dist": "normal", "mean": 0.0, "sd": 1.0}
     measures = ("morris", "delta", "pawn", "hdmr")
     accuracy = {"mean": 0.02, "quantile": 0.1, "sobol": 0.02}
-    study = Study(inputs=dict.fromkeys("abc", normal), outputs="y", seed=1,
-                  analysis={"accuracy": accuracy, "methods": ["auto", *measures]})  # fmt: skip
+    study = Study(
+        inputs=dict.fromkeys("abc", normal),
+        outputs="y",
+        seed=1,
+        analysis={"accuracy": accuracy, "methods": ["auto", *measures]},
+    )
     run = uqsphere.run(study, kinked)
     pairs, ours = run.pairs("y"), run.sobol("y")
     a, b, c = pairs.rows.T
     assert pairs.outputs == pytest.approx(kinked({"a": a, "b": b, "c": c})["y"], rel=1e-12)
-    theirs = sobol.analyze(pairs.problem, pairs.outputs, calc_second_order=pairs.second, num_resamples=2)
+    theirs = sobol.analyze(
+        pairs.problem, pairs.outputs, calc_second_order=pairs.second, num_resamples=2
+    )
     assert theirs["ST"] == pytest.approx(ours["total"].to_numpy(), abs=0.02)
     assert theirs["S1"] == pytest.approx(ours["first"].to_numpy(), abs=0.02)
     for method in measures:
@@ -457,7 +568,9 @@ def test_salib_goes_on_with_a_runs_pairs_and_its_measures_are_asked_for_by_name(
         assert measured["a"] > measured["b"] > 0.0
 
 
-def test_a_model_that_changes_the_folder_moves_no_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_changes_the_folder_moves_no_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "away").mkdir()
     monkeypatch.chdir(tmp_path)
 

@@ -18,7 +18,9 @@ def test_every_value_is_plausible_and_sourced() -> None:
                 assert len(value.source) > 10, (name, key)
                 assert value.value > 0.0
                 assert isinstance(value.seen, bool)
-                assert key == "tensile_strength" or set(value.further) == set(FURTHER.get(key, ())), (name, key)
+                assert key == "tensile_strength" or set(value.further) == set(
+                    FURTHER.get(key, ())
+                ), (name, key)
                 if (quantity := INPUTS.get(f"{kind}.{key}")) is not None:
                     low, high = quantity.plausible
                     assert low <= value.value <= high, (name, key)
@@ -35,7 +37,13 @@ def test_strengths_that_may_be_assumed_have_a_range() -> None:
     for material in library()["sphere"].values():
         found = material.properties
         assumed = {"contact_strength", "fracture_toughness", "fracture_energy"} & found.keys()
-        assumed |= {"tensile_strength"} if "volume" in getattr(found.get("tensile_strength"), "further", {}) else set()
+        assumed |= (
+            {"tensile_strength"}
+            if "volume" in getattr(found.get("tensile_strength"), "further", {})
+            else set()
+        )
         for key in assumed if material.rock else ():
             low, high = found[key].range or (0.0, 0.0)
-            assert 0.2 * found[key].value < low < found[key].value < high < 4.0 * found[key].value, (material.name, key)
+            assert (
+                0.2 * found[key].value < low < found[key].value < high < 4.0 * found[key].value
+            ), (material.name, key)

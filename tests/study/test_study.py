@@ -35,7 +35,9 @@ TRAPEZOID = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
 
 @pytest.fixture
 def load(tmp_path: Path) -> Load:
-    def changed(text: str = BASE, *edits: tuple[str, str], overrides: tuple[str, ...] = ()) -> Study:
+    def changed(
+        text: str = BASE, *edits: tuple[str, str], overrides: tuple[str, ...] = ()
+    ) -> Study:
         for old, new in edits:
             assert text.count(old) == 1, old
             text = text.replace(old, new)
@@ -52,7 +54,9 @@ def test_shipped_study(name: str, tmp_path: Path) -> None:
     study = load_study(path)
     usual = ("A rock is no sphere", "slow tests, quick rig")
     assert [text for text in study.warnings if not any(part in text for part in usual)] == []
-    assert json.loads(json.dumps(study.resolved(), allow_nan=False))["order"] == list(study.inputs().names)
+    assert json.loads(json.dumps(study.resolved(), allow_nan=False))["order"] == list(
+        study.inputs().names
+    )
     assert set(study.at_means()) == set(study.fixed) | set(study.random)
     assert pickle.loads(pickle.dumps(study)).hash == study.hash
     assert study.black_box or {"p_max", "contact_duration"} <= set(study.analysis.quantities)
@@ -64,12 +68,23 @@ def test_granite_in_si() -> None:
     assert list(study.random) == ["sphere.E", "sphere.nu", "sphere.radius", "striker.speed"]
     assert study.random["sphere.E"].sd() == pytest.approx(0.12 * 52e9, rel=1e-12)
     assert study.random["striker.speed"].parameters["sd"] == pytest.approx(0.01, rel=1e-12)
-    expected = {"sphere.density": 2650.0, "bars.diameter": 0.04, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
-                "striker.length": 0.8, "pulse.rise": 25e-6, "sphere.onset_pressure": 3.2e9}  # fmt: skip
+    expected = {
+        "sphere.density": 2650.0,
+        "bars.diameter": 0.04,
+        "bars.incident_end": 1.0,
+        "bars.receiving_end": 0.0,
+        "striker.length": 0.8,
+        "pulse.rise": 25e-6,
+        "sphere.onset_pressure": 3.2e9,
+    }
     assert {name: study.fixed[name] for name in expected} == pytest.approx(expected, rel=1e-12)
     assert study.limits[0].quantity == "p_hertz"
     assert (study.model.fidelity, study.model.first_loading_only) == ("full", False)
-    assert [way.called for way in failure_modes_of(study).assumed] == ["ring crack", "core tension", "fracture energy"]
+    assert [way.called for way in failure_modes_of(study).assumed] == [
+        "ring crack",
+        "core tension",
+        "fracture energy",
+    ]
     assert failure_modes_of(load_study(study.path, ["analysis.failure_modes=given"])).assumed == ()
 
 
@@ -120,25 +135,38 @@ def test_random_inputs_keep_the_order_of_the_file(load: Load) -> None:
 
 
 def test_inputs_carry_strengths_and_the_dependence(load: Load) -> None:
-    inputs = load(BASE, ("target = 0.01", 'model_factor = { dist = "lognormal", mean = 1.0, cov = "5 %" }')).inputs()
+    inputs = load(
+        BASE, ("target = 0.01", 'model_factor = { dist = "lognormal", mean = 1.0, cov = "5 %" }')
+    ).inputs()
     assert inputs.names[3:] == ("limits.crushing.strength", "limits.crushing.model_factor")
     assert inputs.correlation is not None
     assert inputs.correlation[0, 3] == pytest.approx(2.0 * math.sin(math.pi * 0.6 / 6.0), rel=1e-12)
 
 
 def test_defaults(load: Load) -> None:
-    study = load(BASE.split("[pulse]")[0].replace('incident_end = "free"\n', "").replace('title = "granite"\n', ""))
+    study = load(
+        BASE.split("[pulse]")[0]
+        .replace('incident_end = "free"\n', "")
+        .replace('title = "granite"\n', "")
+    )
     assert study.title == "study"
     assert (study.fixed["bars.incident_end"], study.fixed["bars.receiving_end"]) == (1.0, 0.0)
     assert study.options["pulse.shape"] == "rectangular"
     assert study.analysis.quantities == ("p_max", "contact_duration")
     accuracy = study.analysis.accuracy
-    assert (accuracy.mean, accuracy.quantile, accuracy.sobol, accuracy.probability) == (0.005, 0.02, 0.02, 0.05)
+    assert (accuracy.mean, accuracy.quantile, accuracy.sobol, accuracy.probability) == (
+        0.005,
+        0.02,
+        0.02,
+        0.05,
+    )
     assert (study.limits, study.margins, study.analysis.methods) == ((), None, ("auto",))
 
 
 def test_quantities_of_limits_are_not_asked_for(load: Load) -> None:
-    study = load(BASE, ("[analysis]", '[limits.b]\nquantity = "energy"\nstrength = "2 mJ"\n[analysis]'))
+    study = load(
+        BASE, ("[analysis]", '[limits.b]\nquantity = "energy"\nstrength = "2 mJ"\n[analysis]')
+    )
     assert study.analysis.quantities == ("p_max",)
     assert study.limits[1] == Limit(name="b", quantity="energy", strength=2e-3)
 
@@ -148,15 +176,28 @@ def test_pulses_and_inserts(load: Load) -> None:
     study = load(BASE, (TRAPEZOID, peaks), ('length = "0.8 m"', ""))
     assert study.fixed["pulse.level1"] == 1.2
     assert "striker.length" not in study.fixed
-    step = load(BASE, ('incident_end = "free"', "infinite = true"), (TRAPEZOID, 'shape = "step"'),
-                ("tolerance = 1e-6", 'horizon = "3 ms"'), ('length = "0.8 m"', ""))  # fmt: skip
+    step = load(
+        BASE,
+        ('incident_end = "free"', "infinite = true"),
+        (TRAPEZOID, 'shape = "step"'),
+        ("tolerance = 1e-6", 'horizon = "3 ms"'),
+        ('length = "0.8 m"', ""),
+    )
     assert step.model.horizon == pytest.approx(3e-3, rel=1e-12)
-    insert = load(BASE, ("[pulse]",
-                         '[insert]\nE = { dist = "normal", mean = "600 GPa", cov = 0.1 }\nnu = 0.2\n[pulse]'),
-                  ('["0.05 m/s", "20 m/s"]', '["500 GPa", "700 GPa"]'), ('"striker.speed"', '"insert.E"'))  # fmt: skip
+    insert = load(
+        BASE,
+        (
+            "[pulse]",
+            '[insert]\nE = { dist = "normal", mean = "600 GPa", cov = 0.1 }\nnu = 0.2\n[pulse]',
+        ),
+        ('["0.05 m/s", "20 m/s"]', '["500 GPa", "700 GPa"]'),
+        ('"striker.speed"', '"insert.E"'),
+    )
     assert insert.fixed["bars.insert_nu"] == 0.2
     assert insert.margins is not None and insert.margins.solve == "bars.insert_E"  # noqa: PT018
-    assert with_number(insert, "bars.insert_E", 550e9).random["bars.insert_E"].nominal_mean() == 550e9
+    assert (
+        with_number(insert, "bars.insert_E", 550e9).random["bars.insert_E"].nominal_mean() == 550e9
+    )
 
 
 def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
@@ -164,10 +205,15 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
     strain = np.where((t > 20) & (t < 220), 150.0 * np.sin(np.pi * (t - 20) / 200) ** 2, 0.0)
     rows = "\n".join(f"{a:g};{-b:.6f}".replace(".", ",") for a, b in zip(t, strain, strict=True))
     (tmp_path / "p.csv").write_text(f"time [us];gauge [microstrain]\n{rows}\n")
-    striker = '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    striker = (
+        '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    )
     edits = (
         (striker, ""),
-        (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"\ngain = { dist = "normal", mean = 1, cov = 0.02 }'),
+        (
+            TRAPEZOID,
+            'shape = "measured"\nfile = "p.csv"\ngain = { dist = "normal", mean = 1, cov = 0.02 }',
+        ),
     )
     text = BASE.split("[margins]")[0]
     study = load(text, *edits)
@@ -183,47 +229,80 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
         load(text, edits[0], volts)
 
 
-@pytest.mark.parametrize(("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "to tension, -4")])
-def test_noise_ahead_of_a_pulse_is_no_contact(load: Load, tmp_path: Path, noise: float, back: float, said: str) -> None:
+@pytest.mark.parametrize(
+    ("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "to tension, -4")]
+)
+def test_noise_ahead_of_a_pulse_is_no_contact(
+    load: Load, tmp_path: Path, noise: float, back: float, said: str
+) -> None:
     t = np.arange(0.0, 500.0, 0.5)
     strain = np.interp(t, [100, 125, 275, 300, 350, 375, 400], [0, 150, 150, 0, 0, back, 0])
     strain += noise * np.random.default_rng(3).standard_normal(len(t))
     rows = "\n".join(f"{a:g},{b:.3f}" for a, b in zip(t, strain, strict=True))
     (tmp_path / "p.csv").write_text(f"time [us],gauge [microstrain]\n{rows}\n")
-    striker = '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    striker = (
+        '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    )
     edits = (striker, ""), (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"')
     if said:
         with pytest.raises(StudyError, match=said):
             load(BASE.split("[margins]")[0], *edits)
         return
     speed = 2.0 * math.sqrt(190e9 / 8000.0) * 150e-6
-    exact = load(BASE, (TRAPEZOID, f'{TRAPEZOID}\nduration = "175 us"'), ('"0.5 m/s"', f'"{speed} m/s"'))
-    of = [uqsphere.evaluate(study, {"sphere.nu": np.array([0.25])}, quantities=("p_max",))["p_max"][0]
-          for study in (load(BASE.split("[margins]")[0], *edits), exact)]  # fmt: skip
+    exact = load(
+        BASE, (TRAPEZOID, f'{TRAPEZOID}\nduration = "175 us"'), ('"0.5 m/s"', f'"{speed} m/s"')
+    )
+    of = [
+        uqsphere.evaluate(study, {"sphere.nu": np.array([0.25])}, quantities=("p_max",))["p_max"][0]
+        for study in (load(BASE.split("[margins]")[0], *edits), exact)
+    ]
     assert of[0] == pytest.approx(of[1], rel=1e-3)
 
 
 def test_a_record_without_a_pulse_is_refused(load: Load, tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("time [us],gauge [microstrain]\n" + "".join(f"{k},0\n" for k in range(99)))
-    striker = '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
-    with pytest.raises(StudyError, match=r"pulse\.file: found 0 samples of a pulse, 8 or more are required"):
-        load(BASE.split("[margins]")[0], (striker, ""), (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"'))
+    (tmp_path / "p.csv").write_text(
+        "time [us],gauge [microstrain]\n" + "".join(f"{k},0\n" for k in range(99))
+    )
+    striker = (
+        '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
+    )
+    with pytest.raises(
+        StudyError, match=r"pulse\.file: found 0 samples of a pulse, 8 or more are required"
+    ):
+        load(
+            BASE.split("[margins]")[0],
+            (striker, ""),
+            (TRAPEZOID, 'shape = "measured"\nfile = "p.csv"'),
+        )
 
 
 def test_warnings_of_laws(load: Load) -> None:
-    (warning,) = load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05 }')).warnings
+    (warning,) = load(
+        BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05 }')
+    ).warnings
     assert warning.startswith("sphere.nu: a share of 0.023 ")
-    assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')).warnings == ()
+    assert (
+        load(
+            BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')
+        ).warnings
+        == ()
+    )
     (warning,) = load(BASE, ('lower = "9 mm"', 'lower = "11 mm"')).warnings
     assert warning.startswith("sphere.radius.lower: the mean 10 mm lies below the bound 11 mm: ")
 
 
 def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
     by_cov, by_sd = load(), load(BASE, ('"0.5 m/s", cov = 0.02', '"0.5 m/s", sd = "0.01 m/s"'))
-    assert with_number(by_cov, "striker.speed", 2.0).random["striker.speed"].sd() == pytest.approx(0.04, rel=1e-12)
-    assert with_number(by_sd, "striker.speed", 2.0).random["striker.speed"].sd() == pytest.approx(0.01, rel=1e-12)
+    assert with_number(by_cov, "striker.speed", 2.0).random["striker.speed"].sd() == pytest.approx(
+        0.04, rel=1e-12
+    )
+    assert with_number(by_sd, "striker.speed", 2.0).random["striker.speed"].sd() == pytest.approx(
+        0.01, rel=1e-12
+    )
     law = '{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }'
-    beta = '{ dist = "beta", mean = "0.5 m/s", sd = "0.01 m/s", lower = "0.4 m/s", upper = "0.6 m/s" }'
+    beta = (
+        '{ dist = "beta", mean = "0.5 m/s", sd = "0.01 m/s", lower = "0.4 m/s", upper = "0.6 m/s" }'
+    )
     with pytest.raises(StudyError, match=r"between\[1\]: with this mean striker.speed has no law"):
         load(BASE, (law, beta))
     with pytest.raises(StudyError, match="not given by its mean"):
@@ -231,13 +310,24 @@ def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
 
 
 def test_overrides(load: Load) -> None:
-    sets = ("striker.speed.mean=0.6 m/s", "bars.infinite=true", "dependence[0].spearman=0.1",
-            "bars.receiving_end=fixed", "analysis.quantiles=[0.5]",
-            'limits."crushing".target = 0.2', "seed=9", "margins=null")  # fmt: skip
+    sets = (
+        "striker.speed.mean=0.6 m/s",
+        "bars.infinite=true",
+        "dependence[0].spearman=0.1",
+        "bars.receiving_end=fixed",
+        "analysis.quantiles=[0.5]",
+        'limits."crushing".target = 0.2',
+        "seed=9",
+        "margins=null",
+    )
     study = load(BASE, overrides=sets)
     assert study.random["striker.speed"].nominal_mean() == 0.6
     assert (study.dependence[0].spearman, study.analysis.quantiles, study.seed) == (0.1, (0.5,), 9)
-    assert (study.limits[0].target, study.fixed["bars.receiving_end"], study.margins) == (0.2, -1.0, None)
+    assert (study.limits[0].target, study.fixed["bars.receiving_end"], study.margins) == (
+        0.2,
+        -1.0,
+        None,
+    )
     assert study.overrides == sets
     with pytest.raises(StudyError) as caught:
         load(BASE, overrides=("striker.speed.mean=0.6 s",))
@@ -246,15 +336,32 @@ def test_overrides(load: Load) -> None:
     assert problem.message.endswith("(set by --set)")
     with pytest.raises(StudyError, match=r"limits.crush.quantity: one of both is required"):
         load(BASE, overrides=("limits.crush.strength=3",))
-    assert len(load(BASE, overrides=("limits.b.quantity=p_max", "limits.b.strength=5 GPa")).limits) == 2
+    assert (
+        len(load(BASE, overrides=("limits.b.quantity=p_max", "limits.b.strength=5 GPa")).limits)
+        == 2
+    )
 
 
 @pytest.mark.parametrize(
     "override",
-    ["", "x", "=1", "a..b=1", "a.=1", ".a=1", "striker.length.mean=1 m", "dependence[7].spearman=0", "sphere[0]=1",
-     "a.b.c.d.e.f.g.h.i.j=1", "dependence.-1.spearman=0", "margins.sove=null", "limit=null", "dependence[7]=null",
-     "seed.a=null"],
-)  # fmt: skip
+    [
+        "",
+        "x",
+        "=1",
+        "a..b=1",
+        "a.=1",
+        ".a=1",
+        "striker.length.mean=1 m",
+        "dependence[7].spearman=0",
+        "sphere[0]=1",
+        "a.b.c.d.e.f.g.h.i.j=1",
+        "dependence.-1.spearman=0",
+        "margins.sove=null",
+        "limit=null",
+        "dependence[7]=null",
+        "seed.a=null",
+    ],
+)
 def test_override_that_is_none(load: Load, override: str) -> None:
     with pytest.raises((UsageError, StudyError)):
         load(BASE, overrides=(override,))
@@ -263,10 +370,15 @@ def test_override_that_is_none(load: Load, override: str) -> None:
 def test_python_dict_and_text_are_one_study(tmp_path: Path) -> None:
     from scipy import stats
 
-    text = load_study(tmp_path / "study.toml", text=BLACK_BOX.replace("[outputs]", '[limits.g]\nquantity = "y"\n'
-                      'strength = 0\n[outputs]'))  # fmt: skip
-    python = Study(inputs={"x1": stats.uniform(-1, 2), "x2": 2.0}, outputs="y",
-                   limits={"g": {"quantity": "y", "strength": 0}})  # fmt: skip
+    text = load_study(
+        tmp_path / "study.toml",
+        text=BLACK_BOX.replace("[outputs]", '[limits.g]\nquantity = "y"\nstrength = 0\n[outputs]'),
+    )
+    python = Study(
+        inputs={"x1": stats.uniform(-1, 2), "x2": 2.0},
+        outputs="y",
+        limits={"g": {"quantity": "y", "strength": 0}},
+    )
     tables = load_study(tomllib.loads(python.text))
     assert python.hash == text.hash == tables.hash
     assert python.outputs == ("y",)
@@ -274,8 +386,12 @@ def test_python_dict_and_text_are_one_study(tmp_path: Path) -> None:
         Study(inputs={"x": {"dits": "normal"}}, outputs="y")
     endless: list[object] = []
     endless.append(endless)
-    for value, says in ((object(), r"inputs\.x .*found object"), (1j, "found complex"), (10**5000, "no file can hold"),
-                        (endless, "no file can hold")):  # fmt: skip
+    for value, says in (
+        (object(), r"inputs\.x .*found object"),
+        (1j, "found complex"),
+        (10**5000, "no file can hold"),
+        (endless, "no file can hold"),
+    ):
         with pytest.raises(UsageError, match=says):
             Study(inputs={"x": value}, outputs="y")
     assert Study(inputs={"x1": 2.0}, outputs="y", title=None).title == "study"
@@ -285,11 +401,22 @@ def test_schema_and_page() -> None:
     schema = json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     assert len(json.dumps(schema)) < 60_000
-    names = {"a unit of something else", "an unknown key", "an unknown shape", "a word for a flag", "a target of one",
-             "an unknown fidelity", "another copula", "a method of later", "a negative seed", "a length without its "
-             "unit"}  # fmt: skip
+    names = {
+        "a unit of something else",
+        "an unknown key",
+        "an unknown shape",
+        "a word for a flag",
+        "a target of one",
+        "an unknown fidelity",
+        "another copula",
+        "a method of later",
+        "a negative seed",
+        "a length without its unit",
+    }
     for case in (case for case in CASES if case.name in names):
-        assert not jsonschema.Draft202012Validator(schema).is_valid(tomllib.loads(case.content.decode())), case.name
+        assert not jsonschema.Draft202012Validator(schema).is_valid(
+            tomllib.loads(case.content.decode())
+        ), case.name
     docs = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "study_file.py"))
     page = docs["PAGE"].read_text(encoding="utf-8")
     assert page == docs["build_page"](page), "python docs/study_file.py"
@@ -321,7 +448,9 @@ def test_mutated_studies_are_refused_or_read() -> None:
 
 
 def test_reading_a_study_imports_nothing_heavy() -> None:
-    code = f"import sys, uqsphere.study as s; s.load_study({str(shipped_studies()['granite'])!r}); " \
-           "print({'pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba'} & set(sys.modules))"  # fmt: skip
+    code = (
+        f"import sys, uqsphere.study as s; s.load_study({str(shipped_studies()['granite'])!r}); "
+        "print({'pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba'} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

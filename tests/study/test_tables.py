@@ -29,8 +29,12 @@ ALIKE = {
 def test_one_table_in_many_forms(data: bytes, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_bytes(data)
     table = read_table(tmp_path / "t.csv")
-    assert table.numbers("F", "force", "kN").tolist() == pytest.approx([7420.0, 9850.0, 8310.0], rel=1e-15)
-    assert table.numbers("D", "length", "mm").tolist() == pytest.approx([14.9e-3, 15.1e-3, 15e-3], rel=1e-15)
+    assert table.numbers("F", "force", "kN").tolist() == pytest.approx(
+        [7420.0, 9850.0, 8310.0], rel=1e-15
+    )
+    assert table.numbers("D", "length", "mm").tolist() == pytest.approx(
+        [14.9e-3, 15.1e-3, 15e-3], rel=1e-15
+    )
     table.finish()
 
 
@@ -56,7 +60,9 @@ def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
     table.finish()
 
 
-def test_workbooks_that_are_larger_than_they_seem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workbooks_that_are_larger_than_they_seem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One cell in the last place of a sheet; a sheet that unpacks to more than is read; zeros are no empty rows."""
     from openpyxl import Workbook
 
@@ -95,15 +101,32 @@ def test_units_in_headings(heading: str, dimension: str, found: tuple[str, str |
 #: text of the table, and what its one message says
 FAULTY = {
     "an empty cell": ("D,F\n14.9,7.42\n15.1,\n15,8\n15,\n", "t.csv: lines 3, 5: F: an empty cell"),
-    "a text": ("D,F\n14.9,7.42\n15.1,broken\n", "line 3: F: found 'broken', where a number is required"),
+    "a text": (
+        "D,F\n14.9,7.42\n15.1,broken\n",
+        "line 3: F: found 'broken', where a number is required",
+    ),
     "a unit in a cell": ("D,F\n14.9,7.42 kN\n", "line 2: F: found '7.42 kN'"),
     "a mark of thousands": ("D;F\n14,9;1.234,5\n15;7,4\n", "line 2: F: a mark of thousands"),
-    "a thousands dot among whole numbers": ("D,F\n14,2.830\n15,2260\n", "line 2: F: '2.830' beside '2260': a "
-                                                                        "mark of thousands?"),
-    "thousands dots beside decimal commas": ("D;F\n14,9;2.830\n15,1;2.260\n", "lines 2, 3: F: a mark of thousands"),
-    "thousands commas beside points": ('D,F\n14.9,"2,830"\n15.1,"2,260"\n', "lines 2, 3: F: a mark of thousands"),
-    "whole numbers beside thousands dots": ("D;F\n14;2.830\n15;950\n", "'2.830' beside '950': a mark of thousands?"),
-    "pasted with its headings": ("D,F\n1,2\nD,F\n1,2\n", "t.csv: line 3: the headings again: pasted twice?"),
+    "a thousands dot among whole numbers": (
+        "D,F\n14,2.830\n15,2260\n",
+        "line 2: F: '2.830' beside '2260': a mark of thousands?",
+    ),
+    "thousands dots beside decimal commas": (
+        "D;F\n14,9;2.830\n15,1;2.260\n",
+        "lines 2, 3: F: a mark of thousands",
+    ),
+    "thousands commas beside points": (
+        'D,F\n14.9,"2,830"\n15.1,"2,260"\n',
+        "lines 2, 3: F: a mark of thousands",
+    ),
+    "whole numbers beside thousands dots": (
+        "D;F\n14;2.830\n15;950\n",
+        "'2.830' beside '950': a mark of thousands?",
+    ),
+    "pasted with its headings": (
+        "D,F\n1,2\nD,F\n1,2\n",
+        "t.csv: line 3: the headings again: pasted twice?",
+    ),
     "comma or thousands": ("D;F\n14;2,830\n15;2,260\n", 'add decimal = ","'),
     "two decimal marks": ("D;F\n14;2,83\n15;2.26\n", "decimal point and comma in one column"),
     "summary rows": ("n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n", "lines 4, 5: a summary row"),
@@ -114,12 +137,21 @@ FAULTY = {
     "nothing": ("\n\n", "'t.csv' is empty"),
     "bytes": ("\0\0\0\1\2\3", "no text"),
     "too large": ("D,F\n1,1e999\n", "a number too large"),
-    "a text in quotes over two lines": ('D,F\n1,"2\n3",4\n', "a text in quotes goes over several lines"),
+    "a text in quotes over two lines": (
+        'D,F\n1,"2\n3",4\n',
+        "a text in quotes goes over several lines",
+    ),
     "a long text": ("D,F\n1," + "x" * 5000 + "\n", "found '" + "x" * 59 + "…', where"),
-    "a long line": ("D,F\n1,2" + " " * 200_000 + "\n", "a line of 200,003 characters; 100,000 are read at most"),
-    "many columns": ("F" + ",x" * 9000 + "\n1" + ",2" * 9000, "9,001 columns; 2,000 are read at most"),
+    "a long line": (
+        "D,F\n1,2" + " " * 200_000 + "\n",
+        "a line of 200,003 characters; 100,000 are read at most",
+    ),
+    "many columns": (
+        "F" + ",x" * 9000 + "\n1" + ",2" * 9000,
+        "9,001 columns; 2,000 are read at most",
+    ),
     "a long heading": ("F" + "_" * 90_000 + "\n1", "the column 'F' is not in"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("text", "said"), FAULTY.values(), ids=FAULTY)
@@ -150,12 +182,18 @@ def test_all_faults_of_a_kind_are_one_message(tmp_path: Path) -> None:
 
 def test_rows_pasted_twice_and_rows_of_sums_are_noted(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    rows = [f"{d:.1f},{f:.0f}" for d, f in zip(rng.normal(12, 0.4, 25), rng.normal(2500, 600, 25), strict=True)]
+    rows = [
+        f"{d:.1f},{f:.0f}"
+        for d, f in zip(rng.normal(12, 0.4, 25), rng.normal(2500, 600, 25), strict=True)
+    ]
     values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
     means, sds = values.mean(axis=0), values.std(axis=0, ddof=1)
     for more, said in (
         (rows, "repeat earlier rows: pasted twice?"),
-        ([f"{means[0]:.1f},{means[1]:.0f}", f"{sds[0]:.1f},{sds[1]:.0f}"], "line 27 is the mean of the rows above"),
+        (
+            [f"{means[0]:.1f},{means[1]:.0f}", f"{sds[0]:.1f},{sds[1]:.0f}"],
+            "line 27 is the mean of the rows above",
+        ),
         ([], None),
         (["12.0,3000"] * 30, None),  # stopped at one load
     ):
@@ -170,7 +208,10 @@ def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -
     (tmp_path / "t.csv").write_text("F [kN],D\n1,2\n")
     table = read_table(tmp_path / "t.csv")
     assert table.numbers("F", "force", key="force").tolist() == [1000.0]
-    for unit, said in (("N", "the heading 'F [kN]' says 'kN'"), ("mm", "found 'mm', allowed: N, mN, kN")):
+    for unit, said in (
+        ("N", "the heading 'F [kN]' says 'kN'"),
+        ("mm", "found 'mm', allowed: N, mN, kN"),
+    ):
         with pytest.raises(TableError) as caught:
             table.numbers("F", "force", unit, key="force")
         assert said in str(caught.value)

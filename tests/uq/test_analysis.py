@@ -20,7 +20,9 @@ from uqsphere.uq.interop import joint_to_chaospy, load_chaospy
 
 LAWS = {"a": stats.norm(), "b": stats.uniform(-1.0, 2.0), "c": stats.norm()}
 RNG = np.random.default_rng(3)
-FRAME = pd.DataFrame({"a": RNG.normal(size=200), "b": RNG.uniform(-1.0, 1.0, 200), "c": RNG.normal(size=200)})
+FRAME = pd.DataFrame(
+    {"a": RNG.normal(size=200), "b": RNG.uniform(-1.0, 1.0, 200), "c": RNG.normal(size=200)}
+)
 OUTPUT = FRAME["a"] + 3.0 * FRAME["b"] ** 2
 
 
@@ -42,11 +44,15 @@ def test_columns_and_rows_go_by_their_names(columns: list[str], rows: list[int])
     assert made.germs_at(moved).tolist() == made.germs_at(FRAME).tolist()
     assert made.inside(moved).all()
     study = uqsphere.Study(inputs=LAWS, outputs="y")
-    found = uqsphere.evaluate(study, moved.iloc[rows], model=lambda v: pd.DataFrame({"y": v["a"] + 3.0 * v["b"] ** 2}))
+    found = uqsphere.evaluate(
+        study, moved.iloc[rows], model=lambda v: pd.DataFrame({"y": v["a"] + 3.0 * v["b"] ** 2})
+    )
     assert found.index.tolist() == rows
     assert found["y"].reindex(FRAME.index).tolist() == OUTPUT.tolist()
     run = study.analyse(moved.assign(y=OUTPUT).iloc[rows])
-    assert run.sobol("y")["total"].to_dict() == pytest.approx({k: truth[f"total {k}"] for k in "abc"}, abs=1e-9)
+    assert run.sobol("y")["total"].to_dict() == pytest.approx(
+        {k: truth[f"total {k}"] for k in "abc"}, abs=1e-9
+    )
     strengths, stopped = FRAME["a"].abs().head(20), FRAME["c"].head(20) > 1.0
     fits = [analysis.weibull_fit(strengths, flags) for flags in (stopped, stopped.sort_values())]
     assert fits[0].to_frame().equals(fits[1].to_frame())
@@ -56,8 +62,10 @@ def test_a_model_that_answers_with_a_series_is_read_by_its_index() -> None:
     def shuffled(row: dict[str, np.ndarray]) -> pd.Series:
         return pd.Series(3.0 - row["a"]).sample(frac=1.0, random_state=1)
 
-    found, plain = (analysis.failure_probability(model, {"a": stats.norm()}, evaluations=6000)
-                    for model in (shuffled, lambda row: 3.0 - row["a"]))  # fmt: skip
+    found, plain = (
+        analysis.failure_probability(model, {"a": stats.norm()}, evaluations=6000)
+        for model in (shuffled, lambda row: 3.0 - row["a"])
+    )
     assert found.probability == plain.probability
     assert repr(found).startswith("<Failure: 0.0013")
 
@@ -122,7 +130,9 @@ def test_an_expansion_is_a_table_and_chaospys() -> None:
     mean, sd = made.moments()
     assert (mean, sd) == pytest.approx((1.0, math.sqrt(1.0 + 9.0 * 4.0 / 45.0)), rel=1e-9)
     theirs = made.chaospy()
-    assert theirs.polynomial(*made.germs_at(FRAME).T) == pytest.approx(made.predict(FRAME).value, rel=1e-9)
+    assert theirs.polynomial(*made.germs_at(FRAME).T) == pytest.approx(
+        made.predict(FRAME).value, rel=1e-9
+    )
     assert "terms" in repr(made)
 
 
@@ -148,26 +158,39 @@ def test_failure_probability_of_tied_inputs_that_fail_and_raise() -> None:
     radius = analysis.failure_probability(strict, {"r": stats.norm(2.0, 0.3)}, evaluations=6000)
     assert radius.probability.low <= stats.norm.cdf(-2.0) <= radius.probability.high
     with pytest.raises(UsageError, match="nan at"):
-        analysis.failure_probability(strict, {"r": stats.norm(2.0, 0.3)}, evaluations=6000, on_failure="refuse")
+        analysis.failure_probability(
+            strict, {"r": stats.norm(2.0, 0.3)}, evaluations=6000, on_failure="refuse"
+        )
     with pytest.raises(UsageError, match="one output is required"):
         analysis.failure_probability(lambda row: {"a": row["r"], "b": row["r"]}, tied)
 
 
 def test_a_fragility_curve_with_its_levels() -> None:
-    found = analysis.fragility(lambda row: row["v"] * np.exp(0.2 * row["z"]), {"z": stats.norm()}, free="v",
-                               levels=np.geomspace(0.5, 3.0, 13), strength=stats.lognorm(0.15, scale=1.5),
-                               probabilities=(0.1, 0.5))  # fmt: skip
+    found = analysis.fragility(
+        lambda row: row["v"] * np.exp(0.2 * row["z"]),
+        {"z": stats.norm()},
+        free="v",
+        levels=np.geomspace(0.5, 3.0, 13),
+        strength=stats.lognorm(0.15, scale=1.5),
+        probabilities=(0.1, 0.5),
+    )
     assert found.values[0.5].value == pytest.approx(1.5, rel=1e-3)
-    assert found.values[0.1].value == pytest.approx(1.5 * math.exp(-0.25 * stats.norm.ppf(0.9)), rel=1e-3)
+    assert found.values[0.1].value == pytest.approx(
+        1.5 * math.exp(-0.25 * stats.norm.ppf(0.9)), rel=1e-3
+    )
     assert found.to_frame().shape == (13, 4)
     with pytest.raises(UsageError, match="z is free"):
-        analysis.fragility(lambda row: row["z"], {"z": stats.norm()}, free="z", levels=[1.0, 2.0], strength=1.0)
+        analysis.fragility(
+            lambda row: row["z"], {"z": stats.norm()}, free="z", levels=[1.0, 2.0], strength=1.0
+        )
 
 
 def test_strengths_are_fitted_from_tests_some_of_them_stopped_or_alike() -> None:
     assert analysis.weibull_fit([0.62, 0.81, 0.93, 1.02, 1.1, 1.21]).failures == 6
     assert analysis.lognormal_fit([0.62, 0.81, 0.93], [False, False, False]).tests == 3
-    assert analysis.weibull_fit([0.62, 0.81], counts=[3, 2]) == analysis.weibull_fit([0.62] * 3 + [0.81] * 2)
+    assert analysis.weibull_fit([0.62, 0.81], counts=[3, 2]) == analysis.weibull_fit(
+        [0.62] * 3 + [0.81] * 2
+    )
 
 
 # --- distributions that people have ----------------------------------------------------------------------------
@@ -176,18 +199,29 @@ def test_strengths_are_fitted_from_tests_some_of_them_stopped_or_alike() -> None
 def test_new_distributions_of_scipy_and_observations_are_laws() -> None:
     x = np.random.default_rng(2).normal(3.0, 0.5, 300)
     p = np.array([0.01, 0.5, 0.99])
-    assert as_law(stats.Normal(mu=3.0, sigma=0.5)).ppf(p) == pytest.approx(stats.norm(3.0, 0.5).ppf(p), rel=1e-9)
+    assert as_law(stats.Normal(mu=3.0, sigma=0.5)).ppf(p) == pytest.approx(
+        stats.norm(3.0, 0.5).ppf(p), rel=1e-9
+    )
     assert as_law(stats.Uniform(a=1.0, b=3.0)).ppf(p) == pytest.approx(1.0 + 2.0 * p)
     assert as_law(x.tolist()).mean() == pytest.approx(x.mean())
-    for wrong, says in ((stats.norm, "freeze a law"), (stats.gaussian_kde(x), "give observations"), (3.0, "give a law"),
-                        (np.zeros((3, 3)), "observations"),
-                        ({"dist": "empirical", "values": [1, 2, 3]}, "must be a number")):  # fmt: skip
+    for wrong, says in (
+        (stats.norm, "freeze a law"),
+        (stats.gaussian_kde(x), "give observations"),
+        (3.0, "give a law"),
+        (np.zeros((3, 3)), "observations"),
+        ({"dist": "empirical", "values": [1, 2, 3]}, "must be a number"),
+    ):
         with pytest.raises(ValueError, match=says):
             as_law(wrong)
 
 
 def test_a_problem_of_salib_is_a_set_of_inputs() -> None:
-    problem = {"num_vars": 2, "names": ["a", "b"], "bounds": [[0.0, 2.0], [1.0, 0.1]], "dists": ["unif", "norm"]}
+    problem = {
+        "num_vars": 2,
+        "names": ["a", "b"],
+        "bounds": [[0.0, 2.0], [1.0, 0.1]],
+        "dists": ["unif", "norm"],
+    }
     made = analysis.joint(problem)
     assert made.names == ("a", "b")
     assert [law.mean() for law in made.laws] == pytest.approx([1.0, 1.0])

@@ -31,7 +31,9 @@ LAWS = {
 def drawn(laws: list[Law], n: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Germ points and physical rows (n, d)."""
     z = ndtri(sobol_points(dimension=len(laws), count=n, seed=seed, task="test chaos", replicate=0))
-    return germ_points(z, germs_of(laws)), np.column_stack([law.from_normal(z[:, k]) for k, law in enumerate(laws)])
+    return germ_points(z, germs_of(laws)), np.column_stack(
+        [law.from_normal(z[:, k]) for k, law in enumerate(laws)]
+    )
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -52,7 +54,12 @@ def test_sets_are_nested_and_growth_keeps_them_whole() -> None:
     more = grown(np.array([[0, 0], [2, 1]]), np.array([1.0, 1.0]), 15, 50)
     held = set(map(tuple, more))
     assert {(1, 0), (0, 1), (1, 1), (2, 0)} <= held
-    assert all(tuple(np.subtract(row, np.eye(2, dtype=int)[j])) in held for row in held for j in range(2) if row[j])
+    assert all(
+        tuple(np.subtract(row, np.eye(2, dtype=int)[j])) in held
+        for row in held
+        for j in range(2)
+        if row[j]
+    )
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -83,7 +90,9 @@ def test_a_product_of_lognormals_is_exact_with_its_moments_and_indices() -> None
     assert fit.log
     assert fit.cross_validation_error < 1e-20
     assert found.first == pytest.approx(np.expm1(s**2) / math.expm1(whole), abs=1e-9)
-    assert found.total == pytest.approx(np.expm1(s**2) * np.exp(whole - s**2) / math.expm1(whole), abs=1e-9)
+    assert found.total == pytest.approx(
+        np.expm1(s**2) * np.exp(whole - s**2) / math.expm1(whole), abs=1e-9
+    )
     assert found.mean == pytest.approx(math.exp(0.5 * whole), rel=1e-9)
     assert found.sd == pytest.approx(math.exp(0.5 * whole) * math.sqrt(math.expm1(whole)), rel=1e-9)
     for row in index_shares(cross_fit(points, x.prod(axis=1), germs_of(laws))[0]).values():
@@ -93,8 +102,15 @@ def test_a_product_of_lognormals_is_exact_with_its_moments_and_indices() -> None
 def test_a_logarithm_with_interactions_is_integrated_to_what_is_asked() -> None:
     # ln y = 0.5 z1 - 0.2 z2 + 0.1 z1 z2
     terms = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
-    fit = Chaos(coefficients=np.array([0.0, 0.5, -0.2, 0.1]), multi_indices=terms, germs=("normal", "normal"), log=True,
-                bounds=(-20.0, 20.0), cross_validation_error=0.0, samples=9)  # fmt: skip
+    fit = Chaos(
+        coefficients=np.array([0.0, 0.5, -0.2, 0.1]),
+        multi_indices=terms,
+        germs=("normal", "normal"),
+        log=True,
+        bounds=(-20.0, 20.0),
+        cross_validation_error=0.0,
+        samples=9,
+    )
     found = integrals(fit)
     z, w = np.polynomial.hermite_e.hermegauss(60)
     w = w / w.sum()
@@ -110,7 +126,13 @@ def test_a_logarithm_with_interactions_is_integrated_to_what_is_asked() -> None:
 
 @pytest.mark.parametrize("name", ["borehole", "Ishigami", "flood", "cantilever", "wing weight"])
 def test_benchmarks_keep_their_errors_and_report_them(name: str) -> None:
-    most = {"borehole": 1e-6, "Ishigami": 1e-9, "flood": 3e-4, "cantilever": 1e-6, "wing weight": 1e-5}[name]
+    most = {
+        "borehole": 1e-6,
+        "Ishigami": 1e-9,
+        "flood": 3e-4,
+        "cantilever": 1e-6,
+        "wing weight": 1e-5,
+    }[name]
     model = MODELS[name]
     points, (unseen_points, truth) = design(model, 128, 1), checked(model)
     fit = fit_chaos(points, model(points), model.germs)
@@ -136,7 +158,9 @@ def test_what_no_polynomial_fits_says_so() -> None:
 def test_units_cancel(size: float) -> None:
     points, x = drawn([LAWS["normal"], LAWS["uniform"]], 64)
     y = x[:, 0] + x[:, 1] ** 2 * x[:, 0]
-    one, other = (fit_chaos(points, k * y, germs_of([LAWS["normal"], LAWS["uniform"]])) for k in (1.0, size))
+    one, other = (
+        fit_chaos(points, k * y, germs_of([LAWS["normal"], LAWS["uniform"]])) for k in (1.0, size)
+    )
     assert other.coefficients / size == pytest.approx(one.coefficients, rel=1e-9, abs=1e-12)
     assert integrals(other).total == pytest.approx(integrals(one).total, rel=1e-9)
 
@@ -161,23 +185,39 @@ def test_chaospy_has_the_same_values_moments_and_indices(log: bool) -> None:
     values = made.polynomial(*points.T)
     truth = np.log(predict(fit, points)) if log else predict(fit, points)
     assert values == pytest.approx(truth, rel=1e-10)
-    assert sum(c * p for c, p in zip(made.coefficients, made.expansion, strict=True))(*points.T) == pytest.approx(
-        values
+    assert sum(c * p for c, p in zip(made.coefficients, made.expansion, strict=True))(
+        *points.T
+    ) == pytest.approx(values)
+    plain = Chaos(
+        coefficients=fit.coefficients,
+        multi_indices=fit.multi_indices,
+        germs=fit.germs,
+        cross_validation_error=0.0,
+        samples=80,
     )
-    plain = Chaos(coefficients=fit.coefficients, multi_indices=fit.multi_indices, germs=fit.germs,
-                  cross_validation_error=0.0, samples=80)  # fmt: skip
     own = integrals(plain)
     assert float(chaospy.E(made.polynomial, made.germs)) == pytest.approx(own.mean, rel=1e-12)
     assert float(chaospy.Std(made.polynomial, made.germs)) == pytest.approx(own.sd, rel=1e-12)
-    assert chaospy.FirstOrderSobol(made.expansion, made.coefficients) == pytest.approx(own.first, abs=2e-15)
-    assert chaospy.TotalOrderSobol(made.expansion, made.coefficients) == pytest.approx(own.total, abs=2e-15)
+    assert chaospy.FirstOrderSobol(made.expansion, made.coefficients) == pytest.approx(
+        own.first, abs=2e-15
+    )
+    assert chaospy.TotalOrderSobol(made.expansion, made.coefficients) == pytest.approx(
+        own.total, abs=2e-15
+    )
 
 
 @OLD
 def test_forty_inputs_go_over_to_chaospy() -> None:
-    terms = np.concatenate([np.zeros((1, 40), dtype=int), np.eye(40, dtype=int), 2 * np.eye(40, dtype=int)])
-    fit = Chaos(coefficients=np.arange(81.0), multi_indices=terms, germs=("normal",) * 40, cross_validation_error=0.0,
-                samples=200)  # fmt: skip
+    terms = np.concatenate(
+        [np.zeros((1, 40), dtype=int), np.eye(40, dtype=int), 2 * np.eye(40, dtype=int)]
+    )
+    fit = Chaos(
+        coefficients=np.arange(81.0),
+        multi_indices=terms,
+        germs=("normal",) * 40,
+        cross_validation_error=0.0,
+        samples=200,
+    )
     made = fit.chaospy()
     x = np.random.default_rng(1).standard_normal((5, 40))
     assert made.polynomial(*x.T) == pytest.approx(predict(fit, x), rel=1e-12)
@@ -204,18 +244,32 @@ def test_few_rows_answer_with_intervals_that_hold(model) -> None:
         response = cross_fit(germ_points(ndtri(u), model.germs), model.function(u), model.germs)[0]
         if not response.usable:
             continue
-        many = np.concatenate([sobol_points(dimension=model.dimension, count=512, seed=seed, task="many", replicate=r)
-                               for r in range(16)])  # fmt: skip
+        many = np.concatenate(
+            [
+                sobol_points(
+                    dimension=model.dimension, count=512, seed=seed, task="many", replicate=r
+                )
+                for r in range(16)
+            ]
+        )
         table = response.table(germ_points(ndtri(many), model.germs).reshape(16, 512, -1))
         found = describe_corrected(table, response.outputs, response.levels, tuple(model.quantiles))
         assert unseen(n) in found.mean.method
-        pairs = [(found.mean, model.mean), (found.sd, model.sd), *((found.quantiles[p], q) for p, q in
-                                                                   model.quantiles.items())]  # fmt: skip
+        pairs = [
+            (found.mean, model.mean),
+            (found.sd, model.sd),
+            *((found.quantiles[p], q) for p, q in model.quantiles.items()),
+        ]
         shares = index_shares(response)
         pairs += [
-            (e, t) for order in ("first", "total") for e, t in zip(shares[order], getattr(model, order), strict=True)
+            (e, t)
+            for order in ("first", "total")
+            for e, t in zip(shares[order], getattr(model, order), strict=True)
         ]
-        hits += [e.value is None or e.low - 1e-9 * model.sd <= t <= e.high + 1e-9 * model.sd for e, t in pairs]
+        hits += [
+            e.value is None or e.low - 1e-9 * model.sd <= t <= e.high + 1e-9 * model.sd
+            for e, t in pairs
+        ]
     assert not hits or np.mean(hits) >= 0.9
 
 
@@ -225,7 +279,9 @@ def test_a_far_event_that_no_row_shows_is_said_and_not_held() -> None:
     while not says:
         u = rng.random((128, 2))
         if u[:, 0].max() < 0.9976:
-            response = cross_fit(germ_points(ndtri(u), model.germs), model.function(u), model.germs)[0]
+            response = cross_fit(
+                germ_points(ndtri(u), model.germs), model.function(u), model.germs
+            )[0]
             found = index_shares(response)["first"][0]
             says += 1
     assert response.usable

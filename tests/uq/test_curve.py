@@ -36,7 +36,9 @@ def test_falling_curves_answer_the_same_questions() -> None:
     exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
     found = fragility(GRID, 1.0 - exact, TARGETS, samples=1000, evaluations=1)
     for target, estimate in found.values.items():
-        assert estimate.value == pytest.approx(MEDIAN * math.exp(SCATTER * ndtri(1.0 - target)), rel=1e-6)
+        assert estimate.value == pytest.approx(
+            MEDIAN * math.exp(SCATTER * ndtri(1.0 - target)), rel=1e-6
+        )
 
 
 def test_no_root_between_the_bounds_is_said() -> None:
@@ -53,7 +55,9 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     found = fragility(GRID, hump, (0.5,), samples=1000, evaluations=1)
     assert "not monotone" in found.values[0.5].reason
     # a curve that dips where it is low still says once and for all where it passes through a half
-    dip = np.repeat((lognormal(GRID) + 0.05 * np.exp(-(np.log(GRID / GRID[1]) ** 2) / 0.01))[:, None], 4, axis=1)
+    dip = np.repeat(
+        (lognormal(GRID) + 0.05 * np.exp(-(np.log(GRID / GRID[1]) ** 2) / 0.01))[:, None], 4, axis=1
+    )
     found = fragility(GRID, np.clip(dip, 0.0, 1.0), (0.03, 0.5), samples=1000, evaluations=1)
     assert "not monotone" in found.values[0.03].reason
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=1e-3)
@@ -63,7 +67,9 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=0.02)
     # what the noise is smoothed to knows no direction: read from the other end it is the same
     grid = np.geomspace(0.5, 2.0, 21)
-    noisy = ndtr(np.log(grid) / 0.5)[:, None] + 0.15 * np.random.default_rng(2).standard_normal((21, 4))
+    noisy = ndtr(np.log(grid) / 0.5)[:, None] + 0.15 * np.random.default_rng(2).standard_normal(
+        (21, 4)
+    )
     both = ((grid, noisy), (1.0 / grid[::-1], noisy[::-1]))
     found = [fragility(g, p.clip(0.01, 0.99), (0.5,), samples=1000, evaluations=1) for g, p in both]
     ways = [one.values[0.5].value for one in found]
@@ -78,8 +84,12 @@ def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
     assert found.values[0.5].value == pytest.approx(0.0, abs=1e-9)
     # noise is smoothed alike from both sides
     grid = np.linspace(-3.0, 3.0, 121)
-    noisy = np.clip(ndtr(grid)[:, None] + 0.05 * np.random.default_rng(1).standard_normal((121, 8)), 0.0, 1.0)
-    one, other = (fragility(grid, p, (0.5,), samples=1000, evaluations=1) for p in (noisy, 1.0 - noisy[::-1]))
+    noisy = np.clip(
+        ndtr(grid)[:, None] + 0.05 * np.random.default_rng(1).standard_normal((121, 8)), 0.0, 1.0
+    )
+    one, other = (
+        fragility(grid, p, (0.5,), samples=1000, evaluations=1) for p in (noisy, 1.0 - noisy[::-1])
+    )
     assert other.values[0.5].value == pytest.approx(-one.values[0.5].value, abs=1e-6)
 
 

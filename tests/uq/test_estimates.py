@@ -53,7 +53,8 @@ def test_intervals_cover_what_they_promise(kind, model, dimension, truth) -> Non
 
 def test_quasi_random_intervals_are_narrower_than_random_ones() -> None:
     widths = {
-        kind: describe(normals(kind, 1, 3, 1024).sum(axis=-1)).mean.half_width for kind in ("random", "quasi-random")
+        kind: describe(normals(kind, 1, 3, 1024).sum(axis=-1)).mean.half_width
+        for kind in ("random", "quasi-random")
     }
     assert widths["quasi-random"] < 0.1 * widths["random"]
 

@@ -73,16 +73,24 @@ def test_intervals_cover(kind: str, stop: float) -> None:
     shape, series = (6.0 if kind == "weibull" else 0.17), 80
     hits = np.zeros(2)
     for _ in range(series):
-        drawn = generator.weibull(6.0, 12) if kind == "weibull" else np.exp(0.17 * generator.standard_normal(12))
+        drawn = (
+            generator.weibull(6.0, 12)
+            if kind == "weibull"
+            else np.exp(0.17 * generator.standard_normal(12))
+        )
         found = fit_strength(make_tests(*stopped_at(2.0 * drawn, stop)), STRENGTHS[kind], draws=300)
         intervals = (found.shape_interval, found.scale_interval)
-        hits += [low <= true <= high for (low, high), true in zip(intervals, (shape, 2.0), strict=True)]
+        hits += [
+            low <= true <= high for (low, high), true in zip(intervals, (shape, 2.0), strict=True)
+        ]
     # four standard errors of the count below 95 %
     assert (hits / series >= 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / series)).all()
 
 
 def test_a_wrong_law_is_seen() -> None:
-    mixed = np.concatenate([1.0 + 0.01 * RNG.standard_normal(30), 3.0 + 0.01 * RNG.standard_normal(30)])
+    mixed = np.concatenate(
+        [1.0 + 0.01 * RNG.standard_normal(30), 3.0 + 0.01 * RNG.standard_normal(30)]
+    )
     assert fit_strength(make_tests(mixed), draws=200).p_value < 0.01
     assert fit_strength(make_tests(COMPLETE), draws=200).p_value > 0.01
 
@@ -104,7 +112,9 @@ def test_a_wrong_law_is_seen() -> None:
         ([1.0, 2.0, 3.0], ["0", "1", "0"], "found '0'"),
     ],
 )
-def test_tests_that_say_nothing_are_refused(values: list[float], stopped: list[bool] | None, says: str) -> None:
+def test_tests_that_say_nothing_are_refused(
+    values: list[float], stopped: list[bool] | None, says: str
+) -> None:
     with pytest.raises(ValueError, match=says):
         make_tests(values, stopped)
 
@@ -119,25 +129,51 @@ def test_an_unknown_law_is_refused() -> None:
 
 
 PUBLIC = {  # values with their failures and stops, and what others published for them
-    "reliability 12": ([40, 30.5, 33.5, 27.5, 20.5, 4, 26.5, 23.5, 5, 11, 16.5, 13, 13], [1] * 13,
-        {56: 23, 33: 94, 40: 186, 34: 111, 27: 72, 14: 96, 38: 123, 36: 117, 24: 111, 46: 12, 60: 17}, 1.34032, 841.95),
+    "reliability 12": (
+        [40, 30.5, 33.5, 27.5, 20.5, 4, 26.5, 23.5, 5, 11, 16.5, 13, 13],
+        [1] * 13,
+        {
+            56: 23,
+            33: 94,
+            40: 186,
+            34: 111,
+            27: 72,
+            14: 96,
+            38: 123,
+            36: 117,
+            24: 111,
+            46: 12,
+            60: 17,
+        },
+        1.34032,
+        841.95,
+    ),
     "reliability 57": ([2, 8, 9, 20], [1, 9, 5, 10], {20: 75}, 1.80936, 40.0725),
-    "scipy 20659": ([9.25, 8.25, 7.25, 6.25, 5.25, 4.25, 3.25, 2.25, 1.25], [37, 112, 352, 1130, 4002, 14990, 40260,
-        26783, 13482], {}, None, None),
-}  # fmt: skip
+    "scipy 20659": (
+        [9.25, 8.25, 7.25, 6.25, 5.25, 4.25, 3.25, 2.25, 1.25],
+        [37, 112, 352, 1130, 4002, 14990, 40260, 26783, 13482],
+        {},
+        None,
+        None,
+    ),
+}
 
 
 @pytest.mark.parametrize("case", PUBLIC)
 def test_counts_of_equal_tests(case: str) -> None:
     values, failed, stops, shape, scale = PUBLIC[case]
     found = fit_strength(
-        make_tests([*values, *stops], [0] * len(values) + [1] * len(stops), [*failed, *stops.values()])
+        make_tests(
+            [*values, *stops], [0] * len(values) + [1] * len(stops), [*failed, *stops.values()]
+        )
     )
     each = [np.repeat(values, failed), np.repeat(list(stops), list(stops.values()))]
     if shape is None:
         shape, _, scale = stats.weibull_min.fit(each[0], floc=0.0)
     assert (found.shape, found.scale) == pytest.approx((shape, scale), rel=2e-4)
-    again = fit_strength(make_tests(np.concatenate(each), np.repeat([0, 1], [each[0].size, each[1].size])))
+    again = fit_strength(
+        make_tests(np.concatenate(each), np.repeat([0, 1], [each[0].size, each[1].size]))
+    )
     assert again.shape_interval == found.shape_interval
 
 
@@ -157,7 +193,9 @@ def test_many_tests_take_little(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["weibull", "lognormal"])
-def test_the_law_of_large_samples_continues_the_simulated_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_law_of_large_samples_continues_the_simulated_one(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     leaving = np.where(np.arange(300) == 150, 101.0, 1.0)
     levels = [0.025, 0.5, 0.975]
     ways = []
@@ -191,7 +229,9 @@ def test_laws_with_stopped_tests() -> None:
     assert law.parameters["modulus"] == pytest.approx(found.unbiased, rel=1e-9)
     assert count_tests(law) == 24
     assert series_behind(law).failures.sum() == found.failures
-    moduli = np.array([one.parameters["modulus"] for one in possible_laws(law, 4000, np.random.default_rng(1))])
+    moduli = np.array(
+        [one.parameters["modulus"] for one in possible_laws(law, 4000, np.random.default_rng(1))]
+    )
     # the allowed laws spread as the interval says, whether or not the law's own bias was taken out
     assert np.quantile(moduli, [0.025, 0.975]) == pytest.approx(found.shape_interval, rel=0.03)
 
@@ -254,7 +294,9 @@ def test_many_tests_leave_little_open(fit: str) -> None:
     spreads = []
     for n in (10, 1000):
         law = fitted_law(rng.normal(5.0, 1.0, n), fit)
-        spreads.append(float(np.std([one.cdf(np.array([4.0]))[0] for one in possible_laws(law, 200, rng)])))
+        spreads.append(
+            float(np.std([one.cdf(np.array([4.0]))[0] for one in possible_laws(law, 200, rng)]))
+        )
     assert spreads[1] < 0.25 * spreads[0]
 
 
@@ -266,14 +308,21 @@ def test_too_few_tests_and_fits_that_tell_nothing_of_them_are_refused() -> None:
 
 
 def test_a_law_of_draws_is_the_mean_of_its_laws_and_gives_them_back() -> None:
-    rows = [(0.0, 0.0, 2.0, 0.1, 0.0), (0.0, 0.0, 2.2, 0.2, 0.0), (1.0, 0.5, 1.5, 4.0, 0.0), (0.0, 0.0, 2.0, 0.3, 0.4)]
+    rows = [
+        (0.0, 0.0, 2.0, 0.1, 0.0),
+        (0.0, 0.0, 2.2, 0.2, 0.0),
+        (1.0, 0.5, 1.5, 4.0, 0.0),
+        (0.0, 0.0, 2.0, 0.3, 0.4),
+    ]
     law, x = law_of_draws(rows, 12), np.linspace(0.6, 4.0, 30)
     z = [np.log(x / 2.0) / 0.1, np.log(x / 2.2) / 0.2]
     upper = np.log(np.maximum(x / (1.0 - 0.2 * x), 1e-300) / 2.0) / 0.3
     parts = [stats.norm.cdf(one) for one in (*z, upper)]
     parts.append(make_law("weibull", {"scale": 1.5, "modulus": 4.0, "threshold": 0.5}).cdf(x))
     assert law.cdf(x) == pytest.approx(np.mean(parts, axis=0), abs=1e-7)
-    assert law.cdf(law.ppf(np.array([1e-4, 0.5, 0.99]))) == pytest.approx([1e-4, 0.5, 0.99], rel=1e-6)
+    assert law.cdf(law.ppf(np.array([1e-4, 0.5, 0.99]))) == pytest.approx(
+        [1e-4, 0.5, 0.99], rel=1e-6
+    )
     assert count_tests(law) == 12
     found = np.mean([one.cdf(x) for one in possible_laws(law, 4, np.random.default_rng(1))], axis=0)
     assert found == pytest.approx(np.mean(parts, axis=0), abs=1e-9)

@@ -97,7 +97,9 @@ def test_a_law_that_chaospy_truncates_at_both_ends_is_taken_by_its_parameters() 
 
 def test_converted_tails_are_our_own_where_chaospy_cuts_them_off() -> None:
     far = np.array([1e-20])
-    assert float(as_law(chaospy.Normal(0, 1)).ppf(far)[0]) == pytest.approx(stats.norm.ppf(1e-20), rel=1e-12)
+    assert float(as_law(chaospy.Normal(0, 1)).ppf(far)[0]) == pytest.approx(
+        stats.norm.ppf(1e-20), rel=1e-12
+    )
     assert float(chaospy.Normal(0, 1).inv(far)[0]) == pytest.approx(-8.22)
 
 
@@ -108,7 +110,10 @@ def test_converted_tails_are_our_own_where_chaospy_cuts_them_off() -> None:
         (lambda: 3.0, "found float"),
         (lambda: chaospy.J(chaospy.Normal(), chaospy.Normal()), "give each number its own law"),
         (lambda: chaospy.Kumaraswamy(2, 3), "give the law of scipy.stats, or observations"),
-        (lambda: chaospy.Trunc(chaospy.Beta(2, 3), upper=0.5), "by its table, with lower and upper"),
+        (
+            lambda: chaospy.Trunc(chaospy.Beta(2, 3), upper=0.5),
+            "by its table, with lower and upper",
+        ),
         (lambda: _Broken(name="broken")(), "has no law 'broken'"),
         (lambda: {"dist": "scipy.johnsonsu", "a": 1.0}, r"takes \(a, b\)"),
         (lambda: {"dist": "scipy.johnsonsu", "a": 1.0, "b": -1.0}, "no law with these shapes"),

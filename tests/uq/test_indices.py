@@ -24,7 +24,10 @@ NORMAL = make_law("normal", {"mean": 0.0, "sd": 1.0})
 
 
 def outputs(model: CoverageModel, blocks: Blocks, count: int, seed: int = 2) -> np.ndarray:
-    rows = [blocks.mix(*base_points(blocks, count=count, seed=seed, task="indices", replicate=r)) for r in range(16)]
+    rows = [
+        blocks.mix(*base_points(blocks, count=count, seed=seed, task="indices", replicate=r))
+        for r in range(16)
+    ]
     return model.function(np.stack(rows))
 
 
@@ -53,7 +56,9 @@ def test_second_order_indices_are_the_interactions(name: str) -> None:
         "ishigami": {(0, 1): 0.0, (0, 2): MODELS["ishigami"].total[2], (1, 2): 0.0},
         "product": {(0, 1): 0.8, (0, 2): 0.0, (1, 2): 0.0},
         # of a product of factors about 1 the interaction's variance is the product of theirs
-        "g-function": {(i, j): g.first[i] * g.first[j] * g.sd**2 for i, j in combinations(range(6), 2)},
+        "g-function": {
+            (i, j): g.first[i] * g.first[j] * g.sd**2 for i, j in combinations(range(6), 2)
+        },
     }[name]
     found = sampled_indices(outputs(model, blocks, 1024), blocks).second
     assert list(found) == list(exact)
@@ -91,18 +96,32 @@ def test_indices_do_not_depend_on_unit_offset_or_order_of_inputs() -> None:
     order = [2, 0, 1]
     moved = [0, *(1 + k for k in order), *(4 + k for k in order), 7]
     permuted = sampled_indices(y[:, :, moved], blocks)
-    assert [e.value for e in permuted.first] == pytest.approx([one.first[k].value for k in order], rel=1e-12)
+    assert [e.value for e in permuted.first] == pytest.approx(
+        [one.first[k].value for k in order], rel=1e-12
+    )
     assert permuted.second[0, 1].value == pytest.approx(one.second[0, 2].value, rel=1e-12)
     for size in (1e300, 1e-300):
         large = sampled_indices(size * y, blocks)
-        assert [e.value for e in large.total] == pytest.approx([e.value for e in one.total], rel=1e-9)
+        assert [e.value for e in large.total] == pytest.approx(
+            [e.value for e in one.total], rel=1e-9
+        )
 
 
 def test_the_size_of_the_total_index_decides_on_the_estimator() -> None:
-    found = sampled_indices(outputs(MODELS["ishigami"], Blocks(inputs_count=3), 256), Blocks(inputs_count=3))
+    found = sampled_indices(
+        outputs(MODELS["ishigami"], Blocks(inputs_count=3), 256), Blocks(inputs_count=3)
+    )
     # total index 0.56; those of x2 and x3 are below a half
-    assert [e.method.split(", ")[1] for e in found.first] == ["correlation of pairs", "Saltelli 2010", "Saltelli 2010"]
-    assert [e.method.split(", ")[1] for e in found.total] == ["correlation of pairs", "Jansen", "Jansen"]
+    assert [e.method.split(", ")[1] for e in found.first] == [
+        "correlation of pairs",
+        "Saltelli 2010",
+        "Saltelli 2010",
+    ]
+    assert [e.method.split(", ")[1] for e in found.total] == [
+        "correlation of pairs",
+        "Jansen",
+        "Jansen",
+    ]
 
 
 def test_constant_outputs_are_absent_and_bad_ones_refused() -> None:
@@ -130,7 +149,10 @@ def test_salibs_measures_order_the_inputs(method: str) -> None:
     found = salib_measures(method, uniforms, 3.0 * x[:, 0] + x[:, 1], joint.names, seed=1)
     assert found[0].value > found[1].value > found[2].value
     assert (found[0].low is not None) == (method == "morris")
-    assert "not finite" in salib_measures(method, uniforms, np.full(len(x), np.nan), joint.names)[0].reason
+    assert (
+        "not finite"
+        in salib_measures(method, uniforms, np.full(len(x), np.nan), joint.names)[0].reason
+    )
 
 
 def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
@@ -138,9 +160,11 @@ def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
     joint = make_joint(tuple("abc"), (NORMAL,) * 3, [Dependence(of=("a", "b"), kendall=0.4)])
     rho = math.sin(0.2 * math.pi)
     z = joint.scores(ndtri(np.random.default_rng(1).random((200, 3))))
-    response = cross_fit(germ_points(z, germs_of(joint.laws)), z[:, 0] + 2.0 * z[:, 1] + z[:, 2], germs_of(joint.laws))[
-        0
-    ]
+    response = cross_fit(
+        germ_points(z, germs_of(joint.laws)),
+        z[:, 0] + 2.0 * z[:, 1] + z[:, 2],
+        germs_of(joint.laws),
+    )[0]
     found = dependent_shares(response, joint)
     v = 1.0 + 4.0 + 4.0 * rho + 1.0
     first = [(1.0 + 2.0 * rho) ** 2 / v, (2.0 + rho) ** 2 / v, 1.0 / v]

@@ -40,7 +40,9 @@ def test_every_pair_has_the_rank_correlation_and_normal_scores(kind: str, tau: f
     for i in range(size):
         assert stats.kstest(scores[:, i], "norm").statistic < 0.004
         for j in range(i):
-            assert stats.kendalltau(scores[:, i], scores[:, j]).statistic == pytest.approx(tau, abs=0.01)
+            assert stats.kendalltau(scores[:, i], scores[:, j]).statistic == pytest.approx(
+                tau, abs=0.01
+            )
 
 
 @pytest.mark.parametrize("rho", [-0.5, 0.1, 0.6, 0.95])
@@ -65,7 +67,10 @@ def test_the_joint_density_of_the_t_copula_is_that_of_scipy() -> None:
     found, h = stats.norm.logpdf(scores[:, 0]), 1e-4
     for k in (1, 2):
         given = list(range(k))
-        ends = [ndtr(copula.conditional_score(k, given, scores[:, :k], scores[:, k] + e)) for e in (h, -h)]
+        ends = [
+            ndtr(copula.conditional_score(k, given, scores[:, :k], scores[:, k] + e))
+            for e in (h, -h)
+        ]
         found = found + np.log((ends[0] - ends[1]) / (2.0 * h))
     assert np.allclose(found, log_density(scores), atol=1e-5)
     gradient = copula.score_gradient(scores)
@@ -78,7 +83,9 @@ def test_the_joint_density_of_the_t_copula_is_that_of_scipy() -> None:
 def test_the_gradient_of_the_gaussian_copula_is_the_precision_times_the_scores() -> None:
     copula = make_copula("gaussian", 3, kendall=0.4)
     scores = normals(20, 3)
-    assert np.allclose(copula.score_gradient(scores), scores @ np.linalg.inv(copula.correlation), atol=1e-12)
+    assert np.allclose(
+        copula.score_gradient(scores), scores @ np.linalg.inv(copula.correlation), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("kind", COPULAS)
@@ -87,7 +94,9 @@ def test_conditioning_there_and_back_on_any_subset(kind: str) -> None:
     scores = drawn(copula, normals(500, 3))
     for k, given in ((1, [0]), (2, [0, 1]), (0, [2, 1])):
         conditional = copula.conditional_score(k, given, scores[:, given], scores[:, k])
-        assert np.allclose(copula.score_at(k, given, scores[:, given], conditional), scores[:, k], atol=1e-8)
+        assert np.allclose(
+            copula.score_at(k, given, scores[:, given], conditional), scores[:, k], atol=1e-8
+        )
         assert stats.kstest(conditional, "norm").statistic < 0.06
 
 
@@ -105,7 +114,10 @@ def test_tail_dependence_of_the_t_copula() -> None:
     """2 t_(nu+1)(-sqrt((nu + 1)(1 - rho)/(1 + rho))) (Demarta and McNeil 2005); none of the Gaussian copula."""
     rho, nu, low = math.sin(0.25 * math.pi), 4.0, np.array([-9.0])
     expected = stats.t(nu + 1.0).cdf(-math.sqrt((nu + 1.0) * (1.0 - rho) / (1.0 + rho)))
-    found = [float(ndtr(made(kind, 2, 0.5).conditional_score(1, (0,), low[:, None], low))[0]) for kind in COPULAS]
+    found = [
+        float(ndtr(made(kind, 2, 0.5).conditional_score(1, (0,), low[:, None], low))[0])
+        for kind in COPULAS
+    ]
     assert found[1] == pytest.approx(expected, rel=1e-2)
     assert found[0] < 1e-3
 
@@ -124,7 +136,9 @@ def test_tail_dependence_of_the_t_copula() -> None:
         ("student_t", 2, {"spearman": 0.5, "dof": 0.5}, "dof", "between 1 and 1000"),
     ],
 )
-def test_what_a_copula_cannot_be_is_refused(kind: str, size: int, given: dict, key: str, text: str) -> None:
+def test_what_a_copula_cannot_be_is_refused(
+    kind: str, size: int, given: dict, key: str, text: str
+) -> None:
     with pytest.raises(LawError, match=text) as error:
         make_copula(kind, size, **given)
     assert error.value.key == key
@@ -181,13 +195,27 @@ def test_the_tie_of_what_is_not_drawn() -> None:
     [
         ([Dependence(of=("a", "x"), spearman=0.5)], "'x' is not a random input"),
         ([Dependence(of=("a", "a"), spearman=0.5)], "two or more different"),
-        ([Dependence(of=("a", "b"), spearman=0.5), Dependence(of=("b", "a"), spearman=0.1)], "given twice"),
-        ([Dependence(of=("a", "b"), spearman=0.9), Dependence(of=("b", "c"), spearman=0.9),
-          Dependence(of=("a", "c"), spearman=-0.9)], "cannot hold together"),
-        ([Dependence(of=("a", "b"), spearman=0.5),
-          Dependence(of=("b", "c"), spearman=0.5, copula="student_t", dof=3.0)], "more than one dependence"),
+        (
+            [Dependence(of=("a", "b"), spearman=0.5), Dependence(of=("b", "a"), spearman=0.1)],
+            "given twice",
+        ),
+        (
+            [
+                Dependence(of=("a", "b"), spearman=0.9),
+                Dependence(of=("b", "c"), spearman=0.9),
+                Dependence(of=("a", "c"), spearman=-0.9),
+            ],
+            "cannot hold together",
+        ),
+        (
+            [
+                Dependence(of=("a", "b"), spearman=0.5),
+                Dependence(of=("b", "c"), spearman=0.5, copula="student_t", dof=3.0),
+            ],
+            "more than one dependence",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_hold_together_is_refused(ties: list[Dependence], text: str) -> None:
     with pytest.raises(LawError, match=text):
         make_joint(tuple("abc"), (NORMAL,) * 3, ties)

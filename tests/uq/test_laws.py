@@ -20,21 +20,33 @@ EXACT = 1e-12
 #: name -> (law, the same law of scipy.stats)
 PAIRS = {
     "normal": (make_law("normal", {"mean": 3.0, "sd": 0.5}), stats.norm(3.0, 0.5)),
-    "lognormal": (make_law("lognormal", {"log_mean": 1.0, "log_sd": 0.4}), stats.lognorm(0.4, scale=math.e)),
+    "lognormal": (
+        make_law("lognormal", {"log_mean": 1.0, "log_sd": 0.4}),
+        stats.lognorm(0.4, scale=math.e),
+    ),
     "uniform": (make_law("uniform", {}, -1.0, 3.0), stats.uniform(-1.0, 4.0)),
     "loguniform": (make_law("loguniform", {}, 0.1, 30.0), stats.loguniform(0.1, 30.0)),
     "triangular": (make_law("triangular", {"mode": 1.0}, -1.0, 4.0), stats.triang(0.4, -1.0, 5.0)),
-    "beta": (make_law("beta", {"alpha": 2.5, "beta": 0.7}, 1.0, 3.0), stats.beta(2.5, 0.7, 1.0, 2.0)),
+    "beta": (
+        make_law("beta", {"alpha": 2.5, "beta": 0.7}, 1.0, 3.0),
+        stats.beta(2.5, 0.7, 1.0, 2.0),
+    ),
     "gamma": (make_law("gamma", {"shape": 2.2, "scale": 3.0}), stats.gamma(2.2, scale=3.0)),
     "weibull": (
         make_law("weibull", {"modulus": 12.0, "scale": 4e9, "threshold": 1e8}),
         stats.weibull_min(12.0, 1e8, 4e9),
     ),
     "gumbel": (make_law("gumbel", {"location": 1.0, "scale": 2.0}), stats.gumbel_r(1.0, 2.0)),
-    "frechet": (make_law("frechet", {"shape": 3.5, "scale": 2.0}), stats.invweibull(3.5, scale=2.0)),
+    "frechet": (
+        make_law("frechet", {"shape": 3.5, "scale": 2.0}),
+        stats.invweibull(3.5, scale=2.0),
+    ),
     "exponential": (make_law("exponential", {"rate": 4.0}), stats.expon(scale=0.25)),
     "rayleigh": (make_law("rayleigh", {"scale": 3.0}), stats.rayleigh(scale=3.0)),
-    "student_t": (make_law("student_t", {"dof": 4.5, "location": 1.0, "scale": 2.0}), stats.t(4.5, 1.0, 2.0)),
+    "student_t": (
+        make_law("student_t", {"dof": 4.5, "location": 1.0, "scale": 2.0}),
+        stats.t(4.5, 1.0, 2.0),
+    ),
 }
 
 #: Mean, sd and the other alternatives of the table, with the moments they promise.
@@ -83,7 +95,9 @@ def test_both_tails_return_to_their_probability(kind: str) -> None:
     # What a rounding of x by one part in 2^52 does to the probability is the best that can be asked.
     for x, tail in ((low, law.cdf(low)), (high, law.sf(high))):
         sensitivity = np.abs(x) * law.pdf(x) / p
-        known = sensitivity < 1e12  # closer to a finite bound than floating point can tell: nothing to test
+        known = (
+            sensitivity < 1e12
+        )  # closer to a finite bound than floating point can tell: nothing to test
         assert known.all() or FAMILIES[kind].bounded
         assert known.sum() > 10
         assert np.all(np.abs(tail / p - 1.0)[known] <= EXACT + 3e-15 * sensitivity[known])
@@ -115,14 +129,22 @@ def test_alternatives_give_the_moments_they_promise(kind, given, lower, upper, m
     assert law.sd() == pytest.approx(sd, rel=1e-7)
 
 
-@pytest.mark.parametrize("kind", sorted(set(PAIRS) - {"uniform", "loguniform", "triangular", "beta"}))
-@pytest.mark.parametrize("window", [(0.3, 0.9), (1e-9, 1e-6), (1.0 - 1e-6, 1.0 - 1e-9), (0.0, 0.2), (0.8, 1.0)])
+@pytest.mark.parametrize(
+    "kind", sorted(set(PAIRS) - {"uniform", "loguniform", "triangular", "beta"})
+)
+@pytest.mark.parametrize(
+    "window", [(0.3, 0.9), (1e-9, 1e-6), (1.0 - 1e-6, 1.0 - 1e-9), (0.0, 0.2), (0.8, 1.0)]
+)
 def test_truncated_laws_are_the_conditional_laws(kind: str, window: tuple[float, float]) -> None:
     law, _ = PAIRS[kind]
     ends = law.ppf(np.array(window))
     a, b = (float(end) if np.isfinite(end) else None for end in ends)
-    cut = Law(family=law.family, parameters=law.parameters, lower=-math.inf if a is None else a,
-              upper=math.inf if b is None else b)  # fmt: skip
+    cut = Law(
+        family=law.family,
+        parameters=law.parameters,
+        lower=-math.inf if a is None else a,
+        upper=math.inf if b is None else b,
+    )
     p = np.linspace(0.001, 0.999, 25)
     x = cut.ppf(p)
     assert np.all((x >= cut.lower) & (x <= cut.upper))
@@ -140,14 +162,18 @@ def test_normal_truncated_far_out_loses_no_digits(side: float) -> None:
     from scipy.special import log_ndtr
 
     far = 12.0
-    law = make_law("normal", {"mean": 0.0, "sd": 1.0}, **({"lower": far} if side > 0 else {"upper": -far}))
+    law = make_law(
+        "normal", {"mean": 0.0, "sd": 1.0}, **({"lower": far} if side > 0 else {"upper": -far})
+    )
     x = far + np.array([1e-3, 0.05, 0.3, 2.0])
     tail = law.sf(x) if side > 0 else law.cdf(-x)
     np.testing.assert_allclose(tail, np.exp(log_ndtr(-x) - log_ndtr(-far)), rtol=EXACT)
     p = np.array([1e-12, 1e-3, 0.5])
     again = law.sf(law.isf(p)) if side > 0 else law.cdf(law.ppf(p))
     np.testing.assert_allclose(again, p, rtol=1e-11)
-    assert law.mean() == pytest.approx(side * math.exp(-0.5 * far**2 - log_ndtr(-far)) / math.sqrt(2 * math.pi))
+    assert law.mean() == pytest.approx(
+        side * math.exp(-0.5 * far**2 - log_ndtr(-far)) / math.sqrt(2 * math.pi)
+    )
 
 
 @pytest.mark.parametrize("kind", [*PAIRS, "empirical"])
@@ -206,14 +232,20 @@ def test_steps_law_is_the_sample() -> None:
 
 @pytest.mark.parametrize("gap", [0.0, 50.0])
 def test_kernel_law_against_the_sum_of_its_kernels(gap: float) -> None:
-    data = np.concatenate([stats.norm.ppf((np.arange(40) + 0.5) / 40), [gap + 3.0, gap + 3.3, gap + 3.31]])
+    data = np.concatenate(
+        [stats.norm.ppf((np.arange(40) + 0.5) / 40), [gap + 3.0, gap + 3.3, gap + 3.31]]
+    )
     law = fitted_law(data.tolist())
     h = law.parameters["bandwidth"]
-    x = np.concatenate([np.linspace(-8.0, 8.0, 301) * h + data.min(), np.linspace(-4.0, gap + 9.0, 500)])
+    x = np.concatenate(
+        [np.linspace(-8.0, 8.0, 301) * h + data.min(), np.linspace(-4.0, gap + 9.0, 500)]
+    )
     kernels = (x[:, None] - np.sort(data)) / h
     np.testing.assert_allclose(law.cdf(x), stats.norm.cdf(kernels).mean(axis=1), rtol=1e-9)
     np.testing.assert_allclose(law.sf(x), stats.norm.sf(kernels).mean(axis=1), rtol=1e-9)
-    np.testing.assert_allclose(law.pdf(x), stats.norm.pdf(kernels).mean(axis=1) / h, rtol=1e-3, atol=1e-8)
+    np.testing.assert_allclose(
+        law.pdf(x), stats.norm.pdf(kernels).mean(axis=1) / h, rtol=1e-3, atol=1e-8
+    )
     p = np.concatenate([np.logspace(-100, -1, 30), np.linspace(0.1, 0.9, 100)])
     np.testing.assert_allclose(law.cdf(law.ppf(p)), p, rtol=1e-7)
     np.testing.assert_allclose(law.sf(law.isf(p)), p, rtol=1e-7)
@@ -265,7 +297,13 @@ REFUSED = [
     ("empirical", {}, {"data": [1.0, 2.0], "fit": "spline"}, "fit", "allowed"),
     ("empirical", {}, {"data": [-1.0, 2.0], "fit": "lognormal"}, "fit", "positive observations"),
     ("empirical", {}, {"data": [1.0, 2.0], "fit": "beta"}, "lower", "needs lower"),
-    ("empirical", {}, {"data": [1.0, 2.0, 3.0], "fit": "steps", "lower": 2.5}, "dist", "no scatter"),
+    (
+        "empirical",
+        {},
+        {"data": [1.0, 2.0, 3.0], "fit": "steps", "lower": 2.5},
+        "dist",
+        "no scatter",
+    ),
     ("empirical", {}, {"data": [1.0, 2.0], "fit": "steps", "lower": 7.0}, "lower", "no mass"),
 ]
 

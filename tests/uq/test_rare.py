@@ -17,20 +17,25 @@ def holds(estimate, truth: float, room: float = 0.0) -> bool:
     return low * (1.0 - room) <= truth <= high * (1.0 + room)
 
 
-@pytest.mark.parametrize("name", [entry.name for entry in PROBLEMS if entry.name not in ("RP63", "shell", "RP77")])
+@pytest.mark.parametrize(
+    "name", [entry.name for entry in PROBLEMS if entry.name not in ("RP63", "shell", "RP77")]
+)
 def test_public_problems_within_four_percent_and_their_interval(name: str) -> None:
     entry = problem(name)
     with np.errstate(all="ignore"):
         found = failure_probability(Evaluator(entry.function, entry.dimension), seed=7)
     assert found.estimate.evaluations <= 30_000
     assert found.estimate.value == pytest.approx(entry.reference, rel=0.04)
-    assert found.estimate.value == pytest.approx(entry.reference, rel=max(0.02, 4.0 * found.estimate.std_error /
-                                                                          found.estimate.value))  # fmt: skip
+    assert found.estimate.value == pytest.approx(
+        entry.reference, rel=max(0.02, 4.0 * found.estimate.std_error / found.estimate.value)
+    )
 
 
 def test_an_integrated_strength_is_smooth_in_the_inputs() -> None:
     # g = (4 - u1)/0.5 - ..., failure where strength score z < -(...): Phi(-g) integrated is Phi(-4/sqrt(1 + 0.25))
-    found = failure_probability(Evaluator(lambda u: (4.0 - u[:, 0]) / 0.5, 1, integrated=True), seed=2)
+    found = failure_probability(
+        Evaluator(lambda u: (4.0 - u[:, 0]) / 0.5, 1, integrated=True), seed=2
+    )
     assert found.estimate.value == pytest.approx(float(ndtr(-4.0 / math.sqrt(1.25))), rel=0.02)
     assert found.sure
 
@@ -42,8 +47,14 @@ def test_failure_as_the_rule_is_one_less_its_complement() -> None:
 
 
 TWO = {
-    "needle": (lambda u: 5.0 - (u[:, 0] + u[:, 1] / 2.0 + 6.0 * np.exp(-(((u[:, 0] - 1.5) / 0.15) ** 2))), 2.8547e-2),
-    "disc": (lambda u: np.minimum(4.0 - u[:, 0], (u[:, 0] + 2.5) ** 2 + (u[:, 1] - 2.5) ** 2 - 0.81), 1.8189e-3),
+    "needle": (
+        lambda u: 5.0 - (u[:, 0] + u[:, 1] / 2.0 + 6.0 * np.exp(-(((u[:, 0] - 1.5) / 0.15) ** 2))),
+        2.8547e-2,
+    ),
+    "disc": (
+        lambda u: np.minimum(4.0 - u[:, 0], (u[:, 0] + 2.5) ** 2 + (u[:, 1] - 2.5) ** 2 - 0.81),
+        1.8189e-3,
+    ),
 }
 
 
@@ -59,7 +70,9 @@ def test_two_regions_are_never_sure_and_wrong(name: str, budget: int) -> None:
 
 def test_no_failure_is_a_bound_and_not_zero() -> None:
     for budget in (300, 20_000):
-        found = failure_probability(Evaluator(lambda u: np.full(len(u), 1.0), 3, budget=budget), seed=1)
+        found = failure_probability(
+            Evaluator(lambda u: np.full(len(u), 1.0), 3, budget=budget), seed=1
+        )
         assert found.estimate.value is None
         assert 0.0 < found.estimate.high < 0.05
         assert not found.sure

@@ -13,9 +13,22 @@ from uqsphere.uq.estimate import Estimate, absent, share
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.joint import Copula, Tie
 from uqsphere.uq.law import make_law
-from uqsphere.uq.limit_state import LimitState, exceedance, failure_of_aim, reliability_index, safety_factor, target_met
+from uqsphere.uq.limit_state import (
+    LimitState,
+    exceedance,
+    failure_of_aim,
+    reliability_index,
+    safety_factor,
+    target_met,
+)
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.union import draw_breaking, make_union, residual_correlation, union_state, weighted_quantile
+from uqsphere.uq.union import (
+    draw_breaking,
+    make_union,
+    residual_correlation,
+    union_state,
+    weighted_quantile,
+)
 
 SCATTER = 0.1
 
@@ -28,11 +41,15 @@ def scores(seed: int, n: int, replicates: int = 16, dimension: int = 3) -> np.nd
     return ndtri(np.stack(points))
 
 
-def lognormal_state(probability: float, strength_scatter: float, seed: int, n: int = 256) -> LimitState:
+def lognormal_state(
+    probability: float, strength_scatter: float, seed: int, n: int = 256
+) -> LimitState:
     """ln demand normal (0, 0.1); ln strength normal, or fixed, placed so that the exceedance is known."""
     place = -ndtri(probability) * math.hypot(SCATTER, strength_scatter)
     strength = (
-        make_law("lognormal", {"log_mean": place, "log_sd": strength_scatter}) if strength_scatter else math.exp(place)
+        make_law("lognormal", {"log_mean": place, "log_sd": strength_scatter})
+        if strength_scatter
+        else math.exp(place)
     )
     demands = np.exp(SCATTER * scores(seed, n).sum(axis=2) / math.sqrt(3.0))
     return LimitState(demands=demands, strength=strength)
@@ -78,7 +95,11 @@ def test_no_event_among_the_samples_is_not_zero_for_certain() -> None:
 
 
 def tied(rho: float, z: np.ndarray) -> Tie:
-    return Tie(copula=Copula(correlation=np.array([[1.0, rho], [rho, 1.0]])), given=z[..., None], columns=(0,))
+    return Tie(
+        copula=Copula(correlation=np.array([[1.0, rho], [rho, 1.0]])),
+        given=z[..., None],
+        columns=(0,),
+    )
 
 
 def test_strength_that_depends_on_the_inputs() -> None:
@@ -98,7 +119,9 @@ def test_strength_that_depends_on_the_inputs() -> None:
     comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, tie=tied(1.0 - 1e-9, z))
     # Now S/D = exp(m + (s - d) z): exceeded where z < -m/(s - d).
     found = exceedance(comonotone)
-    assert found.value == pytest.approx(stats.norm.cdf(-m / (s - d)), abs=4.0 * found.std_error + 1e-3)
+    assert found.value == pytest.approx(
+        stats.norm.cdf(-m / (s - d)), abs=4.0 * found.std_error + 1e-3
+    )
 
 
 def test_step_strength_is_exceeded_only_above_an_observation() -> None:
@@ -138,7 +161,9 @@ def test_censored_demands_may_exceed_any_strength() -> None:
     above = exceedance(LimitState(demands=recorded, strength=2.0, censored=censored))
     assert above.low <= math.exp(-2.0) <= above.high
     assert above.high > math.exp(-1.0) * 0.95
-    breaking = failure_of_aim(LimitState(demands=recorded, strength=2.0, censored=censored), "break")
+    breaking = failure_of_aim(
+        LimitState(demands=recorded, strength=2.0, censored=censored), "break"
+    )
     assert breaking.low <= 1.0 - math.exp(-2.0) <= breaking.high
     assert "censored" in above.method
 
@@ -148,7 +173,9 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
     place, total = 0.3, math.hypot(SCATTER, strength_scatter)
     hits = 0
     for seed in range(12):
-        state = lognormal_state(float(stats.norm.cdf(-place / total)), strength_scatter, seed, n=512)
+        state = lognormal_state(
+            float(stats.norm.cdf(-place / total)), strength_scatter, seed, n=512
+        )
         for p in (0.05, 0.5, 0.95):
             found, exact = safety_factor(state, p), math.exp(place + ndtri(p) * total)
             assert found.value == pytest.approx(exact, abs=5.0 * found.std_error)
@@ -203,19 +230,30 @@ def constant(value: float, **more: object) -> LimitState:
 
 
 @pytest.mark.parametrize("demands", [(-0.3, -1.1, 0.4), (-8.0, -7.5)])
-def test_independent_strengths_give_the_product_with_all_its_digits(demands: tuple[float, ...]) -> None:
-    union = make_union([constant(d) for d in demands], np.eye(len(demands)), np.random.default_rng(0))
+def test_independent_strengths_give_the_product_with_all_its_digits(
+    demands: tuple[float, ...],
+) -> None:
+    union = make_union(
+        [constant(d) for d in demands], np.eye(len(demands)), np.random.default_rng(0)
+    )
     expected = -np.expm1(np.log1p(-ndtr(np.array(demands))).sum())
     assert exceedance(union_state(union)).value == pytest.approx(expected, rel=1e-9, abs=0.0)
 
 
 def test_shared_demand_against_numerical_integration() -> None:
     """One normal input loads two strengths: 1 - E[(1 - F_1)(1 - F_2)] by a quadrature of its own."""
-    uniforms = np.stack([sobol_points(dimension=1, count=N, start=0, seed=3, task="t", replicate=r) for r in range(R)])
+    uniforms = np.stack(
+        [
+            sobol_points(dimension=1, count=N, start=0, seed=3, task="t", replicate=r)
+            for r in range(R)
+        ]
+    )
     x = np.asarray(ndtri(uniforms))[:, :, 0]
     first = LimitState(demands=x - 1.0, strength=STANDARD)
     second = LimitState(demands=0.5 * x - 1.5, strength=STANDARD)
-    found = exceedance(union_state(make_union([first, second], np.eye(2), np.random.default_rng(0))))
+    found = exceedance(
+        union_state(make_union([first, second], np.eye(2), np.random.default_rng(0)))
+    )
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     held = ndtr(-(nodes - 1.0)) * ndtr(-(0.5 * nodes - 1.5))
     exact = 1.0 - float(weights @ held) / np.sqrt(2.0 * np.pi)
@@ -227,7 +265,9 @@ def test_shared_demand_against_numerical_integration() -> None:
 def test_dependent_strengths_against_owen(rho: float) -> None:
     h, k = -0.8, -1.2
     factor = residual_correlation(np.array([[1.0, rho], [rho, 1.0]]))
-    found = exceedance(union_state(make_union([constant(h), constant(k)], factor, np.random.default_rng(5))))
+    found = exceedance(
+        union_state(make_union([constant(h), constant(k)], factor, np.random.default_rng(5)))
+    )
     exact = 1.0 - two_normals(-h, -k, rho)
     assert abs(found.value - exact) < 4.0 * found.std_error
     # it is the dependence that is seen: without it the answer is another
@@ -236,7 +276,9 @@ def test_dependent_strengths_against_owen(rho: float) -> None:
 
 def test_one_strength_for_two_limits_breaks_at_the_larger_demand() -> None:
     factor = residual_correlation(np.ones((2, 2)))
-    found = exceedance(union_state(make_union([constant(-0.5), constant(-1.5)], factor, np.random.default_rng(5))))
+    found = exceedance(
+        union_state(make_union([constant(-0.5), constant(-1.5)], factor, np.random.default_rng(5)))
+    )
     assert found.value == pytest.approx(ndtr(-0.5), rel=2e-3)
 
 

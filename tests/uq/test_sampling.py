@@ -14,8 +14,17 @@ from uqsphere.uq.points import MOST_DIMENSIONS, _seed, sobol_points
 from uqsphere.uq.sample import Sample
 
 
-def draw(count: int, start: int = 0, dimension: int = 3, seed: int = 7, task: str = "t", replicate: int = 0):
-    return sobol_points(dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate)
+def draw(
+    count: int,
+    start: int = 0,
+    dimension: int = 3,
+    seed: int = 7,
+    task: str = "t",
+    replicate: int = 0,
+):
+    return sobol_points(
+        dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate
+    )
 
 
 def test_same_key_same_points_other_key_other_points() -> None:
@@ -28,7 +37,9 @@ def test_replicates_are_unbiased_and_independent() -> None:
     product = np.array([np.prod(draw(64, replicate=r), axis=1).mean() for r in range(64)])
     error = product.std(ddof=1) / 8.0
     assert abs(product.mean() - 0.125) < 4.0 * error
-    assert error < 0.25 * np.sqrt(1 / 27 - 1 / 64) / np.sqrt(64 * 64)  # far better than random points
+    assert error < 0.25 * np.sqrt(1 / 27 - 1 / 64) / np.sqrt(
+        64 * 64
+    )  # far better than random points
     neighbours = np.corrcoef(product[:-1], product[1:])[0, 1]
     assert abs(neighbours) < 4.0 / np.sqrt(63)
 
@@ -37,7 +48,9 @@ def test_replicates_are_unbiased_and_independent() -> None:
 def test_points_are_those_of_scipy(dimension: int, count: int) -> None:
     bits = 52 if dimension < 1000 else 30
     key = {"seed": 5, "task": "scipy", "replicate": 3}
-    rival = qmc.Sobol(dimension, scramble=True, bits=bits, rng=np.random.default_rng(_seed(**key))).random(count)
+    rival = qmc.Sobol(
+        dimension, scramble=True, bits=bits, rng=np.random.default_rng(_seed(**key))
+    ).random(count)
     found = sobol_points(dimension=dimension, count=count, **key)
     assert np.array_equal(found, rival + 0.5 ** (bits + 1))
 
@@ -55,7 +68,11 @@ def test_empty_and_refused_sizes() -> None:
     assert draw(0).shape == (0, 3)
     assert draw(5, dimension=0).shape == (5, 0)
     assert sobol_points(dimension=1200, count=3, seed=1, task="t", replicate=0).shape == (3, 1200)
-    for bad in ({"count": -1}, {"count": 1, "start": -1}, {"count": 1, "dimension": MOST_DIMENSIONS + 1}):
+    for bad in (
+        {"count": -1},
+        {"count": 1, "start": -1},
+        {"count": 1, "dimension": MOST_DIMENSIONS + 1},
+    ):
         with pytest.raises(ValueError, match="must not be negative"):
             draw(**bad)
     with pytest.raises(ValueError, match="seed"):
@@ -64,11 +81,24 @@ def test_empty_and_refused_sizes() -> None:
 
 def test_points_do_not_depend_on_what_was_drawn_before() -> None:
     def part(start: int, count: int, replicate: int = 0) -> np.ndarray:
-        return sobol_points(dimension=3, count=count, start=start, seed=9, task="pieces", replicate=replicate)
+        return sobol_points(
+            dimension=3, count=count, start=start, seed=9, task="pieces", replicate=replicate
+        )
 
-    whole = {replicate: part(0, 300, replicate) for replicate in range(80)}  # more sequences than are kept open
-    for replicate, start, count in [(0, 0, 7), (0, 7, 100), (79, 250, 50), (0, 107, 1), (0, 20, 30), (79, 0, 300)]:
-        np.testing.assert_array_equal(part(start, count, replicate), whole[replicate][start : start + count])
+    whole = {
+        replicate: part(0, 300, replicate) for replicate in range(80)
+    }  # more sequences than are kept open
+    for replicate, start, count in [
+        (0, 0, 7),
+        (0, 7, 100),
+        (79, 250, 50),
+        (0, 107, 1),
+        (0, 20, 30),
+        (79, 0, 300),
+    ]:
+        np.testing.assert_array_equal(
+            part(start, count, replicate), whole[replicate][start : start + count]
+        )
 
 
 # --- the table of rows: shapes, heads, continuations, rows without an answer ----------------------
@@ -100,8 +130,12 @@ def test_a_head_and_the_rows_that_continue_it_are_the_whole() -> None:
 
 def test_every_stream_of_random_numbers_is_listed_once_where_they_are_made() -> None:
     package = Path(points.__file__).parents[1]
-    tasks = {task for file in package.rglob("*.py") if file.name != "points.py"
-             for task in re.findall(r'task(?:: str)? ?= ?f?"([^"{]+)"', file.read_text(encoding="utf-8"))}  # fmt: skip
+    tasks = {
+        task
+        for file in package.rglob("*.py")
+        if file.name != "points.py"
+        for task in re.findall(r'task(?:: str)? ?= ?f?"([^"{]+)"', file.read_text(encoding="utf-8"))
+    }
     missing = [task for task in sorted(tasks) if task not in (points.__doc__ or "")]
     assert len(tasks) > 15
     assert not missing

@@ -49,7 +49,10 @@ def from_library(table: Any, *kinds: str) -> Any:
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Aligned columns; the last one is not padded."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
-    lines = ["  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip() for row in rows]
+    lines = [
+        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip()
+        for row in rows
+    ]
     return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
 
 
@@ -62,7 +65,11 @@ def csv_text(header: Sequence[str], columns: Sequence[Any]) -> str:
 
 
 def finish(
-    chosen: argparse.Namespace, content: Any, text: str, files: Mapping[str, str], folder: Path | None = None
+    chosen: argparse.Namespace,
+    content: Any,
+    text: str,
+    files: Mapping[str, str],
+    folder: Path | None = None,
 ) -> None:
     """Write the files of a command to its folder, `--out` or else `folder`, and print its answer."""
     from uqsphere.results.folder import write_files

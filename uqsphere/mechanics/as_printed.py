@@ -92,7 +92,9 @@ def equivalent_duration(duration: Values) -> Values:
     return _SINE * duration
 
 
-def approach_after_pulse(after: Values, start: Values, impedance: Values, hertz_constant: Values) -> Values:
+def approach_after_pulse(
+    after: Values, start: Values, impedance: Values, hertz_constant: Values
+) -> Values:
     """alpha = [alpha_*^(-1/2) + beta (t - t2)/(F0 rho c0)]^(-2) [m], (3.16); the divisor 2 is missing."""
     return (1.0 / np.sqrt(start) + hertz_constant * after / impedance) ** -2.0
 
@@ -123,9 +125,18 @@ def _idealised(scene: Scene) -> Scene:
     }
     if scene.shape == "step":
         horizon = scene.horizon or float(scene.record_end[0])
-        return replace(scene, columns=columns, infinite=True, first_loading_only=False, horizon=horizon)
+        return replace(
+            scene, columns=columns, infinite=True, first_loading_only=False, horizon=horizon
+        )
     columns["pulse.duration"] = scene.scales.duration
-    return replace(scene, columns=columns, shape="rectangular", infinite=True, first_loading_only=False, horizon=None)
+    return replace(
+        scene,
+        columns=columns,
+        shape="rectangular",
+        infinite=True,
+        first_loading_only=False,
+        horizon=None,
+    )
 
 
 def _scalars(scene: Scene) -> tuple[float, float, float, float]:
@@ -142,7 +153,10 @@ def _peaks(scene: Scene, tolerance: float) -> list[Comparison]:
     radius = float(contact_radius(alpha, scene.scales.effective_radius[0]))
     force = float(peak_force(alpha, radius, scene.scales.modulus[0]))
     pressure = float(peak_pressure(force, radius))
-    corrected, full = solve_closed(_idealised(scene)).values, solve(scene, tolerance=tolerance).values
+    corrected, full = (
+        solve_closed(_idealised(scene)).values,
+        solve(scene, tolerance=tolerance).values,
+    )
     printed: list[tuple[str, str, float | None, str]] = [
         ("p_max", "Pa", pressure, "(5.4) with (3.6), (5.1) and (5.3): the limit of a long pulse"),
         ("P_max", "N", force, "(5.3), equal to (3.7) times the section: the limit of a long pulse"),
@@ -152,18 +166,29 @@ def _peaks(scene: Scene, tolerance: float) -> list[Comparison]:
         ("force_imbalance", "", 0.0, "(3.1): none without mass"),
     ]
     rows = [
-        Comparison(quantity=name, unit=unit, as_printed=value, corrected=float(corrected[name][0]),
-                   full=float(full[name][0]), note=note)
+        Comparison(
+            quantity=name,
+            unit=unit,
+            as_printed=value,
+            corrected=float(corrected[name][0]),
+            full=float(full[name][0]),
+            note=note,
+        )
         for name, unit, value, note in printed
-    ]  # fmt: skip
+    ]
     # one instant of the right law, p ~ f^(1/2), against the printed p ~ f: the models differ by p_max alone
     for share, name in ((1.0, "mean_pressure"), (0.5, "mean_pressure_at_half_approach")):
         right = 2.0 / 3.0 * math.sqrt(share)
-        rows.append(Comparison(
-            quantity=name, unit="Pa", as_printed=float(mean_pressure(pressure, share)),
-            corrected=right * float(corrected["p_max"][0]), full=right * float(full["p_max"][0]),
-            note=f"(5.9) at f = {share:g}; the correct law goes with the square root of f",
-        ))  # fmt: skip
+        rows.append(
+            Comparison(
+                quantity=name,
+                unit="Pa",
+                as_printed=float(mean_pressure(pressure, share)),
+                corrected=right * float(corrected["p_max"][0]),
+                full=right * float(full["p_max"][0]),
+                note=f"(5.9) at f = {share:g}; the correct law goes with the square root of f",
+            )
+        )
     return rows
 
 
@@ -173,19 +198,37 @@ def _times(scene: Scene, tolerance: float) -> list[Comparison]:
     duration = float(contact_duration(alpha, speed))
     corrected, full = solve_closed(_idealised(scene)), solve(scene, tolerance=tolerance)
     printed = [
-        ("contact_duration", float(equivalent_duration(duration)), "impulse over peak of sin^(3/2) by (3.9)"),
-        ("time_to_first_loss", duration, "(3.8); the massless sphere in infinite bars never loses contact"),
+        (
+            "contact_duration",
+            float(equivalent_duration(duration)),
+            "impulse over peak of sin^(3/2) by (3.9)",
+        ),
+        (
+            "time_to_first_loss",
+            duration,
+            "(3.8); the massless sphere in infinite bars never loses contact",
+        ),
         ("rise_time", float(rise_time(duration)), "10 % to 90 % of sin^(3/2) by (3.9)"),
     ]
     rows = []
     for name, value, note in printed:
         seen = [
-            None if name in answers.censored and answers.censored[name][0] else float(answers.values[name][0])
+            None
+            if name in answers.censored and answers.censored[name][0]
+            else float(answers.values[name][0])
             for answers in (corrected, full)
         ]
         late = f"; not over within the record of {full.record[0]:.4g} s" if seen[1] is None else ""
-        rows.append(Comparison(quantity=name, unit="s", as_printed=value, corrected=seen[0], full=seen[1],
-                               note=note + late))  # fmt: skip
+        rows.append(
+            Comparison(
+                quantity=name,
+                unit="s",
+                as_printed=value,
+                corrected=seen[0],
+                full=seen[1],
+                note=note + late,
+            )
+        )
     return rows
 
 
@@ -200,33 +243,55 @@ def _instants(scene: Scene, tolerance: float) -> list[Comparison]:
             return None
         return float(found.states_at(np.array([s * time]))[0, :2].mean())
 
-    rows = [Comparison(
-        quantity="approach_at_t_c", unit="m",
-        as_printed=float(approach(time, alpha, contact_duration(alpha, speed))),
-        corrected=alpha * float(massless_approach(1.0, theta)), full=full(1.0),
-        note=f"(3.9) at t_c = {time * 1e6:.4g} us; the loading is no sine but theory (11)",
-    )]  # fmt: skip
+    rows = [
+        Comparison(
+            quantity="approach_at_t_c",
+            unit="m",
+            as_printed=float(approach(time, alpha, contact_duration(alpha, speed))),
+            corrected=alpha * float(massless_approach(1.0, theta)),
+            full=full(1.0),
+            note=f"(3.9) at t_c = {time * 1e6:.4g} us; the loading is no sine but theory (11)",
+        )
+    ]
     if math.isfinite(theta):
         start = alpha * float(massless_approach(theta, theta))
-        rows.append(Comparison(
-            quantity="approach_after_pulse", unit="m",
-            as_printed=float(approach_after_pulse(time, start, impedance, beta)),
-            corrected=alpha * float(massless_approach(theta + 1.0, theta)), full=full(theta + 1.0),
-            note=f"(3.16) at t_i + t_c = {(theta + 1.0) * time * 1e6:.4g} us, from the corrected alpha_*",
-        ))  # fmt: skip
+        rows.append(
+            Comparison(
+                quantity="approach_after_pulse",
+                unit="m",
+                as_printed=float(approach_after_pulse(time, start, impedance, beta)),
+                corrected=alpha * float(massless_approach(theta + 1.0, theta)),
+                full=full(theta + 1.0),
+                note=f"(3.16) at t_i + t_c = {(theta + 1.0) * time * 1e6:.4g} us, from the corrected alpha_*",
+            )
+        )
     stiffness = beta * math.sqrt(alpha)
-    rows.append(Comparison(
-        quantity="linear_plateau", unit="m", as_printed=float(linear_plateau(speed, impedance, stiffness)),
-        corrected=0.5 * speed * impedance / stiffness, full=_settled(scene, tolerance),
-        note="(4.10) with the secant stiffness; full: end of an endless step in infinite bars",
-    ))  # fmt: skip
+    rows.append(
+        Comparison(
+            quantity="linear_plateau",
+            unit="m",
+            as_printed=float(linear_plateau(speed, impedance, stiffness)),
+            corrected=0.5 * speed * impedance / stiffness,
+            full=_settled(scene, tolerance),
+            note="(4.10) with the secant stiffness; full: end of an endless step in infinite bars",
+        )
+    )
     return rows
 
 
 def _settled(scene: Scene, tolerance: float) -> float:
     """Approach [m] to which the full model settles under an endless step in infinite bars."""
-    columns = {name: column for name, column in scene.columns.items() if not name.startswith("pulse.")}
+    columns = {
+        name: column for name, column in scene.columns.items() if not name.startswith("pulse.")
+    }
     horizon = _SETTLED * max(1.0, float(scene.scales.mass_number[0])) * float(scene.scales.time[0])
-    endless = replace(scene, columns=columns, shape="step", infinite=True, first_loading_only=False, horizon=horizon)
+    endless = replace(
+        scene,
+        columns=columns,
+        shape="step",
+        infinite=True,
+        first_loading_only=False,
+        horizon=horizon,
+    )
     found = motion(endless, 0, tolerance=tolerance)
     return float(found.states_at(np.array([horizon]))[0, :2].mean())

@@ -84,7 +84,9 @@ def _equation(wave_number: Array, speed: Array, nu: float) -> Array:
     p2, q2 = k2 * (np.square(speed / dilatation) - 1.0), k2 * (np.square(speed / shear) - 1.0)
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
     return np.asarray(
-        2.0 * p2 * (q2 + k2) * one_p * one_q - np.square(q2 - k2) * zero_p * one_q - 4.0 * k2 * p2 * one_p * zero_q
+        2.0 * p2 * (q2 + k2) * one_p * one_q
+        - np.square(q2 - k2) * zero_p * one_q
+        - 4.0 * k2 * p2 * one_p * zero_q
     )
 
 
@@ -191,19 +193,33 @@ def first_mode(nu: float) -> FirstMode:
     strain, stress = surface_factors(_TABLE, speed, nu)
     factor = strain * stress
     frequency = _TABLE * speed
-    bad = (frequency >= _second_mode(nu)) | ~(np.abs(factor) < _MOST_GAIN) | (factor < 1.0 / _MOST_GAIN)
+    bad = (
+        (frequency >= _second_mode(nu))
+        | ~(np.abs(factor) < _MOST_GAIN)
+        | (factor < 1.0 / _MOST_GAIN)
+    )
     last = int(np.argmax(bad)) if bad.any() else len(bad)
     # the tables end where the factor leaves its range: a spline must not feel the pole behind it
     kept = slice(0, max(last, 8))
     return FirstMode(
         frequency=np.concatenate([[0.0], frequency[kept]]),
-        wave_number=np.concatenate([[0.0], _TABLE[kept]]), speed=np.concatenate([[1.0], speed[kept]]),
-        factor=np.concatenate([[1.0], factor[kept]]), band=float(frequency[kept][-1]),
-    )  # fmt: skip
+        wave_number=np.concatenate([[0.0], _TABLE[kept]]),
+        speed=np.concatenate([[1.0], speed[kept]]),
+        factor=np.concatenate([[1.0], factor[kept]]),
+        band=float(frequency[kept][-1]),
+    )
 
 
-def correct(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
-            surface: bool = True) -> Array:  # fmt: skip
+def correct(
+    strain: Values,
+    step: float,
+    distance: float,
+    *,
+    radius: float,
+    wave_speed: float,
+    nu: float,
+    surface: bool = True,
+) -> Array:
     """What a wave (n,) seen by a gauge is `distance` [m] further on, in the time of the one-dimensional wave.
 
     eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance): the delay distance/c0 itself is left out.  strain is at
@@ -212,11 +228,17 @@ def correct(strain: Values, step: float, distance: float, *, radius: float, wave
     over E. Valid up to `FirstMode.band`; beyond, phase lag and factor are held at their values there.
     """
     if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
-        raise ValueError(f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}")
+        raise ValueError(
+            f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}"
+        )
     strain, mode = np.asarray(strain, dtype=float), first_mode(nu)
     frequency = 2.0 * math.pi * np.fft.rfftfreq(len(strain), step) * radius / wave_speed
     wave_number, factor = mode.at(frequency)
-    turned = np.exp(-1j * (wave_number - frequency) * distance / radius) * (factor if surface else 1.0)
-    if len(strain) % 2 == 0:  # the highest component of a real record has no phase that could be turned
+    turned = np.exp(-1j * (wave_number - frequency) * distance / radius) * (
+        factor if surface else 1.0
+    )
+    if (
+        len(strain) % 2 == 0
+    ):  # the highest component of a real record has no phase that could be turned
         turned[-1] = abs(turned[-1])
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))

@@ -160,7 +160,9 @@ def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[
     >>> bool(abs(x_1 - 1.0) < 1e-6), bool(abs(x_2 - 1.0) < 1e-6)
     (True, True)
     """
-    s, mu, theta = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (s, mu, theta)))
+    s, mu, theta = np.broadcast_arrays(
+        *(np.asarray(value, dtype=float) for value in (s, mu, theta))
+    )
     late = np.maximum(s - theta, 0.0)
     mean = -np.expm1(-s) + np.expm1(-late)
     half = _step_difference(s, mu) - _step_difference(late, mu)
@@ -176,7 +178,9 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     return fidelity == "massless" and scene.infinite and plain and scene.contact_law == "hertz"
 
 
-def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None) -> Answers:
+def solve_closed(
+    scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None
+) -> Answers:
     """Quantities of interest of n scenes between bars in closed form, with the same names as `integrator.solve`.
 
     Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest force is
@@ -190,7 +194,9 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
             "(there is one for massless, a rectangular or step pulse, infinite bars)"
         )
     good = scene.status == 0
-    tracked = {name: np.where(good, column, np.nan) for name, column in scaled_answers(scene).items()}
+    tracked = {
+        name: np.where(good, column, np.nan) for name, column in scaled_answers(scene).items()
+    }
     return _answers(scene, tracked, quantities)
 
 
@@ -210,10 +216,13 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     return {
         **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
-        "difference": np.zeros_like(peak), "contact_censored": np.ones_like(peak),
-        "stored": 2.0 * 0.4 * peak**2.5, "mean_force": peak**1.5, "duration": (loaded - left) / peak**1.5,
+        "difference": np.zeros_like(peak),
+        "contact_censored": np.ones_like(peak),
+        "stored": 2.0 * 0.4 * peak**2.5,
+        "mean_force": peak**1.5,
+        "duration": (loaded - left) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
-    }  # fmt: skip
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,12 +290,16 @@ def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
 
     The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the speed after.
     """
-    return face.depth_of_work(0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach))
+    return face.depth_of_work(
+        0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach)
+    )
 
 
 def light_sphere_constant(behind: Values, ahead: Values) -> Array:
     """beta of two faces in series, a sphere without mass between them, (R15): beta/2^1.5 for equal faces."""
-    return np.asarray((np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5)
+    return np.asarray(
+        (np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5
+    )
 
 
 # --- scenes -------------------------------------------------------------------------------------------
@@ -314,7 +327,10 @@ def closed_form_rows(scene: Scene) -> Flags:
     if ahead.kind != "bar" or not np.any(ahead.reflection):
         return np.ones(len(scene), dtype=bool)
     with np.errstate(all="ignore"):
-        duration = scene.scales.time * _elastic(scene.scales.force / (scene.scales.speed * ahead.impedance))["duration"]
+        duration = (
+            scene.scales.time
+            * _elastic(scene.scales.force / (scene.scales.speed * ahead.impedance))["duration"]
+        )
         return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
 
 
@@ -325,8 +341,13 @@ def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answe
     Rows outside `closed_form_rows` are not looked for: ask there first.
     """
     if len(scene) > _BLOCK:
-        rows, blocks = np.arange(len(scene)), [slice(k, k + _BLOCK) for k in range(0, len(scene), _BLOCK)]
-        return merged_answers(*((rows[block], solve_blow(scene.at(block), quantities)) for block in blocks))
+        rows, blocks = (
+            np.arange(len(scene)),
+            [slice(k, k + _BLOCK) for k in range(0, len(scene), _BLOCK)],
+        )
+        return merged_answers(
+            *((rows[block], solve_blow(scene.at(block), quantities)) for block in blocks)
+        )
     with np.errstate(all="ignore"):
         if scene.rig == "platens":
             tracked = _pressed(scene)
@@ -338,15 +359,21 @@ def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answe
     return _answers(scene, tracked, quantities)
 
 
-def _answers(scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None) -> Answers:
+def _answers(
+    scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None
+) -> Answers:
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in closed.items()}
-    return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
+    return answers_from(
+        scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities
+    )
 
 
 def light_sphere_applies(scene: Scene) -> bool:
     """Whether `solve_light` has answers: a weight on an elastic sphere, nothing back from what it rests on."""
     behind, ahead = scene.partners
-    there = behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
+    there = (
+        behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
+    )
     if not there or ahead is None or np.any(ahead.reflection):
         return False
     return all(partner.face is None for partner in scene.there)
@@ -359,9 +386,14 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
     """
     behind, ahead = scene.partners
     if behind is None or ahead is None or not light_sphere_applies(scene):
-        raise ValueError("a sphere without mass is for weights on elastic faces from which no wave comes back")
+        raise ValueError(
+            "a sphere without mass is for weights on elastic faces from which no wave comes back"
+        )
     with np.errstate(all="ignore"):
-        scales, both = scene.scales, light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
+        scales, both = (
+            scene.scales,
+            light_sphere_constant(behind.hertz_constant, ahead.hertz_constant),
+        )
         moved = reduced_mass(behind.mass, ahead.mass)
         force = both**0.4 * moved**0.6 * scales.speed**1.2
         waves = ahead.kind in ("bar", "plate")
@@ -376,24 +408,41 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
         x_a, x_b = raised * slow_a, raised * slow_b
         share = behind.mass / (behind.mass + ahead.mass)
         tracked = {
-            "x_max": x_a, "x_a": x_a, "x_b": x_b, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
-            "difference": np.zeros(1), "duration": (1.0 + at["restitution"]) / at["force"] * time,
+            "x_max": x_a,
+            "x_a": x_a,
+            "x_b": x_b,
+            "force_b_at_a": q,
+            "force_a_at_b": q,
+            "mean_force": q,
+            "difference": np.zeros(1),
+            "duration": (1.0 + at["restitution"]) / at["force"] * time,
             "stored": 0.4 * q * (slow_a + slow_b),
             "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
             **{name: at[of] * time for name, of in _DURATIONS.items()},
-            "end_speed": np.full(1, np.nan), "end_speed_a": share - (1.0 - share) * at["restitution"],
-            "end_speed_b": share * (1.0 + at["restitution"]), **_CENSORED,
-        }  # fmt: skip
+            "end_speed": np.full(1, np.nan),
+            "end_speed_a": share - (1.0 - share) * at["restitution"],
+            "end_speed_b": share * (1.0 + at["restitution"]),
+            **_CENSORED,
+        }
         if waves:
-            carried = (1.0 - np.square(at["restitution"])) / (2.0 * lam) * force**2 * time / scales.force**2
+            carried = (
+                (1.0 - np.square(at["restitution"]))
+                / (2.0 * lam)
+                * force**2
+                * time
+                / scales.force**2
+            )
             tracked["carried_b"] = carried
     return _answers(scene, tracked, quantities)
 
 
 #: times of a blow -> which of `_COLUMNS` they are
 _DURATIONS: Final = {
-    "contact": "duration", "parting": "duration", "ended": "duration", "rise": "rise",
-}  # fmt: skip
+    "contact": "duration",
+    "parting": "duration",
+    "ended": "duration",
+    "rise": "rise",
+}
 
 
 def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
@@ -403,11 +452,18 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
     at = _elastic(lam) if waves else _on_thick()
     x = np.cbrt(np.square(at["force"]))
     found = {
-        "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],
-        "rise": at["rise"], "ended": at["duration"],
+        "x_max": x,
+        "x_b": x,
+        "stored": 0.4 * at["force"] * x,
+        "contact": at["duration"],
+        "parting": at["duration"],
+        "rise": at["rise"],
+        "ended": at["duration"],
         # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its speed
-        "duration": (1.0 + at["restitution"]) / at["force"], **_speeds(scene, ahead, at["restitution"]), **_CENSORED,
-    }  # fmt: skip
+        "duration": (1.0 + at["restitution"]) / at["force"],
+        **_speeds(scene, ahead, at["restitution"]),
+        **_CENSORED,
+    }
     if waves:
         # what is lost is what the impedance takes: (1 - e²)/2 = lam times the integral of q²
         found["carried_b"] = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
@@ -423,7 +479,10 @@ def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array
     if ahead.kind != "mass":
         return {"end_speed": -restitution, "end_speed_b": np.zeros(1)}
     share = scene.scales.mass / (scene.scales.mass + ahead.mass)
-    return {"end_speed": share - (1.0 - share) * restitution, "end_speed_b": share * (1.0 + restitution)}
+    return {
+        "end_speed": share - (1.0 - share) * restitution,
+        "end_speed_b": share * (1.0 + restitution),
+    }
 
 
 def _yielded(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
@@ -434,17 +493,28 @@ def _yielded(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
     state, restitution = face.pressed(depth), face.restitution(depth)
     low, high, first = (
         _loading(face, depth, start)
-        for start in (face.depth_at(0.1 * state.force), face.depth_at(0.9 * state.force), np.zeros(1))
+        for start in (
+            face.depth_at(0.1 * state.force),
+            face.depth_at(0.9 * state.force),
+            np.zeros(1),
+        )
     )
     to_scaled = face.onset_approach / scales.approach
     # unloading is Hertz's from alpha_e down, and leaves at the speed of restitution
     up = face.recovery(depth) * to_scaled / restitution
     whole = first * to_scaled + up * _UNLOADING
     return {
-        "x_max": x, "x_b": x, "stored": state.stored / (scales.force * scales.approach), "contact": whole,
-        "parting": whole, "ended": whole, "duration": (1.0 + restitution) * scales.force / state.force,
-        "rise": (low - high) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
-    }  # fmt: skip
+        "x_max": x,
+        "x_b": x,
+        "stored": state.stored / (scales.force * scales.approach),
+        "contact": whole,
+        "parting": whole,
+        "ended": whole,
+        "duration": (1.0 + restitution) * scales.force / state.force,
+        "rise": (low - high) * to_scaled,
+        **_speeds(scene, ahead, restitution),
+        **_CENSORED,
+    }
 
 
 #: integral of dx/sqrt(1 - x^2.5) from 0 to 1: time of unloading over alpha_e/v, (R11)
@@ -458,13 +528,18 @@ def _loading(face: Face, depth: Array, start: Array) -> Array:
     """
     # Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    ends = [np.arccos(np.sqrt(np.minimum(place / depth, 1.0))) for place in (np.maximum(start, 1.0), start)]
+    ends = [
+        np.arccos(np.sqrt(np.minimum(place / depth, 1.0)))
+        for place in (np.maximum(start, 1.0), start)
+    ]
     total, work, low = np.zeros_like(depth), face.work(depth), np.zeros_like(depth)
     for high in ends:
         for node, weight in zip(nodes, weights, strict=True):
             angle = low + 0.5 * (high - low) * (node + 1.0)
             left = 1.0 - face.work(depth * np.square(np.cos(angle))) / work
-            step = np.where(angle > 0.0, np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300)), 0.0)
+            step = np.where(
+                angle > 0.0, np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300)), 0.0
+            )
             total += 0.5 * (high - low) * weight * depth * step
         low = high
     return total
@@ -474,21 +549,35 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     """Platens in scaled variables: equal forces, statics; both faces of one law."""
     scales, c, partner = scene.scales, scene.columns, scene.struck
     softness = 1.0 / scene.column("platens.machine_stiffness", np.inf)
-    force = c["platens.force"] if "platens.force" in c else _force_at(partner, c["platens.displacement"], softness)
+    force = (
+        c["platens.force"]
+        if "platens.force" in c
+        else _force_at(partner, c["platens.displacement"], softness)
+    )
     if (face := partner.face) is None:
         approach = np.cbrt(np.square(force / partner.hertz_constant))
         slope, stored = 1.5 * force / approach, 0.4 * force * approach
     else:
         depth = face.depth_at(force)
         approach = depth * face.onset_approach
-        slope, stored = face.slope(depth) * face.onset_force / face.onset_approach, face.pressed(depth).stored
+        slope, stored = (
+            face.slope(depth) * face.onset_force / face.onset_approach,
+            face.pressed(depth).stored,
+        )
     rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
     x, q = approach / scales.approach, force / scales.force
     return {
-        "x_max": x, "x_a": x, "x_b": x, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
-        "difference": np.zeros(1), "stored": 2.0 * stored / (scales.force * scales.approach),
-        "rise": 0.8 * force / rate / scales.time, "ended": np.zeros(1),
-    }  # fmt: skip
+        "x_max": x,
+        "x_a": x,
+        "x_b": x,
+        "force_b_at_a": q,
+        "force_a_at_b": q,
+        "mean_force": q,
+        "difference": np.zeros(1),
+        "stored": 2.0 * stored / (scales.force * scales.approach),
+        "rise": 0.8 * force / rate / scales.time,
+        "ended": np.zeros(1),
+    }
 
 
 def _force_at(partner: Partner, way: Array, softness: Array) -> Array:

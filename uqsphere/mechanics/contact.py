@@ -14,7 +14,9 @@ import numpy as np
 from uqsphere.arrays import Values
 
 
-def reduced_modulus(E: Values, nu: Values, bar_E: Values, bar_nu: Values, *, rigid_bars: bool = False) -> Values:
+def reduced_modulus(
+    E: Values, nu: Values, bar_E: Values, bar_nu: Values, *, rigid_bars: bool = False
+) -> Values:
     """Reduced modulus E* [Pa]: 1/E* = (1-nu²)/E + (1-nu_b²)/E_b; the bar's term is left out if rigid. Theory (1).
 
     >>> round(reduced_modulus(52e9, 0.25, 210e9, 0.3) / 1e9, 6)
@@ -69,12 +71,16 @@ def pressure_at_force(force: Values, modulus: Values, effective_radius: Values) 
     return np.cbrt(6.0 * force * np.square(modulus / effective_radius) / math.pi**3)
 
 
-def pressure_over_contact(distance: Values, approach: Values, modulus: Values, effective_radius: Values) -> Values:
+def pressure_over_contact(
+    distance: Values, approach: Values, modulus: Values, effective_radius: Values
+) -> Values:
     """p(R, t) [Pa] at distance R [m] from the contact's centre while the approach is alpha(t). Theory (16).
 
     p = p_0(t) sqrt(1 - (R/a(t))²); both p_0 and a move with alpha, which is what (5.8) of the paper misses.
     """
-    inside = np.maximum(np.maximum(approach, 0.0) / effective_radius - np.square(distance / effective_radius), 0.0)
+    inside = np.maximum(
+        np.maximum(approach, 0.0) / effective_radius - np.square(distance / effective_radius), 0.0
+    )
     return (2.0 / math.pi) * modulus * np.sqrt(inside)
 
 

@@ -47,11 +47,27 @@ class Parameter:
 PARAMETERS: Final[dict[str, Parameter]] = {
     part.name: part
     for part in (
-        Parameter(name="modulus", dimension="number", lower=1.0, upper=1e3, meaning="Weibull modulus m"),
-        Parameter(name="reference_volume", dimension="volume", meaning="volume the strength is measured on"),
-        Parameter(name="reference_area", dimension="area", meaning="area the strength is measured on"),
-        Parameter(name="largest_energy", dimension="specific_energy", meaning="largest specific fracture energy"),
-        Parameter(name="rate_0", dimension="strain_rate", meaning="strain rate at which the strength is doubled"),
+        Parameter(
+            name="modulus", dimension="number", lower=1.0, upper=1e3, meaning="Weibull modulus m"
+        ),
+        Parameter(
+            name="reference_volume",
+            dimension="volume",
+            meaning="volume the strength is measured on",
+        ),
+        Parameter(
+            name="reference_area", dimension="area", meaning="area the strength is measured on"
+        ),
+        Parameter(
+            name="largest_energy",
+            dimension="specific_energy",
+            meaning="largest specific fracture energy",
+        ),
+        Parameter(
+            name="rate_0",
+            dimension="strain_rate",
+            meaning="strain rate at which the strength is doubled",
+        ),
     )
 }
 
@@ -113,7 +129,9 @@ class _Face(Mapping[str, Values]):
         return len({*self._own, *self._row})
 
 
-def demand(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Array:
+def demand(
+    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+) -> Array:
     """The demand of n rows, in SI, to be compared with the criterion's strength.
 
     With `rate_0` the strength grows with the strain rate of each sample; that is taken off the demand, which leaves the
@@ -129,13 +147,20 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
     for name, value in parameters.items():
         if name not in (*criterion.parameters, *criterion.optional):
             allowed = ", ".join((*criterion.parameters, *criterion.optional)) or "none"
-            raise ValueError(f"the criterion {criterion.name} has no {name} (its parameters: {allowed})")
+            raise ValueError(
+                f"the criterion {criterion.name} has no {name} (its parameters: {allowed})"
+            )
         bounds = PARAMETERS[name]
         if not bounds.lower < value < bounds.upper:
-            raise ValueError(f"{name} must lie between {bounds.lower:g} and {bounds.upper:g}, found {value!r}")
+            raise ValueError(
+                f"{name} must lie between {bounds.lower:g} and {bounds.upper:g}, found {value!r}"
+            )
     # faces that are not alike are looked at one by one, each with what presses at the other pole
     faces = [_Face(side, columns) for side in columns["sides"]] if "sides" in columns else [columns]
-    demands = [np.atleast_1d(np.asarray(criterion.formula_of(face, parameters), dtype=float)) for face in faces]
+    demands = [
+        np.atleast_1d(np.asarray(criterion.formula_of(face, parameters), dtype=float))
+        for face in faces
+    ]
     found = np.asarray(np.maximum.reduce(demands))
     if "rate_0" in parameters:
         found = found / dynamic_increase(strain_rate(columns), parameters["rate_0"])
@@ -147,12 +172,20 @@ def ranges_of(
 ) -> Iterator[tuple[str, Array, float, float]]:
     """What a criterion has a range of: its name, its values, (n,) or (1,), and the two ends of the range."""
     for name, (low, high) in criterion.ranges.items():
-        value = _ratio(columns) if name == "a/r" else parameters[name] if name in parameters else columns.get(name)
+        value = (
+            _ratio(columns)
+            if name == "a/r"
+            else parameters[name]
+            if name in parameters
+            else columns.get(name)
+        )
         if value is not None:
             yield name, np.atleast_1d(np.asarray(value, dtype=float)), low, high
 
 
-def in_range(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Flags:
+def in_range(
+    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+) -> Flags:
     """Which of n rows lie inside the range of the criterion."""
     inside = np.ones(np.shape(np.atleast_1d(columns[criterion.needs[0]])), dtype=bool)
     for _, value, low, high in ranges_of(criterion, columns, parameters):
@@ -200,7 +233,9 @@ def _core(columns: Columns, parameters: Parameters) -> Array:
 
 def _equator(columns: Columns, parameters: Parameters) -> Array:
     ratio = np.square(_ratio(columns))
-    found = _pressure(columns) * ratio * stress.ratio("equator", _ratio(columns), columns["sphere.nu"])
+    found = (
+        _pressure(columns) * ratio * stress.ratio("equator", _ratio(columns), columns["sphere.nu"])
+    )
     if "force_at_centre" in columns:
         found = found * (_central_force(columns) / columns["P_max"])
     return np.asarray(found)
@@ -224,7 +259,9 @@ def dynamic_increase(rate: Values, rate_0: Values) -> Array:
     >>> float(dynamic_increase(0.0, 200.0)), float(dynamic_increase(200.0, 200.0))
     (1.0, 2.0)
     """
-    return np.asarray(1.0 + np.cbrt(np.square(np.maximum(rate, 0.0) / np.asarray(rate_0, dtype=float))))
+    return np.asarray(
+        1.0 + np.cbrt(np.square(np.maximum(rate, 0.0) / np.asarray(rate_0, dtype=float)))
+    )
 
 
 def ring_crack_toughness(force: Values, radius: Values, E: Values) -> Array:
@@ -254,7 +291,13 @@ def truncated_energy(energy: Values, largest: Values) -> Array:
 
 
 def equivalent_tension(
-    pressure: Values, contact_ratio: Values, nu: Values, modulus: Values, size_ratio: Values, *, over: str = "volume"
+    pressure: Values,
+    contact_ratio: Values,
+    nu: Values,
+    modulus: Values,
+    size_ratio: Values,
+    *,
+    over: str = "volume",
 ) -> Array:
     """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio V/V_0 or S/S_0.
 
@@ -262,7 +305,9 @@ def equivalent_tension(
     `_one` after it, of one pole's force alone.
     """
     field = stress.ratio(over, contact_ratio, nu, modulus)
-    return np.asarray(np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus)))
+    return np.asarray(
+        np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus))
+    )
 
 
 def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
@@ -272,7 +317,13 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
             size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
         else:
             size = 4.0 * math.pi * radius**2 / parameters["reference_area"]
-        given = (_pressure(columns), _ratio(columns), columns["sphere.nu"], parameters["modulus"], size)
+        given = (
+            _pressure(columns),
+            _ratio(columns),
+            columns["sphere.nu"],
+            parameters["modulus"],
+            size,
+        )
         two = equivalent_tension(*given, over=over)
         if "balance" not in columns:
             return two
@@ -284,7 +335,12 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
 
 def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
     ratio, nu, m = _ratio(columns), columns["sphere.nu"], parameters["modulus"]
-    size = 4.0 * math.pi * np.square(np.asarray(columns["sphere.radius"])) / parameters["reference_area"]
+    size = (
+        4.0
+        * math.pi
+        * np.square(np.asarray(columns["sphere.radius"]))
+        / parameters["reference_area"]
+    )
     field = stress.half_space_rim(ratio, nu, m) * stress.ratio("rim", ratio, nu, m)
     if "balance" in columns:
         # each rim is a hazard of its own, that of an equal force half of both: it goes with a² p_0^m
@@ -298,17 +354,29 @@ def _energy_criterion(name: str, symbol: str, of: str) -> Criterion:
 
     def energy(columns: Columns, parameters: Parameters) -> Array:
         found = np.asarray(columns[name], dtype=float)
-        return truncated_energy(found, parameters["largest_energy"]) if "largest_energy" in parameters else found
+        return (
+            truncated_energy(found, parameters["largest_energy"])
+            if "largest_energy" in parameters
+            else found
+        )
 
     return Criterion(
-        name=name, quantity=name, symbol=symbol, display="J/kg",
+        name=name,
+        quantity=name,
+        symbol=symbol,
+        display="J/kg",
         measures="specific energy, stretched so that a bounded fracture energy becomes lognormal",
-        follows="energy" if name != "specific_impact_energy" else "", meaning=f"energy {of} per mass",
-        formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
+        follows="energy" if name != "specific_impact_energy" else "",
+        meaning=f"energy {of} per mass",
+        formula="W/M, or E_max (W/M)/(E_max - W/M)",
+        dimension="specific_energy",
         strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
         source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory",
-        range_text="that of the contact", needs=(name,), optional=("largest_energy",), formula_of=energy,
-    )  # fmt: skip
+        range_text="that of the contact",
+        needs=(name,),
+        optional=("largest_energy",),
+        formula_of=energy,
+    )
 
 
 _FIELD: Final = ("p_max", "a_max", "sphere.radius", "sphere.nu")
@@ -326,136 +394,256 @@ CRITERIA: Final[dict[str, Criterion]] = {
     entry.name: entry
     for entry in (
         Criterion(
-            name="contact_pressure", quantity="p_max",
-            symbol="p_max", display="GPa", measures="largest contact pressure at either face",
-            place="contact", also=("first_peak",),
-            meaning="largest contact pressure", formula="p_max", dimension="pressure",
+            name="contact_pressure",
+            quantity="p_max",
+            symbol="p_max",
+            display="GPa",
+            measures="largest contact pressure at either face",
+            place="contact",
+            also=("first_peak",),
+            meaning="largest contact pressure",
+            formula="p_max",
+            dimension="pressure",
             strength="contact strength, near 0.5 to 1 times the hardness (not the uniaxial strength)",
-            source="Johnson, Contact Mechanics, 1985, section 6.2", range_text="a/r <= 0.3",
-            needs=("p_max", "a_max", "sphere.radius"), ranges={"a/r": (0.0, 0.3)},
-            formula_of=lambda columns, parameters: np.asarray(columns["p_max"], dtype=float)),
+            source="Johnson, Contact Mechanics, 1985, section 6.2",
+            range_text="a/r <= 0.3",
+            needs=("p_max", "a_max", "sphere.radius"),
+            ranges={"a/r": (0.0, 0.3)},
+            formula_of=lambda columns, parameters: np.asarray(columns["p_max"], dtype=float),
+        ),
         Criterion(
-            name="edge_tension", quantity="edge_tension",
-            symbol="sigma_e", display="GPa", measures="largest radial tension at the rim of the contact", place="rim",
+            name="edge_tension",
+            quantity="edge_tension",
+            symbol="sigma_e",
+            display="GPa",
+            measures="largest radial tension at the rim of the contact",
+            place="rim",
             meaning="radial tension at the rim of the contact",
-            formula="(1 - 2 nu)/3 p_max, or (1 - 2 nu)/2 p_mean beyond yield", dimension="pressure",
+            formula="(1 - 2 nu)/3 p_max, or (1 - 2 nu)/2 p_mean beyond yield",
+            dimension="pressure",
             strength="tensile strength of the surface",
             source="Johnson, Contact Mechanics, 1985, section 3.4; half space",
             range_text="a/r <= 0.05; far too severe where the stress is steep (see ring_crack)",
-            needs=_FIELD, ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)},
+            needs=_FIELD,
+            ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)},
             formula_of=lambda columns, parameters: np.asarray(
-                contact.edge_tension(_pressure(columns, "p_rim"), np.asarray(columns["sphere.nu"])))),
+                contact.edge_tension(_pressure(columns, "p_rim"), np.asarray(columns["sphere.nu"]))
+            ),
+        ),
         Criterion(
-            name="ring_crack", quantity="ring_crack_toughness",
-            symbol="K_ring", display="MPa.sqrt(m)",
-            measures="fracture toughness at which a ring crack just grows into a cone", place="rim",
+            name="ring_crack",
+            quantity="ring_crack_toughness",
+            symbol="K_ring",
+            display="MPa.sqrt(m)",
+            measures="fracture toughness at which a ring crack just grows into a cone",
+            place="rim",
             meaning="ring crack that grows into a cone, by fracture mechanics",
-            formula="sqrt(P_max E/(8600 r))", dimension="toughness", strength="fracture toughness K_Ic",
+            formula="sqrt(P_max E/(8600 r))",
+            dimension="toughness",
+            strength="fracture toughness K_Ic",
             source="Lawn, J. Am. Ceram. Soc. 81 (1998) 1977, from memory; Auerbach's law",
             range_text="a/r <= 0.2; surface flaws of about 0.01 to 0.1 a",
-            needs=("P_max", "a_max", "sphere.radius", "sphere.E"), ranges={"a/r": (0.0, 0.2)},
+            needs=("P_max", "a_max", "sphere.radius", "sphere.E"),
+            ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: ring_crack_toughness(
-                columns["P_max"], columns["sphere.radius"], columns["sphere.E"])),
+                columns["P_max"], columns["sphere.radius"], columns["sphere.E"]
+            ),
+        ),
         Criterion(
-            name="core_tension", quantity="core_tension",
-            symbol="sigma_core", display="MPa", measures="largest hoop tension on the axis inside the sphere",
+            name="core_tension",
+            quantity="core_tension",
+            symbol="sigma_core",
+            display="MPa",
+            measures="largest hoop tension on the axis inside the sphere",
             place="core",
             meaning="largest hoop tension on the axis",
-            formula="p_max f(a/r, nu)", dimension="pressure", strength="tensile strength", source=_SERIES,
-            range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_core),
+            formula="p_max f(a/r, nu)",
+            dimension="pressure",
+            strength="tensile strength",
+            source=_SERIES,
+            range_text=_TABLE_TEXT,
+            needs=_FIELD,
+            optional=_RATE,
+            ranges=_TABLE,
+            formula_of=_core,
+        ),
         Criterion(
-            name="centre_tension", quantity="centre_tension",
-            symbol="sigma_c", display="MPa", measures="tension at the centre of the sphere at the largest force",
+            name="centre_tension",
+            quantity="centre_tension",
+            symbol="sigma_c",
+            display="MPa",
+            measures="tension at the centre of the sphere at the largest force",
             place="core",
             meaning="tension at the centre, point loads",
-            formula="21 P_max/(pi (7 + 5 nu) D²)", dimension="pressure", strength="tensile strength",
-            source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2",
-            needs=("P_max", *_FIELD, "mean_force"), optional=_RATE, ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
-            formula_of=lambda columns, parameters: np.asarray(contact.centre_tension(
-                _central_force(columns), np.asarray(columns["sphere.radius"]),
-                np.asarray(columns["sphere.nu"])))),
+            formula="21 P_max/(pi (7 + 5 nu) D²)",
+            dimension="pressure",
+            strength="tensile strength",
+            source="degree 2 of the series, theory (19)",
+            range_text="a/r <= 0.2",
+            needs=("P_max", *_FIELD, "mean_force"),
+            optional=_RATE,
+            ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
+            formula_of=lambda columns, parameters: np.asarray(
+                contact.centre_tension(
+                    _central_force(columns),
+                    np.asarray(columns["sphere.radius"]),
+                    np.asarray(columns["sphere.nu"]),
+                )
+            ),
+        ),
         Criterion(
-            name="equatorial_tension", quantity="equatorial_tension",
-            symbol="sigma_eq", display="MPa",
-            measures="hoop tension on the sphere's surface half-way between the contacts", place="core",
+            name="equatorial_tension",
+            quantity="equatorial_tension",
+            symbol="sigma_eq",
+            display="MPa",
+            measures="hoop tension on the sphere's surface half-way between the contacts",
+            place="core",
             meaning="hoop tension on the surface at the equator",
-            formula="p_max (a/r)² f(a/r, nu)", dimension="pressure", strength="tensile strength of the surface",
-            source=_SERIES, range_text=_TABLE_TEXT, needs=(*_FIELD, "mean_force"), optional=_RATE, ranges=_TABLE,
-            formula_of=_equator),
+            formula="p_max (a/r)² f(a/r, nu)",
+            dimension="pressure",
+            strength="tensile strength of the surface",
+            source=_SERIES,
+            range_text=_TABLE_TEXT,
+            needs=(*_FIELD, "mean_force"),
+            optional=_RATE,
+            ranges=_TABLE,
+            formula_of=_equator,
+        ),
         Criterion(
-            name="hiramatsu_oka", quantity="hiramatsu_oka_tension",
-            symbol="sigma_HO", display="MPa",
-            measures="tensile stress 0.9 P/D² that lumps of rock are credited with in practice", place="core",
+            name="hiramatsu_oka",
+            quantity="hiramatsu_oka_tension",
+            symbol="sigma_HO",
+            display="MPa",
+            measures="tensile stress 0.9 P/D² that lumps of rock are credited with in practice",
+            place="core",
             meaning="tensile stress as used in practice for lumps of rock",
-            formula="0.9 P_max/D²", dimension="pressure", strength="point-load (Hiramatsu-Oka) strength",
-            source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89", range_text="a/r <= 0.2",
-            needs=("P_max", "a_max", "sphere.radius", "mean_force"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
+            formula="0.9 P_max/D²",
+            dimension="pressure",
+            strength="point-load (Hiramatsu-Oka) strength",
+            source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89",
+            range_text="a/r <= 0.2",
+            needs=("P_max", "a_max", "sphere.radius", "mean_force"),
+            optional=_RATE,
+            ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: hiramatsu_oka_tension(
-                _central_force(columns), columns["sphere.radius"])),
+                _central_force(columns), columns["sphere.radius"]
+            ),
+        ),
         Criterion(
-            name="grain_tension", quantity="grain_tension",
-            symbol="sigma_F", display="MPa", measures="nominal tension P/D² of a grain between two platens",
-            place="core", meaning="tension by which grains of sand and rockfill are ranked in crushing tests",
-            formula="P_max/D²", dimension="pressure",
+            name="grain_tension",
+            quantity="grain_tension",
+            symbol="sigma_F",
+            display="MPa",
+            measures="nominal tension P/D² of a grain between two platens",
+            place="core",
+            meaning="tension by which grains of sand and rockfill are ranked in crushing tests",
+            formula="P_max/D²",
+            dimension="pressure",
             strength="characteristic stress of crushing tests on grains (37 % survive it)",
             source="McDowell and Bolton, Geotechnique 48 (1998) 667, abstract seen; Jaeger 1967, from memory",
-            range_text="a/r <= 0.2", needs=("P_max", "a_max", "sphere.radius", "mean_force"), optional=_RATE,
+            range_text="a/r <= 0.2",
+            needs=("P_max", "a_max", "sphere.radius", "mean_force"),
+            optional=_RATE,
             ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: np.asarray(
-                _central_force(columns) / np.square(2.0 * np.asarray(columns["sphere.radius"])))),
+                _central_force(columns) / np.square(2.0 * np.asarray(columns["sphere.radius"]))
+            ),
+        ),
         Criterion(
-            name="weakest_link_volume", meaning="flaws in the volume opened by the hoop tension",
-            symbol="sigma_V", display="MPa",
+            name="weakest_link_volume",
+            meaning="flaws in the volume opened by the hoop tension",
+            symbol="sigma_V",
+            display="MPa",
             measures="uniform tension in the reference volume that is as dangerous as the hoop tension in the sphere",
             place="core",
-            formula="(∫ max(sigma_phi, 0)^m dV/V_0)^(1/m)", dimension="pressure",
+            formula="(∫ max(sigma_phi, 0)^m dV/V_0)^(1/m)",
+            dimension="pressure",
             strength="Weibull strength of modulus m of the reference volume",
-            source=f"Weibull 1939; {_SERIES}", range_text=_WEIBULL_TEXT, needs=_FIELD,
-            parameters=("modulus", "reference_volume"), optional=_RATE, ranges=_WEIBULL_TABLE,
-            formula_of=_weakest("volume")),
+            source=f"Weibull 1939; {_SERIES}",
+            range_text=_WEIBULL_TEXT,
+            needs=_FIELD,
+            parameters=("modulus", "reference_volume"),
+            optional=_RATE,
+            ranges=_WEIBULL_TABLE,
+            formula_of=_weakest("volume"),
+        ),
         Criterion(
-            name="weakest_link_surface", meaning="flaws in the surface opened by the hoop tension",
-            symbol="sigma_S", display="MPa",
+            name="weakest_link_surface",
+            meaning="flaws in the surface opened by the hoop tension",
+            symbol="sigma_S",
+            display="MPa",
             measures="uniform tension in the reference area that is as dangerous as that in the sphere's surface",
             place="core",
-            formula="(∫ max(sigma_phi, 0)^m dS/S_0)^(1/m)", dimension="pressure",
+            formula="(∫ max(sigma_phi, 0)^m dS/S_0)^(1/m)",
+            dimension="pressure",
             strength="Weibull strength of modulus m of the reference area",
-            source=f"Weibull 1939; {_SERIES}", range_text=_WEIBULL_TEXT, needs=_FIELD,
-            parameters=("modulus", "reference_area"), optional=_RATE, ranges=_WEIBULL_TABLE,
-            formula_of=_weakest("surface")),
+            source=f"Weibull 1939; {_SERIES}",
+            range_text=_WEIBULL_TEXT,
+            needs=_FIELD,
+            parameters=("modulus", "reference_area"),
+            optional=_RATE,
+            ranges=_WEIBULL_TABLE,
+            formula_of=_weakest("surface"),
+        ),
         Criterion(
-            name="weakest_link_rim", meaning="flaws in the surface around both contacts opened by the radial tension",
-            symbol="sigma_rim", display="MPa",
+            name="weakest_link_rim",
+            meaning="flaws in the surface around both contacts opened by the radial tension",
+            symbol="sigma_rim",
+            display="MPa",
             measures="uniform tension in the reference area that is as dangerous as that around the contacts",
             place="rim",
-            formula="(∫ max(sigma_t, 0)^m dS/S_0)^(1/m), sigma_t the largest so far", dimension="pressure",
+            formula="(∫ max(sigma_t, 0)^m dS/S_0)^(1/m), sigma_t the largest so far",
+            dimension="pressure",
             strength="Weibull strength of modulus m of the reference area",
             source=f"Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, from memory; {_SERIES}",
-            range_text=_WEIBULL_TEXT, needs=_FIELD,
-            parameters=("modulus", "reference_area"), ranges=_WEIBULL_TABLE,
-            formula_of=_weakest_rim),
-        *(_energy_criterion(name, symbol, of) for name, symbol, of in (
-            ("specific_energy", "E'", "stored in both contacts, of both bodies"),
-            ("specific_energy_sphere", "E_s'", "that is the sphere's share of both contacts"),
-            ("specific_impact_energy", "E_in'", "that the blow offers"),
-        )),
+            range_text=_WEIBULL_TEXT,
+            needs=_FIELD,
+            parameters=("modulus", "reference_area"),
+            ranges=_WEIBULL_TABLE,
+            formula_of=_weakest_rim,
+        ),
+        *(
+            _energy_criterion(name, symbol, of)
+            for name, symbol, of in (
+                ("specific_energy", "E'", "stored in both contacts, of both bodies"),
+                ("specific_energy_sphere", "E_s'", "that is the sphere's share of both contacts"),
+                ("specific_impact_energy", "E_in'", "that the blow offers"),
+            )
+        ),
         Criterion(
-            name="subsurface_shear", quantity="subsurface_shear",
-            symbol="tau_max", display="MPa", measures="largest shear stress on the axis, below the contact",
+            name="subsurface_shear",
+            quantity="subsurface_shear",
+            symbol="tau_max",
+            display="MPa",
+            measures="largest shear stress on the axis, below the contact",
             place="below",
             meaning="largest shear stress on the axis",
-            formula="p_max f(a/r, nu)", dimension="pressure", strength="shear strength (yield, crushing below contact)",
-            source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, ranges=_TABLE, formula_of=_tabulated("shear")),
+            formula="p_max f(a/r, nu)",
+            dimension="pressure",
+            strength="shear strength (yield, crushing below contact)",
+            source=_SERIES,
+            range_text=_TABLE_TEXT,
+            needs=_FIELD,
+            ranges=_TABLE,
+            formula_of=_tabulated("shear"),
+        ),
     )
-}  # fmt: skip
+}
 
 #: Demands of criteria by the criterion; a study adds the limit's name, ``weakest_link_volume.NAME``.
 DEMANDS: Final[dict[str, Quantity]] = {
     name: Quantity(
-        name=name, symbol=entry.symbol, dimension=entry.dimension, display=entry.display, follows=entry.follows,
-        fracture=True, place=entry.place, needs=entry.needs,
+        name=name,
+        symbol=entry.symbol,
+        dimension=entry.dimension,
+        display=entry.display,
+        follows=entry.follows,
+        fracture=True,
+        place=entry.place,
+        needs=entry.needs,
         meaning=f"{entry.measures} over the increase of strength by its rate"
-        if entry.optional == _RATE and entry.quantity is not None else entry.measures,
+        if entry.optional == _RATE and entry.quantity is not None
+        else entry.measures,
     )
     for name, entry in CRITERIA.items()
-}  # fmt: skip
+}

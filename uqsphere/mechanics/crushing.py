@@ -27,39 +27,68 @@ Demand: TypeAlias = str | tuple[str, Parameters]
 
 
 def value_at(
-    force: Array, of: Demand, sphere: Mapping[str, Values], radius: Array, platens: tuple[float, float],
+    force: Array,
+    of: Demand,
+    sphere: Mapping[str, Values],
+    radius: Array,
+    platens: tuple[float, float],
     rate: Array | None = None,
-) -> Array:  # fmt: skip
+) -> Array:
     """The value (n,) of a demand in spheres of a radius (n,) [m], pressed to a force (n,) [N] at a rate [N/s]."""
-    own = {key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape) for key, value in sphere.items()}
+    own = {
+        key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape)
+        for key, value in sphere.items()
+    }
     modulus = np.asarray(contact.reduced_modulus(own["E"], own["nu"], *platens))
-    beta, share = contact.hertz_constant(modulus, radius), modulus * (1.0 - np.square(own["nu"])) / own["E"]
+    beta, share = (
+        contact.hertz_constant(modulus, radius),
+        modulus * (1.0 - np.square(own["nu"])) / own["E"],
+    )
     takes = own.get("takes")
     if takes is None:
         press, approach = {}, contact.approach_at_force(force, beta)
         stored, lost = 2.0 * contact.contact_energy(approach, beta), np.zeros(radius.shape)
     else:
-        face = Face(onset=own["onset_pressure"], hardness=own["hardness"], pile_up=own["pile_up"], modulus=modulus,
-                    effective_radius=radius)  # fmt: skip
+        face = Face(
+            onset=own["onset_pressure"],
+            hardness=own["hardness"],
+            pile_up=own["pile_up"],
+            modulus=modulus,
+            effective_radius=radius,
+        )
         state = face.pressed(face.depth_at(force))
         press, approach = pressures_of(state, modulus, radius, takes), state.approach
         stored, lost = 2.0 * state.stored, 2.0 * takes * state.plastic
-    columns = Columns({
-        **{f"sphere.{key}": value for key, value in own.items()}, "sphere.radius": radius, "modulus": modulus,
-        "effective_radius": radius, "hertz_constant": beta, "mass": contact.sphere_mass(radius, own["density"]),
-        "P_max": force, "alpha_max": approach, **press, "first_peak": lambda: columns["p_max"],
-        "energy_sphere": share * stored + lost, "impact_energy": stored,
-        # what the sphere stores here, and what the partners in the study's own rig would store beside it
-        "energy": (share + modulus * own["partner"]) * stored if "partner" in own else stored,
-        "loading_rate": np.zeros(radius.shape) if rate is None else rate,
-    })  # fmt: skip
+    columns = Columns(
+        {
+            **{f"sphere.{key}": value for key, value in own.items()},
+            "sphere.radius": radius,
+            "modulus": modulus,
+            "effective_radius": radius,
+            "hertz_constant": beta,
+            "mass": contact.sphere_mass(radius, own["density"]),
+            "P_max": force,
+            "alpha_max": approach,
+            **press,
+            "first_peak": lambda: columns["p_max"],
+            "energy_sphere": share * stored + lost,
+            "impact_energy": stored,
+            # what the sphere stores here, and what the partners in the study's own rig would store beside it
+            "energy": (share + modulus * own["partner"]) * stored if "partner" in own else stored,
+            "loading_rate": np.zeros(radius.shape) if rate is None else rate,
+        }
+    )
     if isinstance(of, str):
         return np.asarray(columns[of], dtype=float)
     return demand(CRITERIA[of[0]], columns, of[1])
 
 
 def force_at(
-    value: Values, of: Demand, sphere: Mapping[str, Values], radius: Values, platens: tuple[float, float]
+    value: Values,
+    of: Demand,
+    sphere: Mapping[str, Values],
+    radius: Values,
+    platens: tuple[float, float],
 ) -> Array:
     """The force (n,) [N] that gives a demand's value on the row's own sphere; 0 for 0, infinite where none does.
 
@@ -68,7 +97,9 @@ def force_at(
     """
     if not isinstance(of, str):  # the tests were slow
         of = of[0], {key: part for key, part in of[1].items() if key != "rate_0"}
-    value, radius = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius)))
+    value, radius = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius))
+    )
     with np.errstate(all="ignore"):
         wanted = np.log(np.where(value > 0.0, value, 1.0))
         x, slope = np.log(1e7 * np.square(radius)), np.full(radius.shape, 0.7)

@@ -53,7 +53,7 @@ def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = Non
 def arriving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
     """The wave that arrives at a face at `times` [s], (m,) [m/s]: f = f_in + R_1 g_A(t - T_1) in the incident bar (0),
     h = R_3 k_B(t - T_3) in the receiving bar (1).
-    """  # fmt: skip
+    """
     nudge = _sided(motion, times, sides)
     echo = _echoes(motion, bar, times, nudge, first=1)
     return _pulse(motion.scene, motion.row, times + nudge) + echo if bar == 0 else echo
@@ -86,9 +86,11 @@ def _echoes(motion: Motion, bar: int, times: Array, nudge: Array, *, first: int)
 def waves_at(motion: Motion, times: Array, *, sides: Array | None = None) -> Waves:
     """All four waves at the faces at `times` [s]; `sides` as of `leaving`."""
     return Waves(
-        incident=arriving(motion, 0, times, sides=sides), returning=arriving(motion, 1, times, sides=sides),
-        leaving_a=leaving(motion, 0, times, sides=sides), leaving_b=leaving(motion, 1, times, sides=sides),
-    )  # fmt: skip
+        incident=arriving(motion, 0, times, sides=sides),
+        returning=arriving(motion, 1, times, sides=sides),
+        leaving_a=leaving(motion, 0, times, sides=sides),
+        leaving_b=leaving(motion, 1, times, sides=sides),
+    )
 
 
 def _pulse(scene: Scene, row: int, times: Array) -> Array:
@@ -128,7 +130,9 @@ class Tension:
     time: float
 
 
-def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides: Array | None = None) -> Field:
+def field_at(
+    motion: Motion, bar: str, position: Values, times: Values, *, sides: Array | None = None
+) -> Field:
     """Stress and particle velocity at places of a bar, (m,).
 
     With d the distance from the sphere, rho and c0 of the bars:
@@ -173,7 +177,9 @@ def check_position(motion: Motion, bar: str, position: Values) -> int:
     position = np.atleast_1d(np.asarray(position, dtype=float))
     outside = ~((position >= 0.0) & (position <= length * (1.0 + _ROUNDING)))
     if outside.any():
-        raise ValueError(f"{position[outside][0]:g} m from the sphere is not on the {bar} bar of {length:g} m")
+        raise ValueError(
+            f"{position[outside][0]:g} m from the sphere is not on the {bar} bar of {length:g} m"
+        )
     return number
 
 
@@ -247,7 +253,10 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
         if 2.0 * begin >= best:
             break
         stop = min(
-            np.searchsorted(nodes, min(begin + trip * (1.0 + _ROUNDING), best - begin), side="right"), len(nodes)
+            np.searchsorted(
+                nodes, min(begin + trip * (1.0 + _ROUNDING), best - begin), side="right"
+            ),
+            len(nodes),
         )
         pulled = _pull(number, away[k], towards[k:stop]) > level
         if pulled.any() and begin + nodes[k + (first := int(np.argmax(pulled)))] < best:
@@ -257,7 +266,10 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     at = [_around(nodes, k) for k in found]
     point = (nodes[found[0]], nodes[found[1]])
     for _ in range(_ZOOMS):
-        grids = [np.append(np.linspace(low, high, _FINE), here) for (low, high), here in zip(at, point, strict=True)]
+        grids = [
+            np.append(np.linspace(low, high, _FINE), here)
+            for (low, high), here in zip(at, point, strict=True)
+        ]
         u, w = (grid.ravel() for grid in np.meshgrid(*grids, indexing="ij"))
         inside = (w >= u) & (w - u <= trip * (1.0 + _ROUNDING)) & (u >= 0.0)
         pull = _pull(number, leaving(motion, number, u), arriving(motion, number, w))
@@ -265,9 +277,14 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
         k = int(np.argmin(total))
         point = (float(u[k]), float(w[k]))
         widths = [(high - low) / (_FINE - 1) for low, high in at]
-        at = [(here - 2.0 * width, here + 2.0 * width) for here, width in zip(point, widths, strict=True)]
+        at = [
+            (here - 2.0 * width, here + 2.0 * width)
+            for here, width in zip(point, widths, strict=True)
+        ]
     u_best, w_best = point
-    return Tension(bar=bar, position=0.5 * motion.wave_speed * (w_best - u_best), time=0.5 * (u_best + w_best))
+    return Tension(
+        bar=bar, position=0.5 * motion.wave_speed * (w_best - u_best), time=0.5 * (u_best + w_best)
+    )
 
 
 def _pull(number: int, away: Values, towards: Values) -> Values:
@@ -279,9 +296,13 @@ def _nodes(motion: Motion, number: int, horizon: float) -> Array:
     breaks = motion.scene.pulse.breaks[motion.row]
     kinks = breaks[np.isfinite(breaks)]
     if motion.echoes(number):
-        kinks = np.concatenate([kinks, kinks + motion.round_trip(number), [motion.round_trip(number)]])
+        kinks = np.concatenate(
+            [kinks, kinks + motion.round_trip(number), [motion.round_trip(number)]]
+        )
     near = min(horizon, 4.0 * motion.round_trip(number), 20.0 * motion.pulse_end)
-    grid = np.concatenate([np.linspace(0.0, horizon, _COARSE), np.linspace(0.0, near, _COARSE), kinks])
+    grid = np.concatenate(
+        [np.linspace(0.0, horizon, _COARSE), np.linspace(0.0, near, _COARSE), kinks]
+    )
     return np.unique(grid[(grid >= 0.0) & (grid <= horizon)])
 
 
@@ -328,7 +349,9 @@ class GaugeRecord:
 # --- signals ------------------------------------------------------------------------------------------
 
 
-def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, sides: Array | None = None) -> Array:
+def gauge_strain(
+    motion: Motion, bar: str, position: float, times: Values, *, sides: Array | None = None
+) -> Array:
     """Axial strain at a place of a bar, (m,), tension positive: the stress of `field_at` over E_b.
 
     One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters sees the local field
@@ -354,8 +377,12 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     times, sides = with_jumps(grid, jumps)
     strain = gauge_strain(motion, bar, position, times, sides=sides)
     return GaugeRecord(
-        bar=bar, position=position, time=times, strain=strain, overlaps=overlaps(motion, bar, position),
-    )  # fmt: skip
+        bar=bar,
+        position=position,
+        time=times,
+        strain=strain,
+        overlaps=overlaps(motion, bar, position),
+    )
 
 
 def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
@@ -394,7 +421,11 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     """
     number = check_position(motion, bar, position)
     delay = position / motion.wave_speed
-    names = ("reflected", "its return from the struck end") if number == 0 else ("transmitted", "its return")
+    names = (
+        ("reflected", "its return from the struck end")
+        if number == 0
+        else ("transmitted", "its return")
+    )
     found = []
     if number == 0 and motion.pulse_end > 2.0 * delay:
         # a step overlaps to the end of what is known
@@ -407,7 +438,14 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         wave = np.abs(leaving(motion, number, looks, sides=-np.ones_like(looks)))
         above = looks[wave > _OVER * wave.max()]
         if above.size and above[-1] > back:
-            found.append(Overlap(first=names[0], second=names[1], begin=back + delay, end=float(above[-1]) + delay))
+            found.append(
+                Overlap(
+                    first=names[0],
+                    second=names[1],
+                    begin=back + delay,
+                    end=float(above[-1]) + delay,
+                )
+            )
     return tuple(found)
 
 

@@ -6,39 +6,66 @@ from collections.abc import Mapping
 from typing import Final
 
 _STRUCK: Final = {
-    "thick": "E nu; density", "plate": "E nu density thickness; width", "bar": "E nu density diameter; length end",
+    "thick": "E nu; density",
+    "plate": "E nu density thickness; width",
+    "bar": "E nu density diameter; length end",
     "mass": "E nu mass; density",
-}  # fmt: skip
+}
 #: by table and kind: keys that it needs, one of both where a bar stands between; behind the semicolon others that it
 #: takes, and not every other kind of its table
 FORMS: Final[Mapping[str, Mapping[str, str]]] = {
-    "sphere": {"": "E nu density radius"}, "insert": {"": "E"},
-    "bars": {"": "E nu density diameter incident_length receiving_length",
-             "infinite": "E nu density diameter; incident_length receiving_length"},
-    "striker": {"": "speed length; E density diameter", "pulse.duration": "speed; length E density diameter",
-                "measured": ""},
-    "pulse": {"rectangular": "; duration", "half_sine": "; duration", "step": "", "trapezoid": "rise fall; duration",
-              "ramp": "rise; duration", "two_peak": "t1 level1 t2 level2; duration valley", "measured": "; gain"},
+    "sphere": {"": "E nu density radius"},
+    "insert": {"": "E"},
+    "bars": {
+        "": "E nu density diameter incident_length receiving_length",
+        "infinite": "E nu density diameter; incident_length receiving_length",
+    },
+    "striker": {
+        "": "speed length; E density diameter",
+        "pulse.duration": "speed; length E density diameter",
+        "measured": "",
+    },
+    "pulse": {
+        "rectangular": "; duration",
+        "half_sine": "; duration",
+        "step": "",
+        "trapezoid": "rise fall; duration",
+        "ramp": "rise; duration",
+        "two_peak": "t1 level1 t2 level2; duration valley",
+        "measured": "; gain",
+    },
     "rig": dict.fromkeys(("impact", "sphere_on_sphere"), "speed|drop_height; angle"),
-    "target": _STRUCK, "anvil": _STRUCK, "other": {"": "E nu density radius"},
-    "hammer": {"": "E nu mass speed|drop_height; density face_radius",
-               "ball": "E nu density diameter speed|drop_height"},
-    "rod": {"": "E nu density diameter; length"}, "platens": {"": "E nu force|displacement"},
+    "target": _STRUCK,
+    "anvil": _STRUCK,
+    "other": {"": "E nu density radius"},
+    "hammer": {
+        "": "E nu mass speed|drop_height; density face_radius",
+        "ball": "E nu density diameter speed|drop_height",
+    },
+    "rod": {"": "E nu density diameter; length"},
+    "platens": {"": "E nu force|displacement"},
     "contact": {"hertz": "", "plastic": "; onset_pressure hardness pile_up"},
-}  # fmt: skip
+}
 
 
-def kinds_of(rig: str, shape: str, *, timed: bool, infinite: bool, options: Mapping[str, object]) -> dict[str, str]:
+def kinds_of(
+    rig: str, shape: str, *, timed: bool, infinite: bool, options: Mapping[str, object]
+) -> dict[str, str]:
     """The kind of every table that has several; `options` are words of a study, as `Scene` has them.
 
     timed : whether the pulse has a duration of its own, which does not follow from the striker's length.
     """
     return {
         **{table: str(options.get(f"{table}.kind", "thick")) for table in ("target", "anvil")},
-        "hammer": str(options.get("hammer.shape", "")), "contact": str(options.get("contact.law", "hertz")),
-        "bars": "infinite" * infinite, "pulse": shape, "rig": rig,
-        "striker": "measured" if shape == "measured" else "pulse.duration" * (timed or shape == "step"),
-    }  # fmt: skip
+        "hammer": str(options.get("hammer.shape", "")),
+        "contact": str(options.get("contact.law", "hertz")),
+        "bars": "infinite" * infinite,
+        "pulse": shape,
+        "rig": rig,
+        "striker": "measured"
+        if shape == "measured"
+        else "pulse.duration" * (timed or shape == "step"),
+    }
 
 
 def needs_of(text: str) -> list[list[str]]:

@@ -122,23 +122,37 @@ def _course(motion: Motion) -> _Course:
     times = (start[:, None] + length[:, None] * _SHARES).ravel()
     if motion.forces is None:
         return _Course(
-            start=start, length=length, states=states * cut, times=times,
-            force=np.maximum.accumulate(approach.max(axis=1)), energy=np.maximum.accumulate(_stored(approach)),
-        )  # fmt: skip
+            start=start,
+            length=length,
+            states=states * cut,
+            times=times,
+            force=np.maximum.accumulate(approach.max(axis=1)),
+            energy=np.maximum.accumulate(_stored(approach)),
+        )
     forces = motion.forces[inside] * cut
     push, deepest = _nodes(forces), np.maximum.accumulate(approach, axis=0)
     held = _held(motion.scene, np.array([motion.row]), push, approach, deepest)
     return _Course(
-        start=start, length=length, states=states * cut, times=times, forces=forces, deepest=deepest,
-        force=np.maximum.accumulate(push.max(axis=1)), energy=np.maximum.accumulate(held),
-    )  # fmt: skip
+        start=start,
+        length=length,
+        states=states * cut,
+        times=times,
+        forces=forces,
+        deepest=deepest,
+        force=np.maximum.accumulate(push.max(axis=1)),
+        energy=np.maximum.accumulate(held),
+    )
 
 
 def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
     """The demand at a force [N] or a stored energy [J] of each row."""
     if path.criterion is None:
         return value**path.power
-    pressed = {"energy": value} if path.over == "energy" else {"P_max": value, **pressed_to(scene, rows, value)}
+    pressed = (
+        {"energy": value}
+        if path.over == "energy"
+        else {"P_max": value, **pressed_to(scene, rows, value)}
+    )
     columns = Columns({**columns_of(scene, rows), **pressed})
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
@@ -149,7 +163,9 @@ def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) ->
     if path.criterion is None:
         return np.asarray(share if path.power == 1.0 else share ** (1.0 / path.power))
     low, high = np.zeros(len(rows)), np.ones(len(rows))
-    return bisect(lambda part: _demands(scene, rows, path, part * top) < wanted, low, high, _HALVINGS)[1]
+    return bisect(
+        lambda part: _demands(scene, rows, path, part * top) < wanted, low, high, _HALVINGS
+    )[1]
 
 
 def first_fractures(
@@ -180,16 +196,22 @@ def first_fractures(
     found[0] = np.inf
     loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
     followed = ("energy",) if any(path.over == "energy" for path in paths) else ("P_max",)
-    follow = partial(motions, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed)
+    follow = partial(
+        motions, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed
+    )
     for begin in range(0, len(loaded), _BLOCK):
         moved = follow(scene, loaded[begin : begin + _BLOCK])
-        known = {one.row: _course(one) for one in moved if isinstance(one, Motion) and len(one.start)}
+        known = {
+            one.row: _course(one) for one in moved if isinstance(one, Motion) and len(one.start)
+        }
         here = np.isin(rows, list(known))
         for at, path in enumerate(paths):
             picked = np.flatnonzero(here & (shares[:, at] < 1.0))
             if len(picked):
                 courses = [known[int(row)] for row in rows[picked]]
-                found[:, picked, at] = _cross(scene, rows[picked], courses, path, shares[picked, at])
+                found[:, picked, at] = _cross(
+                    scene, rows[picked], courses, path, shares[picked, at]
+                )
     return _first(found, scene.first_echo[rows])
 
 
@@ -209,7 +231,9 @@ def _first(found: Array, first_echo: Array) -> Fractures:
     )
 
 
-def _cross(scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, shares: Array) -> Array:
+def _cross(
+    scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, shares: Array
+) -> Array:
     """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each row, (4, n)."""
     scales = scene.scales
     unit = scales.time[rows]
@@ -217,10 +241,14 @@ def _cross(scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, s
         int(np.searchsorted(c.times, e)) if path.early else len(c.times)
         for c, e in zip(courses, scene.first_echo[rows] / unit, strict=True)
     ]
-    tops = np.array([c.along(path.over)[max(end - 1, 0)] for c, end in zip(courses, last, strict=True)])
+    tops = np.array(
+        [c.along(path.over)[max(end - 1, 0)] for c, end in zip(courses, last, strict=True)]
+    )
     # the force over its drive: that of Hertz goes with the 3/2 power of the approach
     power = 1.5 if courses[0].forces is None else 1.0
-    to_si = scales.force[rows] * (tops**power if path.over == "force" else scales.approach[rows] * tops)
+    to_si = scales.force[rows] * (
+        tops**power if path.over == "force" else scales.approach[rows] * tops
+    )
     at_level = _levels(scene, rows, path, to_si, np.clip(shares, 0.0, 1.0))
     levels = tops * (at_level ** (1.0 / power) if path.over == "force" else at_level)
     at = np.array(
@@ -269,10 +297,16 @@ def _moment(
             return approach, _stored(approach)
 
         return of_hertz
-    forces = np.stack([c.forces[k] for c, k in zip(courses, step, strict=True) if c.forces is not None])
+    forces = np.stack(
+        [c.forces[k] for c, k in zip(courses, step, strict=True) if c.forces is not None]
+    )
     none = np.zeros(2)
     deepest = np.stack(
-        [c.deepest[k - 1] if k else none for c, k in zip(courses, at, strict=True) if c.deepest is not None]
+        [
+            c.deepest[k - 1] if k else none
+            for c, k in zip(courses, at, strict=True)
+            if c.deepest is not None
+        ]
     )
 
     def of_laws(share: Array) -> tuple[Array, Array]:

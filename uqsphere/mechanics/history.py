@@ -91,26 +91,44 @@ def balance_of(motion: Motion, times: Array) -> Balance:
     if motion.fidelity == "massless":
         raise ValueError("a sphere without mass has no velocity of its own: take the full model")
     scene, row = motion.scene, motion.row
-    states, rates, forces = motion.states_at(times), motion.rates_at(times), motion.forces_at(times).T
+    states, rates, forces = (
+        motion.states_at(times),
+        motion.rates_at(times),
+        motion.forces_at(times).T,
+    )
     sphere = states[:, 2]
     faces = [_face(motion, pole, states[:, pole], forces[pole]) for pole in (0, 1)]
     signs = (1.0, -1.0)
-    partner = np.stack([
-        sphere + sign * rates[:, pole] if scene.partners[pole] is not None else np.zeros(len(times))
-        for pole, sign in enumerate(signs)
-    ])  # fmt: skip
+    partner = np.stack(
+        [
+            sphere + sign * rates[:, pole]
+            if scene.partners[pole] is not None
+            else np.zeros(len(times))
+            for pole, sign in enumerate(signs)
+        ]
+    )
     power = forces * partner
     steps = 0.5 * (power[:, 1:] + power[:, :-1]) * np.diff(times)
     passed = np.concatenate([np.zeros((2, 1)), np.cumsum(steps, axis=1)], axis=1)
     columns = [np.stack(column) for column in zip(*faces, strict=True)]
     return Balance(
-        time=times, approach=columns[0], force=forces, radius=columns[1], dent=columns[2], stored=columns[3],
-        plastic=columns[4], sphere=sphere, partner=partner,
-        kinetic=0.5 * float(scene.scales.mass[row]) * np.square(sphere), passed=passed,
-    )  # fmt: skip
+        time=times,
+        approach=columns[0],
+        force=forces,
+        radius=columns[1],
+        dent=columns[2],
+        stored=columns[3],
+        plastic=columns[4],
+        sphere=sphere,
+        partner=partner,
+        kinetic=0.5 * float(scene.scales.mass[row]) * np.square(sphere),
+        passed=passed,
+    )
 
 
-def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _face(
+    motion: Motion, pole: int, gap: Array, force: Array
+) -> tuple[Array, Array, Array, Array, Array]:
     """Approach, radius, dent, stored and plastic energy of a face; `gap` is its approach above the dent."""
     partner = motion.scene.partners[pole]
     none = np.zeros_like(gap)
@@ -118,9 +136,18 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
         return none, none, none, none, none
     law = partner.face if motion.forces is not None else None
     if law is None or not law.own[motion.row]:
-        beta, radius = float(partner.hertz_constant[motion.row]), float(partner.effective_radius[motion.row])
+        beta, radius = (
+            float(partner.hertz_constant[motion.row]),
+            float(partner.effective_radius[motion.row]),
+        )
         pressed = np.maximum(gap, 0.0)
-        return gap, np.sqrt(radius * pressed), none, np.asarray(contact.contact_energy(pressed, beta)), none
+        return (
+            gap,
+            np.sqrt(radius * pressed),
+            none,
+            np.asarray(contact.contact_energy(pressed, beta)),
+            none,
+        )
     law, largest = law.at(motion.row), np.maximum.accumulate(force)
     peak = law.pressed(law.depth_at(largest))
     back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
@@ -129,7 +156,13 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
         # a² = r_p (alpha - alpha_r) on the spring, (C9)
         radius_now = np.where(largest > 0.0, peak.radius * np.sqrt(share), 0.0)
     above = np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
-    return peak.dent + above, radius_now, peak.dent, 0.4 * force * np.maximum(above, 0.0), peak.plastic
+    return (
+        peak.dent + above,
+        radius_now,
+        peak.dent,
+        0.4 * force * np.maximum(above, 0.0),
+        peak.plastic,
+    )
 
 
 def rod_length(motion: Motion) -> float:
@@ -138,7 +171,9 @@ def rod_length(motion: Motion) -> float:
     if partner is None or partner.kind != "bar" or partner.table == "bars":
         return 0.0
     columns = motion.scene.columns
-    speed = float(np.sqrt(columns[f"{partner.table}.E"][row] / columns[f"{partner.table}.density"][row]))
+    speed = float(
+        np.sqrt(columns[f"{partner.table}.E"][row] / columns[f"{partner.table}.density"][row])
+    )
     return 0.5 * speed * float(partner.round_trip[row])
 
 
@@ -156,21 +191,28 @@ def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
     speed = float(np.sqrt(columns[f"{table}.E"][row] / columns[f"{table}.density"][row]))
     trip, end = float(partner.round_trip[row]), float(partner.reflection[row])
     if not 0.0 <= position <= 0.5 * speed * trip:
-        raise ValueError(f"the gauge lies beyond the rod, whose length is {0.5 * speed * trip:.4g} m")
+        raise ValueError(
+            f"the gauge lies beyond the rod, whose length is {0.5 * speed * trip:.4g} m"
+        )
 
     def leaving(at: Array) -> Array:
         total, strength = np.zeros_like(at), 1.0
         while strength != 0.0 and (at > 0.0).any():
-            total += strength * np.where(at >= 0.0, motion.forces_at(np.maximum(at, 0.0))[:, 1], 0.0)
+            total += strength * np.where(
+                at >= 0.0, motion.forces_at(np.maximum(at, 0.0))[:, 1], 0.0
+            )
             at, strength = at - trip, strength * end
         return total / float(partner.impedance[row])
 
     delay = position / speed
     returning = end * leaving(times - trip + delay) if end != 0.0 else 0.0
     return GaugeRecord(
-        bar="rod", position=position, time=times, strain=np.asarray((returning - leaving(times - delay)) / speed),
+        bar="rod",
+        position=position,
+        time=times,
+        strain=np.asarray((returning - leaving(times - delay)) / speed),
         overlaps=(),
-    )  # fmt: skip
+    )
 
 
 # --- one scene over time ----------------------------------------------------------------------------------------
@@ -197,9 +239,15 @@ class Peak:
 
 #: columns of a history as a table, with their units
 COLUMNS = {
-    "time": "s", "force_a": "N", "force_b": "N", "pressure_a": "Pa", "pressure_b": "Pa", "approach_a": "m",
-    "approach_b": "m", "velocity": "m/s",
-}  # fmt: skip
+    "time": "s",
+    "force_a": "N",
+    "force_b": "N",
+    "pressure_a": "Pa",
+    "pressure_b": "Pa",
+    "approach_a": "m",
+    "approach_b": "m",
+    "velocity": "m/s",
+}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -246,13 +294,17 @@ class History:
 
     def __repr__(self) -> str:
         end = f"{1e6 * self.horizon:.4g} us"
-        return f"<History: {len(self.time)} instants to {end}, {len(self.changes)} changes of contact>"
+        return (
+            f"<History: {len(self.time)} instants to {end}, {len(self.changes)} changes of contact>"
+        )
 
     def to_frame(self) -> DataFrame:
         """Time, forces, pressures and approaches at both faces, and the sphere's velocity; SI."""
         from pandas import DataFrame
 
-        return DataFrame({f"{name} [{unit}]": getattr(self, name) for name, unit in COLUMNS.items()})
+        return DataFrame(
+            {f"{name} [{unit}]": getattr(self, name) for name, unit in COLUMNS.items()}
+        )
 
     def plot(self, what: str = "force", ax: Axes | None = None) -> Axes:
         """Courses over time whose names begin with `what` (force, pressure, approach, velocity), on matplotlib axes."""
@@ -274,8 +326,14 @@ class History:
         return np.asarray(pressure)
 
 
-def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: float = 1e-8,
-          points: int = 2000) -> History:  # fmt: skip
+def trace(
+    scene: Scene,
+    row: int = 0,
+    *,
+    fidelity: str = "full",
+    tolerance: float = 1e-8,
+    points: int = 2000,
+) -> History:
     """One row of a scene from first touch to the horizon, `points` (2 and more) even instants and the events.
 
     fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration.  ValueError if the row
@@ -286,9 +344,13 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     row = range(len(scene))[row]
     found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
     changes = find_changes(found, tolerance=tolerance)
-    lost = next((change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf)
+    lost = next(
+        (change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf
+    )
     first, later = largest(found, 0.0, lost), largest(found, lost, found.horizon)
-    times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
+    times, sides = _instants(
+        found, points, [event.time for event in (*changes, first, later) if event is not None]
+    )
     states, forces = found.states_at(times), found.forces_at(times).T
     waves = waves_at(found, times, sides=sides) if scene.rig == "bars" else Waves.none(len(times))
     balance = balance_of(found, times) if fidelity == "full" else None
@@ -297,22 +359,43 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
     return History(
-        time=times, approach_a=approaches[0], approach_b=approaches[1], force_a=forces[0], force_b=forces[1],
-        pressure_a=pressures[0], pressure_b=pressures[1], velocity=velocity, incident=waves.incident,
-        returning=waves.returning, leaving_a=waves.leaving_a, leaving_b=waves.leaving_b, changes=changes,
-        first_peak=first, later_peak=later, horizon=found.horizon,
+        time=times,
+        approach_a=approaches[0],
+        approach_b=approaches[1],
+        force_a=forces[0],
+        force_b=forces[1],
+        pressure_a=pressures[0],
+        pressure_b=pressures[1],
+        velocity=velocity,
+        incident=waves.incident,
+        returning=waves.returning,
+        leaving_a=waves.leaving_a,
+        leaving_b=waves.leaving_b,
+        changes=changes,
+        first_peak=first,
+        later_peak=later,
+        horizon=found.horizon,
         record_end=found.horizon if scene.whole_record else min(lost, found.horizon),
-        mass_number=float(scales.mass_number[row]), pulse_number=float(scales.pulse_number[row]),
-        modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
-        hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity, motion=found, balance=balance,
-    )  # fmt: skip
+        mass_number=float(scales.mass_number[row]),
+        pulse_number=float(scales.pulse_number[row]),
+        modulus=float(scales.modulus[row]),
+        effective_radius=float(scales.effective_radius[row]),
+        hertz_constant=float(scales.hertz_constant[row]),
+        fidelity=fidelity,
+        motion=found,
+        balance=balance,
+    )
 
 
-def _pressed(found: Motion, states: Array, forces: Array, balance: Balance | None) -> tuple[Array, Array]:
+def _pressed(
+    found: Motion, states: Array, forces: Array, balance: Balance | None
+) -> tuple[Array, Array]:
     """Approaches and pressures (2, m) of both faces, as the balance has them where a dent stays."""
     if balance is not None and balance.dent.max() > 0.0:
         return balance.approach, balance.mean_pressure
-    return states[:, :2].T, np.stack([found.pressure_at(force, pole) for pole, force in enumerate(forces)])
+    return states[:, :2].T, np.stack(
+        [found.pressure_at(force, pole) for pole, force in enumerate(forces)]
+    )
 
 
 def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, Array]:
@@ -360,7 +443,9 @@ def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
         times = _zeros(_approach(found, face), nodes[at], nodes[at + 1])
         for time, before in zip(times, pressed[at], strict=True):
-            changes.append(ContactChange(time=float(time), face=name, kind="lost" if before else "found"))
+            changes.append(
+                ContactChange(time=float(time), face=name, kind="lost" if before else "found")
+            )
     return tuple(sorted(changes, key=lambda change: (change.time, change.face)))
 
 
@@ -382,8 +467,14 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
         approach = _approach(found, face)
         highest = int(np.argmax(approach(nodes)))
         low, high = nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)]
-        time = float(minimize_scalar(lambda at, of=approach: -of(np.array([at]))[0], bounds=(low, high),
-                                     method="bounded", options={"xatol": 1e-8 * (high - low)}).x)  # fmt: skip
+        time = float(
+            minimize_scalar(
+                lambda at, of=approach: -of(np.array([at]))[0],
+                bounds=(low, high),
+                method="bounded",
+                options={"xatol": 1e-8 * (high - low)},
+            ).x
+        )
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
         force = float(found.forces_at(np.array([time]))[0, face])
@@ -405,7 +496,10 @@ def equilibrium(history: History, level: float = 0.05) -> float | None:
     def excess(times: Array) -> Array:
         forces = found.forces_at(times)
         # before first touch there is no equilibrium to speak of
-        return np.where(forces.sum(axis=1) > 0.0, force_imbalance(forces[:, 0], forces[:, 1]), 2.0) - level
+        return (
+            np.where(forces.sum(axis=1) > 0.0, force_imbalance(forces[:, 0], forces[:, 1]), 2.0)
+            - level
+        )
 
     nodes = _nodes(found, 0.0, peak.time)
     outside = excess(nodes) > 0.0
@@ -452,6 +546,11 @@ def view_field(history: History, *, places: int = 300, times: int = 380) -> Fiel
     )
     tensions = (first_tension(found, bar) for bar in BARS)
     return FieldView(
-        reach=(left, right), begin=begin, last=last, places=x, times=t, stress=field_grid(found, x, t).stress,
+        reach=(left, right),
+        begin=begin,
+        last=last,
+        places=x,
+        times=t,
+        stress=field_grid(found, x, t).stress,
         tensions=tuple(one for one in tensions if one is not None),
-    )  # fmt: skip
+    )

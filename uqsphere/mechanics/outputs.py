@@ -29,103 +29,308 @@ _Kind = TypeVar("_Kind", bound=np.generic)
 #: what a column is given as: numbers, a function that is called when it is read, or the columns of every face
 Known: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read beside its own columns
-_SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time", "speed")
+_SCALES: Final = (
+    "modulus",
+    "effective_radius",
+    "hertz_constant",
+    "mass",
+    "force",
+    "approach",
+    "time",
+    "speed",
+)
 
 
 def _of_criterion(entry: Criterion) -> Quantity:
     return Quantity(
-        name=str(entry.quantity), symbol=entry.symbol, dimension=entry.dimension, display=entry.display,
-        meaning=entry.measures, follows=entry.follows, fracture=True, place=entry.place, needs=entry.needs,
+        name=str(entry.quantity),
+        symbol=entry.symbol,
+        dimension=entry.dimension,
+        display=entry.display,
+        meaning=entry.measures,
+        follows=entry.follows,
+        fracture=True,
+        place=entry.place,
+        needs=entry.needs,
         formula=lambda columns: demand(entry, columns),
-    )  # fmt: skip
+    )
 
 
 #: Every quantity of interest that the impact model answers.
-OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
-    Quantity(name="p_max", symbol="p_max", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="peak contact pressure: the larger of both faces", place="contact",
-             needs=("P_max", "modulus", "effective_radius"),
-             formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
-    Quantity(name="P_max", symbol="P_max", dimension="force", display="kN", follows="force", fracture=True,
-             meaning="largest contact force at either face", needs=("force", "x_max"),
-             formula=lambda c: c["force"] * c["x_max"] ** c["power"]),
-    Quantity(name="p_hertz", symbol="p_H", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="elastic (Hertz) pressure at peak force: what that force would give without yield; a measure "
-                     "of the force, as strengths from forces are, so it may exceed the hardness", place="contact",
-             needs=("P_max", "modulus", "effective_radius"),
-             formula=lambda c: contact.pressure_at_force(c["P_max"], c["modulus"], c["effective_radius"])),
-    Quantity(name="alpha_max", symbol="alpha_max", dimension="length", display="um", follows="force",
-             meaning="approach of sphere and bar at the largest force", needs=("approach", "x_max"),
-             formula=lambda c: c["approach"] * c["x_max"]),
-    Quantity(name="a_max", symbol="a_max", dimension="length", display="mm", follows="force",
-             meaning="radius of the contact circle at the largest force",
-             needs=("P_max", "hertz_constant", "effective_radius"),
-             formula=lambda c: contact.contact_radius(
-                 contact.approach_at_force(c["P_max"], c["hertz_constant"]), c["effective_radius"])),
-    Quantity(name="p_mean", symbol="p_m", dimension="pressure", display="GPa", follows="force", place="contact",
-             meaning="mean pressure over the contact circle at the largest force, as hardness is measured",
-             needs=("P_max", "a_max"), formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"]))),
-    Quantity(name="dent", symbol="dent", dimension="length", display="um", closed=True,
-             meaning="depth of the larger dent that stays at either face", needs=("dent_left",)),
-    Quantity(name="mean_force_max", symbol="P_mean", dimension="force", display="kN",
-             meaning="largest mean of the forces at the two poles, what the centre of the sphere feels",
-             needs=("force", "mean_force"), formula=lambda c: c["force"] * c["mean_force"]),
-    Quantity(name="contact_duration", symbol="t_eq", dimension="time", display="us",
-             meaning="equivalent contact duration: impulse of the mean force of both faces over its peak",
-             needs=("time", "duration"), formula=lambda c: c["time"] * c["duration"]),
-    Quantity(name="time_to_first_loss", symbol="t_loss", dimension="time", display="us",
-             meaning="time from first touch to the first loss of contact at either face", needs=("time", "contact"),
-             censored="contact_censored",
-             formula=lambda c: c["time"] * c["contact"]),
-    Quantity(name="loaded_time", symbol="t_loaded", dimension="time", display="us",
-             meaning="time from first touch until the bodies part for good", needs=("time", "parting"),
-             formula=lambda c: c["time"] * c["parting"]),
-    Quantity(name="rise_time", symbol="t_rise", dimension="time", display="us",
-             meaning="time between the first crossings of 10 % and 90 % of the largest force", needs=("time", "rise"),
-             formula=lambda c: c["time"] * c["rise"]),
-    Quantity(name="loading_rate", symbol="dP/dt", dimension="loading_rate", display="MN/s",
-             meaning="mean loading rate, 0.8 P_max over the rise time", needs=("P_max", "rise_time"),
-             formula=lambda c: 0.8 * c["P_max"] / c["rise_time"]),
-    Quantity(name="first_peak", symbol="p_first", dimension="pressure", display="GPa", follows="force", fracture=True,
-             meaning="largest contact pressure before the first reflected wave returns", early=True, place="contact",
-             needs=("force", "x_first", "modulus", "effective_radius"),
-             formula=lambda c: contact.pressure_at_force(
-                 c["force"] * c["x_first"] ** c["power"], c["modulus"], c["effective_radius"])),
-    Quantity(name="force_imbalance", symbol="|P_A-P_B|/P_max", dimension="number",
-             meaning="largest difference of the two contact forces over the largest force",
-             needs=("difference", "x_max"), formula=lambda c: c["difference"] / c["x_max"] ** c["power"]),
-    Quantity(name="retouches", symbol="n_t", dimension="number", closed=True,
-             meaning="contacts lost and found again before the largest force", needs=("touches",)),
-    Quantity(name="energy", symbol="W", dimension="energy", display="J", follows="energy", fracture=True,
-             meaning="largest elastic energy stored in both contacts", needs=("force", "approach", "stored"),
-             formula=lambda c: c["force"] * c["approach"] * c["stored"]),
-    Quantity(name="specific_energy", symbol="W/M", dimension="specific_energy", display="J/kg", follows="energy",
-             meaning="largest elastic energy stored in both contacts, per mass of the sphere", fracture=True,
-             needs=("energy", "mass"), formula=lambda c: c["energy"] / c["mass"]),
-    Quantity(name="energy_sphere", symbol="W_s", dimension="energy", display="J", follows="energy", fracture=True,
-             meaning="the sphere's share of the largest energy in both contacts, its plastic work included",
-             needs=("energy", "modulus", "sphere.nu", "sphere.E", "stored_sphere"),
-             formula=lambda c: c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]),
-    Quantity(name="specific_energy_sphere", symbol="W_s/M", dimension="specific_energy", display="J/kg",
-             follows="energy", fracture=True, needs=("energy_sphere", "mass"),
-             meaning="the sphere's share of the largest energy in both contacts, per mass of the sphere",
-             formula=lambda c: c["energy_sphere"] / c["mass"]),
-    Quantity(name="impact_energy", symbol="E_in", dimension="energy", display="J", needs=("offered",), fracture=True,
-             meaning="kinetic energy that the blow offers: of the weight, or of the bodies that meet"),
-    Quantity(name="specific_impact_energy", symbol="E_in/M", dimension="specific_energy", display="J/kg",
-             meaning="kinetic energy that the blow offers, per mass of the sphere", fracture=True,
-             needs=("impact_energy", "mass"), formula=lambda c: c["impact_energy"] / c["mass"]),
-    Quantity(name="rebound_speed", symbol="v_r", dimension="speed", display="m/s", lower=-math.inf,
-             meaning="speed at which the sphere, or the weight, flies back", needs=("speed", "leaving"),
-             formula=lambda c: c["speed"] * c["leaving"]),
-    Quantity(name="restitution", symbol="e", dimension="number", lower=-math.inf,
-             meaning="speed at which the bodies part over that at which they met; of a weight its own",
-             needs=("parting_speed",)),
-    Quantity(name="transmitted_energy", symbol="W_t", dimension="energy", display="J", closed=True,
-             meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b")),
-    Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
-             meaning="work that both faces have dissipated by yielding", needs=("dissipated",)),
-)}  # fmt: skip
+OUTPUTS: Final[dict[str, Quantity]] = {
+    entry.name: entry
+    for entry in (
+        Quantity(
+            name="p_max",
+            symbol="p_max",
+            dimension="pressure",
+            display="GPa",
+            follows="force",
+            fracture=True,
+            meaning="peak contact pressure: the larger of both faces",
+            place="contact",
+            needs=("P_max", "modulus", "effective_radius"),
+            formula=lambda c: contact.pressure_at_force(
+                c["P_max"], c["modulus"], c["effective_radius"]
+            ),
+        ),
+        Quantity(
+            name="P_max",
+            symbol="P_max",
+            dimension="force",
+            display="kN",
+            follows="force",
+            fracture=True,
+            meaning="largest contact force at either face",
+            needs=("force", "x_max"),
+            formula=lambda c: c["force"] * c["x_max"] ** c["power"],
+        ),
+        Quantity(
+            name="p_hertz",
+            symbol="p_H",
+            dimension="pressure",
+            display="GPa",
+            follows="force",
+            fracture=True,
+            meaning="elastic (Hertz) pressure at peak force: what that force would give without yield; a measure "
+            "of the force, as strengths from forces are, so it may exceed the hardness",
+            place="contact",
+            needs=("P_max", "modulus", "effective_radius"),
+            formula=lambda c: contact.pressure_at_force(
+                c["P_max"], c["modulus"], c["effective_radius"]
+            ),
+        ),
+        Quantity(
+            name="alpha_max",
+            symbol="alpha_max",
+            dimension="length",
+            display="um",
+            follows="force",
+            meaning="approach of sphere and bar at the largest force",
+            needs=("approach", "x_max"),
+            formula=lambda c: c["approach"] * c["x_max"],
+        ),
+        Quantity(
+            name="a_max",
+            symbol="a_max",
+            dimension="length",
+            display="mm",
+            follows="force",
+            meaning="radius of the contact circle at the largest force",
+            needs=("P_max", "hertz_constant", "effective_radius"),
+            formula=lambda c: contact.contact_radius(
+                contact.approach_at_force(c["P_max"], c["hertz_constant"]), c["effective_radius"]
+            ),
+        ),
+        Quantity(
+            name="p_mean",
+            symbol="p_m",
+            dimension="pressure",
+            display="GPa",
+            follows="force",
+            place="contact",
+            meaning="mean pressure over the contact circle at the largest force, as hardness is measured",
+            needs=("P_max", "a_max"),
+            formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"])),
+        ),
+        Quantity(
+            name="dent",
+            symbol="dent",
+            dimension="length",
+            display="um",
+            closed=True,
+            meaning="depth of the larger dent that stays at either face",
+            needs=("dent_left",),
+        ),
+        Quantity(
+            name="mean_force_max",
+            symbol="P_mean",
+            dimension="force",
+            display="kN",
+            meaning="largest mean of the forces at the two poles, what the centre of the sphere feels",
+            needs=("force", "mean_force"),
+            formula=lambda c: c["force"] * c["mean_force"],
+        ),
+        Quantity(
+            name="contact_duration",
+            symbol="t_eq",
+            dimension="time",
+            display="us",
+            meaning="equivalent contact duration: impulse of the mean force of both faces over its peak",
+            needs=("time", "duration"),
+            formula=lambda c: c["time"] * c["duration"],
+        ),
+        Quantity(
+            name="time_to_first_loss",
+            symbol="t_loss",
+            dimension="time",
+            display="us",
+            meaning="time from first touch to the first loss of contact at either face",
+            needs=("time", "contact"),
+            censored="contact_censored",
+            formula=lambda c: c["time"] * c["contact"],
+        ),
+        Quantity(
+            name="loaded_time",
+            symbol="t_loaded",
+            dimension="time",
+            display="us",
+            meaning="time from first touch until the bodies part for good",
+            needs=("time", "parting"),
+            formula=lambda c: c["time"] * c["parting"],
+        ),
+        Quantity(
+            name="rise_time",
+            symbol="t_rise",
+            dimension="time",
+            display="us",
+            meaning="time between the first crossings of 10 % and 90 % of the largest force",
+            needs=("time", "rise"),
+            formula=lambda c: c["time"] * c["rise"],
+        ),
+        Quantity(
+            name="loading_rate",
+            symbol="dP/dt",
+            dimension="loading_rate",
+            display="MN/s",
+            meaning="mean loading rate, 0.8 P_max over the rise time",
+            needs=("P_max", "rise_time"),
+            formula=lambda c: 0.8 * c["P_max"] / c["rise_time"],
+        ),
+        Quantity(
+            name="first_peak",
+            symbol="p_first",
+            dimension="pressure",
+            display="GPa",
+            follows="force",
+            fracture=True,
+            meaning="largest contact pressure before the first reflected wave returns",
+            early=True,
+            place="contact",
+            needs=("force", "x_first", "modulus", "effective_radius"),
+            formula=lambda c: contact.pressure_at_force(
+                c["force"] * c["x_first"] ** c["power"], c["modulus"], c["effective_radius"]
+            ),
+        ),
+        Quantity(
+            name="force_imbalance",
+            symbol="|P_A-P_B|/P_max",
+            dimension="number",
+            meaning="largest difference of the two contact forces over the largest force",
+            needs=("difference", "x_max"),
+            formula=lambda c: c["difference"] / c["x_max"] ** c["power"],
+        ),
+        Quantity(
+            name="retouches",
+            symbol="n_t",
+            dimension="number",
+            closed=True,
+            meaning="contacts lost and found again before the largest force",
+            needs=("touches",),
+        ),
+        Quantity(
+            name="energy",
+            symbol="W",
+            dimension="energy",
+            display="J",
+            follows="energy",
+            fracture=True,
+            meaning="largest elastic energy stored in both contacts",
+            needs=("force", "approach", "stored"),
+            formula=lambda c: c["force"] * c["approach"] * c["stored"],
+        ),
+        Quantity(
+            name="specific_energy",
+            symbol="W/M",
+            dimension="specific_energy",
+            display="J/kg",
+            follows="energy",
+            meaning="largest elastic energy stored in both contacts, per mass of the sphere",
+            fracture=True,
+            needs=("energy", "mass"),
+            formula=lambda c: c["energy"] / c["mass"],
+        ),
+        Quantity(
+            name="energy_sphere",
+            symbol="W_s",
+            dimension="energy",
+            display="J",
+            follows="energy",
+            fracture=True,
+            meaning="the sphere's share of the largest energy in both contacts, its plastic work included",
+            needs=("energy", "modulus", "sphere.nu", "sphere.E", "stored_sphere"),
+            formula=lambda c: (
+                c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]
+            ),
+        ),
+        Quantity(
+            name="specific_energy_sphere",
+            symbol="W_s/M",
+            dimension="specific_energy",
+            display="J/kg",
+            follows="energy",
+            fracture=True,
+            needs=("energy_sphere", "mass"),
+            meaning="the sphere's share of the largest energy in both contacts, per mass of the sphere",
+            formula=lambda c: c["energy_sphere"] / c["mass"],
+        ),
+        Quantity(
+            name="impact_energy",
+            symbol="E_in",
+            dimension="energy",
+            display="J",
+            needs=("offered",),
+            fracture=True,
+            meaning="kinetic energy that the blow offers: of the weight, or of the bodies that meet",
+        ),
+        Quantity(
+            name="specific_impact_energy",
+            symbol="E_in/M",
+            dimension="specific_energy",
+            display="J/kg",
+            meaning="kinetic energy that the blow offers, per mass of the sphere",
+            fracture=True,
+            needs=("impact_energy", "mass"),
+            formula=lambda c: c["impact_energy"] / c["mass"],
+        ),
+        Quantity(
+            name="rebound_speed",
+            symbol="v_r",
+            dimension="speed",
+            display="m/s",
+            lower=-math.inf,
+            meaning="speed at which the sphere, or the weight, flies back",
+            needs=("speed", "leaving"),
+            formula=lambda c: c["speed"] * c["leaving"],
+        ),
+        Quantity(
+            name="restitution",
+            symbol="e",
+            dimension="number",
+            lower=-math.inf,
+            meaning="speed at which the bodies part over that at which they met; of a weight its own",
+            needs=("parting_speed",),
+        ),
+        Quantity(
+            name="transmitted_energy",
+            symbol="W_t",
+            dimension="energy",
+            display="J",
+            closed=True,
+            meaning="energy that the partners carry off as waves",
+            needs=("carried_off", "carried_a", "carried_b"),
+        ),
+        Quantity(
+            name="plastic_work",
+            symbol="D",
+            dimension="energy",
+            display="J",
+            closed=True,
+            meaning="work that both faces have dissipated by yielding",
+            needs=("dissipated",),
+        ),
+    )
+}
 OUTPUTS.update(
     (entry.quantity, _of_criterion(entry))
     for entry in CRITERIA.values()
@@ -151,7 +356,9 @@ class Columns(Mapping[str, Values]):
                 else:
                     entry = OUTPUTS[name]
                     # without a formula it is what it needs
-                    self._known[name] = self[entry.needs[0]] if entry.formula is None else entry.formula(self)
+                    self._known[name] = (
+                        self[entry.needs[0]] if entry.formula is None else entry.formula(self)
+                    )
         return self._known[name]
 
     def __contains__(self, name: object) -> bool:
@@ -213,8 +420,16 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
     work: its rim has at most the tension that Hertz has for the force.
     """
     field = 1.5 * press.mean
-    rim = np.where(np.asarray(takes) > 0.0, contact.pressure_at_force(press.force, modulus, radius), field)
-    return {"p_max": press.centre, "p_mean": press.mean, "p_field": field, "p_rim": rim, "a_max": press.radius}
+    rim = np.where(
+        np.asarray(takes) > 0.0, contact.pressure_at_force(press.force, modulus, radius), field
+    )
+    return {
+        "p_max": press.centre,
+        "p_mean": press.mean,
+        "p_field": field,
+        "p_rim": rim,
+        "a_max": press.radius,
+    }
 
 
 def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
@@ -242,19 +457,24 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
     if (face := partner.face) is None:
         elastic = Columns({"p": lambda: contact.pressure_at_force(force, modulus, radius)})
         return {
-            "P_max": force, "alpha_max": approach, "a_max": lambda: contact.contact_radius(approach, radius),
+            "P_max": force,
+            "alpha_max": approach,
+            "a_max": lambda: contact.contact_radius(approach, radius),
             "p_mean": lambda: 2.0 / 3.0 * elastic["p"],
             **dict.fromkeys(("p_max", "p_hertz", "p_field", "p_rim"), lambda: elastic["p"]),
             **dict.fromkeys(("dent_left", "dissipated"), lambda: np.zeros(len(scene))),
             "stored": lambda: contact.contact_energy(approach, beta),
-        }  # fmt: skip
+        }
     state = face.pressed(approach / face.onset_approach)
     return {
-        **pressures_of(state, modulus, radius, partner.takes), "P_max": state.force, "alpha_max": state.approach,
-        "p_hertz": contact.pressure_at_force(state.force, modulus, radius), "dent_left": state.dent,
+        **pressures_of(state, modulus, radius, partner.takes),
+        "P_max": state.force,
+        "alpha_max": state.approach,
+        "p_hertz": contact.pressure_at_force(state.force, modulus, radius),
+        "dent_left": state.dent,
         "dissipated": state.plastic,
         "stored": state.stored,
-    }  # fmt: skip
+    }
 
 
 #: columns of a row that are the largest over its faces, each on its own
@@ -272,7 +492,11 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     found: dict[str, Known] = {column: partial(_largest, sides, column) for column in _LARGEST}
     if "x_first_a" in tracked or "x_first_b" in tracked:
         found["first_peak"] = lambda: _largest(
-            [Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()], "p_max"
+            [
+                Columns(_side(scene, pole, tracked[f"x_first_{name}"]))
+                for name, pole in poles.items()
+            ],
+            "p_max",
         )
     more = _of_forces(scene, tracked, sides) | _energies(scene, tracked, sides)
     return {"sides": sides} | found | more
@@ -292,7 +516,9 @@ def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
     return Columns(side)
 
 
-def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Known]:
+def _of_forces(
+    scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
+) -> dict[str, Known]:
     """What the forces at both poles are together: with one contact its own, and half of it at the centre."""
     force, found = scene.scales.force, dict[str, Known]()
     if len(sides) == 1:
@@ -300,7 +526,9 @@ def _of_forces(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Colum
     elif "difference" in tracked:
         found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
     if scene.rig != "bars":
-        found["force_at_centre"] = found.get("mean_force_max") or (lambda: force * tracked["mean_force"])
+        found["force_at_centre"] = found.get("mean_force_max") or (
+            lambda: force * tracked["mean_force"]
+        )
     return found
 
 
@@ -308,13 +536,19 @@ def _largest(sides: Sequence[Columns], column: str) -> Array:
     return np.asarray(np.maximum.reduce([side[column] for side in sides]))
 
 
-def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Known]:
+def _energies(
+    scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
+) -> dict[str, Known]:
     """Energy in both contacts and what they dissipate, and the sphere's share of them (`_energy_of_sphere`)."""
     unit = scene.scales.force * scene.scales.approach
 
     def energy() -> Values:
         # platens press both faces to their largest together
-        return unit * tracked["stored"] if "stored" in tracked else sum(side["stored"] for side in sides)
+        return (
+            unit * tracked["stored"]
+            if "stored" in tracked
+            else sum(side["stored"] for side in sides)
+        )
 
     return {
         "energy": energy,
@@ -324,7 +558,10 @@ def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Column
 
 
 def _energy_of_sphere(
-    scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns], energy: Callable[[], Values]
+    scene: Scene,
+    tracked: Mapping[str, Array],
+    sides: Sequence[Columns],
+    energy: Callable[[], Values],
 ) -> Values:
     """chi of what is stored at each face, and what the sphere dissipates: all where it yields itself."""
     faces = list(zip(scene.there, sides, strict=True))
@@ -336,7 +573,9 @@ def _energy_of_sphere(
         own = scene.scales.force * scene.scales.approach * tracked["stored_sphere"]
     if all(partner.face is None for partner in scene.there):
         return own
-    return own + sum(np.where(one.takes > 0.0, one.takes * side["dissipated"], 0.0) for one, side in faces)
+    return own + sum(
+        np.where(one.takes > 0.0, one.takes * side["dissipated"], 0.0) for one, side in faces
+    )
 
 
 def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
@@ -356,7 +595,10 @@ def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
         total = 0.0 * scales.force
         for partner, name in ((behind, "a"), (ahead, "b")):
             if partner is not None and _carrying([partner]) and f"carried_{name}" in tracked:
-                total = total + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
+                total = (
+                    total
+                    + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
+                )
         loss = loss_to_waves(scene)
         return total if loss is None else total + loss * offered()
 
@@ -375,23 +617,51 @@ def _half(scales: Scales) -> Array:
 
 #: columns that formulas read and some scenes do not have, which scenes, and why not
 _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]] = (
-    (("difference",), lambda s: RIGS[s.rig].contacts == 1,
-     "with one contact the other force is nothing: the imbalance is 1 by definition"),
-    (("parting", "touches"), lambda s: s.rig == "bars", "between bars echoes load the sphere again and again"),
+    (
+        ("difference",),
+        lambda s: RIGS[s.rig].contacts == 1,
+        "with one contact the other force is nothing: the imbalance is 1 by definition",
+    ),
+    (
+        ("parting", "touches"),
+        lambda s: s.rig == "bars",
+        "between bars echoes load the sphere again and again",
+    ),
     (("carried_off",), lambda s: s.rig == "bars", "bars carry waves both ways: history shows them"),
-    (("offered", "leaving", "parting_speed"), lambda s: not RIGS[s.rig].blow,
-     "no body meets the sphere with a speed: a wave, or a slow press, loads it"),
-    (("carried_off",), lambda s: RIGS[s.rig].blow and loss_to_waves(s) is None and not _carrying(s.there),
-     "what stands at the poles carries nothing off here (a thick target: give its density)"),
-    (("parting", "touches", "contact", "duration", "carried_off"), lambda s: s.rig == "platens",
-     "platens press slowly and stay"),
-    (("rise",), lambda s: s.rig == "platens" and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate")),
-     'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'),
-    (("x_first",), lambda s: s.rig != "bars" and not any(np.any(one.reflection) for one in s.there),
-     "no wave comes back to the sphere"),
-    (("dent_left", "dissipated"), lambda s: all(one.face is None for one in s.there),
-     'both bodies are elastic: law = "plastic" in the table [contact] is required'),
-)  # fmt: skip
+    (
+        ("offered", "leaving", "parting_speed"),
+        lambda s: not RIGS[s.rig].blow,
+        "no body meets the sphere with a speed: a wave, or a slow press, loads it",
+    ),
+    (
+        ("carried_off",),
+        lambda s: RIGS[s.rig].blow and loss_to_waves(s) is None and not _carrying(s.there),
+        "what stands at the poles carries nothing off here (a thick target: give its density)",
+    ),
+    (
+        ("parting", "touches", "contact", "duration", "carried_off"),
+        lambda s: s.rig == "platens",
+        "platens press slowly and stay",
+    ),
+    (
+        ("rise",),
+        lambda s: (
+            s.rig == "platens"
+            and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate"))
+        ),
+        'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate',
+    ),
+    (
+        ("x_first",),
+        lambda s: s.rig != "bars" and not any(np.any(one.reflection) for one in s.there),
+        "no wave comes back to the sphere",
+    ),
+    (
+        ("dent_left", "dissipated"),
+        lambda s: all(one.face is None for one in s.there),
+        'both bodies are elastic: law = "plastic" in the table [contact] is required',
+    ),
+)
 
 
 def absent_in(scene: Scene, quantity: str) -> str:
@@ -400,7 +670,9 @@ def absent_in(scene: Scene, quantity: str) -> str:
     if missing := sorted({name for name in roots if "." in name} - scene.columns.keys()):
         tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in missing}))
         return f"{quantity} needs {' and '.join(missing)}: add them in the table {tables}"
-    return next((why for names, where, why in _LACKING if not roots.isdisjoint(names) and where(scene)), "")
+    return next(
+        (why for names, where, why in _LACKING if not roots.isdisjoint(names) and where(scene)), ""
+    )
 
 
 # --- answers of a batch -------------------------------------------------------------------------------
@@ -464,7 +736,9 @@ def answers_from(
     if quantities is None:
         quantities = (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)
     values = {name: _value(scene, columns, name) for name in quantities}
-    finite = np.logical_and.reduce([np.isfinite(value) for value in (columns["x_max"], *values.values())])
+    finite = np.logical_and.reduce(
+        [np.isfinite(value) for value in (columns["x_max"], *values.values())]
+    )
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
     status = np.where(answered(status) & _wider_than_its_rod(scene, made), DOMAIN, status)
     bad = ~answered(status)
@@ -475,8 +749,12 @@ def answers_from(
         if name in OUTPUTS and OUTPUTS[name].censored
     }
     record = np.asarray(scene.scales.time * columns["ended"])
-    grazes = tracked.get("grazed", np.zeros(len(scene))) > 0.0  # a closed form knows no loss that is in doubt
-    return Answers(values=values, censored=censored, grazes=grazes, status=status, record=record, steps=steps)
+    grazes = (
+        tracked.get("grazed", np.zeros(len(scene))) > 0.0
+    )  # a closed form knows no loss that is in doubt
+    return Answers(
+        values=values, censored=censored, grazes=grazes, status=status, record=record, steps=steps
+    )
 
 
 def _wider_than_its_rod(scene: Scene, made: Mapping[str, Known]) -> Flags:
@@ -527,12 +805,19 @@ class Path:
     power: float = 1.0
 
 
-_BY_CRITERION: Final = {quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)}
+_BY_CRITERION: Final = {
+    quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)
+}
 #: what the force is by Hertz goes with its third root, yield or not
 _POWERS: Final = {"p_hertz": 1.0 / 3.0}
 #: quantities of interest whose exceedance can mean fracture
 PATHS: Final[dict[str, Path]] = {
-    name: Path(over=entry.follows, criterion=_BY_CRITERION.get(name), early=entry.early, power=_POWERS.get(name, 1.0))
+    name: Path(
+        over=entry.follows,
+        criterion=_BY_CRITERION.get(name),
+        early=entry.early,
+        power=_POWERS.get(name, 1.0),
+    )
     for name, entry in OUTPUTS.items()
     if entry.fracture
 }

@@ -84,27 +84,41 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
     count = (levels > 0.0).sum(axis=1)
     middle = 0.5 * rise
     end = middle + count * duration + 0.5 * fall
-    breaks, pieces = [np.zeros_like(duration), rise], [_line(rise, np.zeros_like(duration), levels[:, 0])]
+    breaks, pieces = (
+        [np.zeros_like(duration), rise],
+        [_line(rise, np.zeros_like(duration), levels[:, 0])],
+    )
     following = np.concatenate([levels[:, 1:], np.zeros_like(levels[:, :1])], axis=1)
     for k in range(levels.shape[1]):
         change = middle + (k + 1) * duration
         breaks += [np.minimum(change - 0.5 * fall, end), np.minimum(change + 0.5 * fall, end)]
-        pieces += [_line(duration, levels[:, k], levels[:, k]), _line(fall, levels[:, k], following[:, k])]
+        pieces += [
+            _line(duration, levels[:, k], levels[:, k]),
+            _line(fall, levels[:, k], following[:, k]),
+        ]
     plateau = duration - 0.5 * (rise + fall)
     roomy = (plateau >= -1e-12 * duration) & (duration - fall >= -1e-12 * duration)
     valid = complete & roomy & (rise >= 0.0) & (fall >= 0.0) & (duration > 0.0)
     return Pulse(
-        breaks=np.maximum.accumulate(np.stack(breaks, axis=1), axis=1), coefficients=np.stack(pieces, axis=1),
-        frequency=np.zeros_like(duration), valid=valid,
-    )  # fmt: skip
+        breaks=np.maximum.accumulate(np.stack(breaks, axis=1), axis=1),
+        coefficients=np.stack(pieces, axis=1),
+        frequency=np.zeros_like(duration),
+        valid=valid,
+    )
 
 
 def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     if "striker_ratio" in numbers:
-        return _stepped(duration, np.zeros_like(duration), np.zeros_like(duration), numbers["striker_ratio"])
+        return _stepped(
+            duration, np.zeros_like(duration), np.zeros_like(duration), numbers["striker_ratio"]
+        )
     zero, one = np.zeros_like(duration), np.ones_like(duration)
-    return Pulse(breaks=np.stack([zero, duration], axis=1), coefficients=_line(duration, one, one)[:, None, :],
-                 frequency=zero, valid=duration > 0.0)  # fmt: skip
+    return Pulse(
+        breaks=np.stack([zero, duration], axis=1),
+        coefficients=_line(duration, one, one)[:, None, :],
+        frequency=zero,
+        valid=duration > 0.0,
+    )
 
 
 def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -131,8 +145,12 @@ def _ramp(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 def _half_sine(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     zero = np.zeros_like(duration)
-    return Pulse(breaks=np.stack([zero, duration], axis=1), coefficients=np.zeros((len(duration), 1, 4)),
-                 frequency=np.pi / duration, valid=duration > 0.0)  # fmt: skip
+    return Pulse(
+        breaks=np.stack([zero, duration], axis=1),
+        coefficients=np.zeros((len(duration), 1, 4)),
+        frequency=np.pi / duration,
+        valid=duration > 0.0,
+    )
 
 
 def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -168,7 +186,10 @@ PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
         "two_peak",
         {"duration": 24.8e-6, "t1": 7e-6, "level1": 1.0, "t2": 19e-6, "level2": 0.6},
     ),
-    "short": ("two_peak", {"duration": 60e-6, "t1": 16e-6, "level1": 1.0, "t2": 40e-6, "level2": 0.8}),
+    "short": (
+        "two_peak",
+        {"duration": 60e-6, "t1": 16e-6, "level1": 1.0, "t2": 40e-6, "level2": 0.8},
+    ),
     "long": ("trapezoid", {"duration": 400e-6, "rise": 40e-6, "fall": 40e-6}),
 }
 
@@ -187,7 +208,8 @@ def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | No
     """
     duration = np.atleast_1d(np.asarray(duration, dtype=float))
     columns = {
-        name: np.broadcast_to(np.asarray(value, dtype=float), duration.shape) for name, value in (numbers or {}).items()
+        name: np.broadcast_to(np.asarray(value, dtype=float), duration.shape)
+        for name, value in (numbers or {}).items()
     }
     with np.errstate(all="ignore"):
         return SHAPES[shape](duration, columns)
@@ -238,9 +260,11 @@ class MeasuredPulse:
         """The pieces of n rows."""
         joints, cubics = np.asarray(self.breaks), np.asarray(self.coefficients)
         return Pulse(
-            breaks=np.tile(joints, (rows, 1)), coefficients=np.tile(cubics, (rows, 1, 1)), frequency=np.zeros(rows),
+            breaks=np.tile(joints, (rows, 1)),
+            coefficients=np.tile(cubics, (rows, 1, 1)),
+            frequency=np.zeros(rows),
             valid=np.ones(rows, dtype=bool),
-        )  # fmt: skip
+        )
 
 
 def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
@@ -258,7 +282,10 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
         raise ValueError(f"found {len(inside)} samples of a pulse, 8 or more are required")
     first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
     for level, why in (
-        (-strain.min(), "the strain turns to tension, -{:.0%} of its peak: cut the reflected wave off"),
+        (
+            -strain.min(),
+            "the strain turns to tension, -{:.0%} of its peak: cut the reflected wave off",
+        ),
         (abs(strain[first]), "the pulse begins at {:.0%} of its peak: cut it out at rest"),
         (abs(strain[last]), "the pulse ends at {:.0%} of its peak: cut it out at rest"),
     ):
@@ -268,7 +295,9 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
     # from 0 to 0
     curve[[0, -1]], weight = 0.0, np.ones(len(curve))
     weight[[0, -1]] = 1e3
-    *_, knots = generate_knots(time, curve, w=weight, k=3, s=len(curve) * _FINE**2, nest=_PIECES + 7)
+    *_, knots = generate_knots(
+        time, curve, w=weight, k=3, s=len(curve) * _FINE**2, nest=_PIECES + 7
+    )
     spline = make_lsq_spline(time, curve, knots, 3, weight)
     fine = np.linspace(0.0, time[-1], 2000)
     smooth = spline(fine)
@@ -276,6 +305,10 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
     rise = fine[int(np.argmax(smooth >= 0.9 * top))] - fine[int(np.argmax(smooth >= 0.1 * top))]
     cubics = PPoly.from_spline((spline.t, spline.c, 3)).c[::-1, 3:-3].T / top
     cubics[0, 0] = 0.0
-    found = MeasuredPulse(breaks=tuple(knots[3:-3].tolist()), coefficients=tuple(map(tuple, cubics.tolist())),
-                          peak=peak * top, rise=float(rise))  # fmt: skip
+    found = MeasuredPulse(
+        breaks=tuple(knots[3:-3].tolist()),
+        coefficients=tuple(map(tuple, cubics.tolist())),
+        peak=peak * top,
+        rise=float(rise),
+    )
     return found, float(np.abs(curve - spline(time)).max())

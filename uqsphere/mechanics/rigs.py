@@ -59,14 +59,18 @@ def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -
 
     Source: C. Zener, Phys. Rev. 59 (1941) 669, from memory.
     """
-    return np.asarray(4.0 / math.sqrt(3.0) * np.square(thickness) * np.sqrt(density * E / (1.0 - nu * nu)))
+    return np.asarray(
+        4.0 / math.sqrt(3.0) * np.square(thickness) * np.sqrt(density * E / (1.0 - nu * nu))
+    )
 
 
 def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) -> Partner:
     """The partner whose numbers stand in a table of the scene; not finite where a row has no meaning."""
     c = scene.columns
     face_E, face_nu = (
-        c[f"{table}.insert_{key}"] if f"{table}.insert_{key}" in c else scene.column(f"{table}.{key}")
+        c[f"{table}.insert_{key}"]
+        if f"{table}.insert_{key}" in c
+        else scene.column(f"{table}.{key}")
         for key in ("E", "nu")
     )
     with np.errstate(all="ignore"):
@@ -117,7 +121,9 @@ def _impedance(scene: Scene, table: str, kind: str) -> Array:
 def _mass(scene: Scene, table: str) -> Array:
     """Mass of a free partner: as given, or that of the ball it is."""
     if table == "other":
-        return np.asarray(contact.sphere_mass(scene.column("other.radius"), scene.column("other.density")))
+        return np.asarray(
+            contact.sphere_mass(scene.column("other.radius"), scene.column("other.density"))
+        )
     if table == "hammer" and scene.options.get("hammer.shape") == "ball":
         radius = 0.5 * scene.column("hammer.diameter")
         return np.asarray(contact.sphere_mass(radius, scene.column("hammer.density")))
@@ -153,13 +159,19 @@ def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Bo
 def sphere_body(columns: Mapping[str, Array]) -> Body:
     """What the sphere has of the law of a face; it stays elastic where no onset is given."""
     usual = (np.inf, np.inf, CAP_PILE_UP)
-    return Body(*(_given(columns, f"sphere.{key}", own) for key, own in zip(LAW, usual, strict=True)))
+    return Body(
+        *(_given(columns, f"sphere.{key}", own) for key, own in zip(LAW, usual, strict=True))
+    )
 
 
-def law_of(columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_onset: bool = False) -> Body:
+def law_of(
+    columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_onset: bool = False
+) -> Body:
     """The law of a face: of its softer body, row by row, but for what [contact] gives."""
     numbers = softer(body_of(columns, table, rigid), sphere_body(columns))
-    found = Body(*(columns.get(f"contact.{key}", own) for key, own in zip(LAW, numbers, strict=True)))
+    found = Body(
+        *(columns.get(f"contact.{key}", own) for key, own in zip(LAW, numbers, strict=True))
+    )
     return found._replace(hardness=found.onset) if at_onset else found
 
 
@@ -179,11 +191,15 @@ def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
     elastic = _Law(face=None, takes=_everywhere(0.0, scene))
     if scene.contact_law != "plastic":
         return elastic
-    numbers = law_of(scene.columns, table, rigid=scene.rigid_contact, at_onset=scene.hardness_at_onset)
+    numbers = law_of(
+        scene.columns, table, rigid=scene.rigid_contact, at_onset=scene.hardness_at_onset
+    )
     if np.isinf(numbers.onset).all():
         return elastic
     face = Face(**numbers._asdict(), modulus=modulus, effective_radius=radius)
-    crushed = sphere_body(scene.columns).onset < body_of(scene.columns, table, scene.rigid_contact).onset
+    crushed = (
+        sphere_body(scene.columns).onset < body_of(scene.columns, table, scene.rigid_contact).onset
+    )
     return _Law(face=face, takes=np.where(crushed, 1.0, 0.0))
 
 
@@ -232,29 +248,73 @@ class Rig:
 
     def kind(self, pole: int, options: Values) -> str:
         """Kind of the partner at a pole; `thick` where the study does not choose."""
-        return self.kinds[pole] or str(options.get(f"{(self.behind, self.ahead)[pole]}.kind", "thick"))
+        return self.kinds[pole] or str(
+            options.get(f"{(self.behind, self.ahead)[pole]}.kind", "thick")
+        )
 
 
-RIGS: Final[dict[str, Rig]] = {rig.name: rig for rig in (
-    Rig(name="bars", meaning="a sphere between two bars, one of which a striker hits", behind="bars", ahead="bars",
-        kinds=("bar", "bar"), mover="striker", blow=False),
-    Rig(name="impact", meaning="a sphere strikes a thick block, a plate, the end of a bar or a free mass",
-        behind="", ahead="target", kinds=("", ""), mover="rig"),
-    Rig(name="sphere_on_sphere", meaning="a sphere strikes another one", behind="", ahead="other",
-        kinds=("", "mass"), mover="rig"),
-    Rig(name="drop_weight", meaning="a weight falls on a sphere that rests on an anvil", behind="hammer",
-        ahead="anvil", kinds=("mass", ""), mover="hammer"),
-    Rig(name="load_cell", meaning="a weight falls on a sphere that rests on a long rod with a gauge", behind="hammer",
-        ahead="rod", kinds=("mass", "bar"), mover="hammer"),
-    Rig(name="platens", meaning="a sphere is pressed slowly between two platens", behind="platens", ahead="platens",
-        kinds=("platen", "platen"), blow=False),
-)}  # fmt: skip
+RIGS: Final[dict[str, Rig]] = {
+    rig.name: rig
+    for rig in (
+        Rig(
+            name="bars",
+            meaning="a sphere between two bars, one of which a striker hits",
+            behind="bars",
+            ahead="bars",
+            kinds=("bar", "bar"),
+            mover="striker",
+            blow=False,
+        ),
+        Rig(
+            name="impact",
+            meaning="a sphere strikes a thick block, a plate, the end of a bar or a free mass",
+            behind="",
+            ahead="target",
+            kinds=("", ""),
+            mover="rig",
+        ),
+        Rig(
+            name="sphere_on_sphere",
+            meaning="a sphere strikes another one",
+            behind="",
+            ahead="other",
+            kinds=("", "mass"),
+            mover="rig",
+        ),
+        Rig(
+            name="drop_weight",
+            meaning="a weight falls on a sphere that rests on an anvil",
+            behind="hammer",
+            ahead="anvil",
+            kinds=("mass", ""),
+            mover="hammer",
+        ),
+        Rig(
+            name="load_cell",
+            meaning="a weight falls on a sphere that rests on a long rod with a gauge",
+            behind="hammer",
+            ahead="rod",
+            kinds=("mass", "bar"),
+            mover="hammer",
+        ),
+        Rig(
+            name="platens",
+            meaning="a sphere is pressed slowly between two platens",
+            behind="platens",
+            ahead="platens",
+            kinds=("platen", "platen"),
+            blow=False,
+        ),
+    )
+}
 
 
 def drop_speed(height: Values, radius: Values, density: Values) -> Array:
     """Speed [m/s] of a sphere that fell by h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²)); drag is 6 % of v² at 8 m."""
     terminal = terminal_speed(radius, density) ** 2
-    return np.asarray(np.sqrt(-terminal * np.expm1(-2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal)))
+    return np.asarray(
+        np.sqrt(-terminal * np.expm1(-2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal))
+    )
 
 
 def terminal_speed(radius: Values, density: Values) -> Array:
@@ -308,7 +368,9 @@ def outside(scene: Scene) -> Array:
     behind, ahead = scene.partners
     with np.errstate(all="ignore"):
         for partner in (behind, ahead):
-            if partner is not None and (partner.kind == "plate" or (rig.contacts == 1 and partner.kind == "bar")):
+            if partner is not None and (
+                partner.kind == "plate" or (rig.contacts == 1 and partner.kind == "bar")
+            ):
                 found |= ~(scales.force / (partner.impedance * scales.speed) <= MOST_YIELDING)
         if behind is not None and ahead is not None:
             found |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
@@ -323,10 +385,18 @@ def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
     return np.asarray(~((ratio >= bounds[0]) & (ratio <= bounds[1])))
 
 
-def wave_loss(hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values) -> Array:
+def wave_loss(
+    hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values
+) -> Array:
     """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys. Solids 5 (1957) 162."""
     compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
-    return np.asarray(_PULSE * compliance * np.asarray(hertz_constant) ** 1.2 * mass**-0.2 * np.asarray(speed) ** 0.6)
+    return np.asarray(
+        _PULSE
+        * compliance
+        * np.asarray(hertz_constant) ** 1.2
+        * mass**-0.2
+        * np.asarray(speed) ** 0.6
+    )
 
 
 def loss_to_waves(scene: Scene) -> Array | None:

@@ -18,7 +18,14 @@ from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
 from uqsphere.mechanics.pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
-from uqsphere.mechanics.rigs import RIGS, Partner, closing_speed, outside, partners_of, speeds_at_touch
+from uqsphere.mechanics.rigs import (
+    RIGS,
+    Partner,
+    closing_speed,
+    outside,
+    partners_of,
+    speeds_at_touch,
+)
 from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
 
@@ -26,9 +33,13 @@ from uqsphere.units import Quantity
 _DEGREE: Final = math.pi / 180.0
 #: tables of partners -> what their symbols have as index, and what they are called
 _BODIES: Final = {
-    "target": ("t", "target"), "anvil": ("a", "anvil"), "other": ("2", "other sphere"), "hammer": ("h", "weight"),
-    "rod": ("r", "rod"), "platens": ("p", "platens"),
-}  # fmt: skip
+    "target": ("t", "target"),
+    "anvil": ("a", "anvil"),
+    "other": ("2", "other sphere"),
+    "hammer": ("h", "weight"),
+    "rod": ("r", "rod"),
+    "platens": ("p", "platens"),
+}
 
 
 #: usual moduli [Pa] and Poisson ratios of spheres and bars, and of what may be rubber
@@ -42,28 +53,65 @@ def _elastic(
     """E, nu and density of a body."""
     of, (moduli, ratios) = f"_{index}" if index else "", usual
     return (
-        Quantity(name=f"{table}.E", symbol=f"E{of}", dimension="pressure", display="GPa", plausible=moduli,
-                 meaning=f"Young's modulus of the {name}"),
-        Quantity(name=f"{table}.nu", symbol=f"nu{of}", dimension="number", lower=-1.0, upper=0.5, plausible=ratios,
-                 meaning=f"Poisson ratio of the {name}"),
-        Quantity(name=f"{table}.density", symbol=f"rho{of}", dimension="density", display="kg/m3",
-                 plausible=(500.0, 2e4), meaning=f"density of the {name}"),
-    )  # fmt: skip
+        Quantity(
+            name=f"{table}.E",
+            symbol=f"E{of}",
+            dimension="pressure",
+            display="GPa",
+            plausible=moduli,
+            meaning=f"Young's modulus of the {name}",
+        ),
+        Quantity(
+            name=f"{table}.nu",
+            symbol=f"nu{of}",
+            dimension="number",
+            lower=-1.0,
+            upper=0.5,
+            plausible=ratios,
+            meaning=f"Poisson ratio of the {name}",
+        ),
+        Quantity(
+            name=f"{table}.density",
+            symbol=f"rho{of}",
+            dimension="density",
+            display="kg/m3",
+            plausible=(500.0, 2e4),
+            meaning=f"density of the {name}",
+        ),
+    )
 
 
 def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
     """The three numbers of a face that yields."""
     of = f",{index}" if index else ""
     return (
-        Quantity(name=f"{table}.onset_pressure", symbol=f"p_y{of}", dimension="pressure", display="GPa",
-                 plausible=(1e8, 2e10),
-                 meaning=f"centre pressure at which the {name} begins to yield or to crush"),
-        Quantity(name=f"{table}.hardness", symbol=f"H_{index}" if index else "H", dimension="pressure", display="GPa",
-                 plausible=(1e8, 5e10), meaning=f"mean pressure of the {name} that flows fully (its hardness)"),
-        Quantity(name=f"{table}.pile_up", symbol=f"C_{index}" if index else "C", dimension="number", lower=1.0,
-                 upper=3.0, closed=True, plausible=(1.0, 3.0),
-                 meaning=f"pile-up of the {name}: a²/(r alpha) far beyond yield"),
-    )  # fmt: skip
+        Quantity(
+            name=f"{table}.onset_pressure",
+            symbol=f"p_y{of}",
+            dimension="pressure",
+            display="GPa",
+            plausible=(1e8, 2e10),
+            meaning=f"centre pressure at which the {name} begins to yield or to crush",
+        ),
+        Quantity(
+            name=f"{table}.hardness",
+            symbol=f"H_{index}" if index else "H",
+            dimension="pressure",
+            display="GPa",
+            plausible=(1e8, 5e10),
+            meaning=f"mean pressure of the {name} that flows fully (its hardness)",
+        ),
+        Quantity(
+            name=f"{table}.pile_up",
+            symbol=f"C_{index}" if index else "C",
+            dimension="number",
+            lower=1.0,
+            upper=3.0,
+            closed=True,
+            plausible=(1.0, 3.0),
+            meaning=f"pile-up of the {name}: a²/(r alpha) far beyond yield",
+        ),
+    )
 
 
 def _numbers_of(table: str) -> tuple[Quantity, ...]:
@@ -71,10 +119,16 @@ def _numbers_of(table: str) -> tuple[Quantity, ...]:
     index, name = _BODIES[table]
     return (
         *_elastic(table, index, name, _ANY),
-        Quantity(name=f"{table}.yield_strength", symbol=f"Y_{index}", dimension="pressure", display="MPa",
-                 plausible=(1e6, 1e10), meaning=f"yield strength of the {name}"),
+        Quantity(
+            name=f"{table}.yield_strength",
+            symbol=f"Y_{index}",
+            dimension="pressure",
+            display="MPa",
+            plausible=(1e6, 1e10),
+            meaning=f"yield strength of the {name}",
+        ),
         *_law_of(table, index, name),
-    )  # fmt: skip
+    )
 
 
 def _struck(table: str) -> tuple[Quantity, ...]:
@@ -82,138 +136,416 @@ def _struck(table: str) -> tuple[Quantity, ...]:
     index, name = _BODIES[table]
     return (
         *_numbers_of(table),
-        Quantity(name=f"{table}.thickness", symbol=f"h_{index}", dimension="length", display="mm",
-                 plausible=(1e-4, 1.0), meaning=f"thickness of the {name}, a plate"),
-        Quantity(name=f"{table}.width", symbol=f"w_{index}", dimension="length", display="mm", plausible=(1e-2, 10.0),
-                 meaning=f"width of the {name}, a plate (for a check only)"),
+        Quantity(
+            name=f"{table}.thickness",
+            symbol=f"h_{index}",
+            dimension="length",
+            display="mm",
+            plausible=(1e-4, 1.0),
+            meaning=f"thickness of the {name}, a plate",
+        ),
+        Quantity(
+            name=f"{table}.width",
+            symbol=f"w_{index}",
+            dimension="length",
+            display="mm",
+            plausible=(1e-2, 10.0),
+            meaning=f"width of the {name}, a plate (for a check only)",
+        ),
         *_rod(table),
         _heavy(table),
         _rounded(table),
-    )  # fmt: skip
+    )
 
 
 def _rod(table: str) -> tuple[Quantity, ...]:
     index, name = _BODIES[table]
     return (
-        Quantity(name=f"{table}.diameter", symbol=f"d_{index}", dimension="length", display="mm",
-                 plausible=(1e-3, 0.5), meaning=f"diameter of the {name}"),
-        Quantity(name=f"{table}.length", symbol=f"l_{index}", dimension="length", display="m", plausible=(0.05, 30.0),
-                 meaning=f"length of the {name}, a bar (absent: nothing comes back)"),
-        Quantity(name=f"{table}.end", symbol=f"R_{index}", dimension="number", lower=-1.0, upper=1.0, closed=True,
-                 plausible=(-1.0, 1.0), meaning=f"velocity reflection coefficient of the {name}'s far end"),
-    )  # fmt: skip
+        Quantity(
+            name=f"{table}.diameter",
+            symbol=f"d_{index}",
+            dimension="length",
+            display="mm",
+            plausible=(1e-3, 0.5),
+            meaning=f"diameter of the {name}",
+        ),
+        Quantity(
+            name=f"{table}.length",
+            symbol=f"l_{index}",
+            dimension="length",
+            display="m",
+            plausible=(0.05, 30.0),
+            meaning=f"length of the {name}, a bar (absent: nothing comes back)",
+        ),
+        Quantity(
+            name=f"{table}.end",
+            symbol=f"R_{index}",
+            dimension="number",
+            lower=-1.0,
+            upper=1.0,
+            closed=True,
+            plausible=(-1.0, 1.0),
+            meaning=f"velocity reflection coefficient of the {name}'s far end",
+        ),
+    )
 
 
 def _heavy(table: str) -> Quantity:
     index, name = _BODIES[table]
-    return Quantity(name=f"{table}.mass", symbol=f"m_{index}", dimension="mass", display="kg", lower=1e-6, upper=1e5,
-                    closed=True, plausible=(1e-3, 1e4), meaning=f"mass of the {name}")  # fmt: skip
+    return Quantity(
+        name=f"{table}.mass",
+        symbol=f"m_{index}",
+        dimension="mass",
+        display="kg",
+        lower=1e-6,
+        upper=1e5,
+        closed=True,
+        plausible=(1e-3, 1e4),
+        meaning=f"mass of the {name}",
+    )
 
 
 def _rounded(table: str) -> Quantity:
     index, name = _BODIES[table]
-    return Quantity(name=f"{table}.face_radius", symbol=f"R_f,{index}", dimension="length", display="mm",
-                    plausible=(1e-3, 1e3), meaning=f"radius of the {name}'s rounded face (flat: absent)")  # fmt: skip
+    return Quantity(
+        name=f"{table}.face_radius",
+        symbol=f"R_f,{index}",
+        dimension="length",
+        display="mm",
+        plausible=(1e-3, 1e3),
+        meaning=f"radius of the {name}'s rounded face (flat: absent)",
+    )
 
 
 def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
     """A speed, or the height of a fall."""
     return (
-        Quantity(name=f"{table}.speed", symbol=symbol, dimension="speed", display="m/s", lower=1e-3, upper=300.0,
-                 closed=True, plausible=(1e-2, 150.0), meaning=meaning),
-        Quantity(name=f"{table}.drop_height", symbol="h_drop", dimension="length", display="m", lower=1e-6, upper=1e3,
-                 closed=True, plausible=(1e-3, 100.0), meaning="height of the fall"),
-    )  # fmt: skip
+        Quantity(
+            name=f"{table}.speed",
+            symbol=symbol,
+            dimension="speed",
+            display="m/s",
+            lower=1e-3,
+            upper=300.0,
+            closed=True,
+            plausible=(1e-2, 150.0),
+            meaning=meaning,
+        ),
+        Quantity(
+            name=f"{table}.drop_height",
+            symbol="h_drop",
+            dimension="length",
+            display="m",
+            lower=1e-6,
+            upper=1e3,
+            closed=True,
+            plausible=(1e-3, 100.0),
+            meaning="height of the fall",
+        ),
+    )
 
 
 #: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
-INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
-    *_elastic("sphere", "", "sphere"),
-    Quantity(name="sphere.radius", symbol="r", dimension="length", display="mm", plausible=(1e-4, 0.1),
-             meaning="radius of the sphere"),
-    *_law_of("sphere", "", "sphere")[:2],
-    *_elastic("bars", "b", "bars"),
-    Quantity(name="bars.diameter", symbol="d_b", dimension="length", display="mm", plausible=(1e-3, 0.2),
-             meaning="diameter of both bars"),
-    Quantity(name="bars.incident_length", symbol="l_1", dimension="length", display="m", plausible=(0.05, 30.0),
-             meaning="length of the incident bar"),
-    Quantity(name="bars.receiving_length", symbol="l_3", dimension="length", display="m", plausible=(0.05, 30.0),
-             meaning="length of the receiving bar"),
-    Quantity(name="bars.incident_end", symbol="R_1", dimension="number", lower=-1.0, upper=1.0, closed=True,
-             plausible=(-1.0, 1.0), meaning="velocity reflection coefficient of the incident bar's far end"),
-    Quantity(name="bars.receiving_end", symbol="R_3", dimension="number", lower=-1.0, upper=1.0, closed=True,
-             plausible=(-1.0, 1.0), meaning="velocity reflection coefficient of the receiving bar's far end"),
-    Quantity(name="bars.end_radius", symbol="r_end", dimension="length", display="mm", plausible=(1e-3, 1e3),
-             meaning="radius of rounded bar ends (flat ends: absent)"),
-    Quantity(name="bars.yield_strength", symbol="Y_b", dimension="pressure", display="MPa", plausible=(1e7, 5e9),
-             meaning="yield strength of the bars"),
-    Quantity(name="bars.insert_E", symbol="E_i", dimension="pressure", display="GPa", plausible=(1e9, 1.2e12),
-             meaning="Young's modulus of inserts between bars and sphere"),
-    Quantity(name="bars.insert_nu", symbol="nu_i", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
-             meaning="Poisson ratio of the inserts"),
-    Quantity(name="bars.insert_yield_strength", symbol="Y_i", dimension="pressure", display="MPa",
-             plausible=(1e7, 1e10), meaning="yield strength of the inserts"),
-    Quantity(name="bars.insert_thickness", symbol="t_i", dimension="length", display="mm", plausible=(1e-4, 0.2),
-             meaning="thickness of the inserts"),
-    *_law_of("bars", "b", "bars' faces"),
-    Quantity(name="striker.speed", symbol="v_0", dimension="speed", display="m/s", plausible=(1e-3, 50.0),
-             meaning="speed of the striker"),
-    Quantity(name="striker.length", symbol="l_0", dimension="length", display="m", plausible=(0.01, 5.0),
-             meaning="length of the striker"),
-    Quantity(name="striker.E", symbol="E_s", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
-             meaning="Young's modulus of the striker (absent: that of the bars)"),
-    Quantity(name="striker.density", symbol="rho_s", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
-             meaning="density of the striker (absent: that of the bars)"),
-    Quantity(name="striker.diameter", symbol="d_s", dimension="length", display="mm", plausible=(1e-3, 0.2),
-             meaning="diameter of the striker (absent: that of the bars)"),
-    Quantity(name="pulse.duration", symbol="t_i", dimension="time", display="us", plausible=(1e-6, 1e-2),
-             meaning="duration of the pulse (at half height for a trapezoid)"),
-    Quantity(name="pulse.rise", symbol="t_rise", dimension="time", display="us", closed=True, plausible=(0.0, 1e-3),
-             meaning="rise of a trapezoidal pulse"),
-    Quantity(name="pulse.fall", symbol="t_fall", dimension="time", display="us", closed=True, plausible=(0.0, 1e-3),
-             meaning="fall of a trapezoidal pulse"),
-    Quantity(name="pulse.t1", symbol="t_1", dimension="time", display="us", plausible=(1e-6, 1e-2),
-             meaning="time of the first peak of a two-peak pulse"),
-    Quantity(name="pulse.level1", symbol="g_1", dimension="number", plausible=(0.1, 2.0),
-             meaning="level of the first peak over v_0/2"),
-    Quantity(name="pulse.t2", symbol="t_2", dimension="time", display="us", plausible=(1e-6, 1e-2),
-             meaning="time of the second peak of a two-peak pulse"),
-    Quantity(name="pulse.level2", symbol="g_2", dimension="number", plausible=(0.1, 2.0),
-             meaning="level of the second peak over v_0/2"),
-    Quantity(name="pulse.valley", symbol="g_v", dimension="number", plausible=(0.0, 2.0), closed=True,
-             meaning="level half-way between the peaks of a two-peak pulse"),
-    Quantity(name="pulse.gain", symbol="G", dimension="number", plausible=(0.5, 2.0),
-             meaning="true strain over that of a measured pulse"),
-    *_law_of("contact", "", "softer face"),
-    *_moving("rig", "v", "speed at which the bodies close"),
-    Quantity(name="rig.angle", symbol="phi", dimension="angle", display="deg", lower=5.0 * _DEGREE,
-             upper=90.0 * _DEGREE, closed=True, plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
-             meaning="angle between the path and the surface, 90 deg: square on"),
-    *_struck("target"),
-    *_struck("anvil"),
-    *_numbers_of("other"),
-    Quantity(name="other.radius", symbol="r_2", dimension="length", display="mm", plausible=(1e-4, 0.1),
-             meaning="radius of the other sphere"),
-    *_moving("hammer", "v_h", "speed of the weight"),
-    *_numbers_of("hammer"),
-    _heavy("hammer"),
-    Quantity(name="hammer.diameter", symbol="d_h", dimension="length", display="mm", plausible=(1e-3, 0.5),
-             meaning="diameter of a ball that falls"),
-    _rounded("hammer"),
-    *_numbers_of("rod"),
-    *_rod("rod"),
-    *_numbers_of("platens"),
-    Quantity(name="platens.force", symbol="F", dimension="force", display="kN", plausible=(1.0, 1e6),
-             meaning="force up to which the platens press"),
-    Quantity(name="platens.displacement", symbol="delta", dimension="length", display="um", plausible=(1e-6, 1e-2),
-             meaning="way of the crosshead from first touch, in place of the force"),
-    Quantity(name="platens.speed", symbol="v_p", dimension="speed", display="mm/s", plausible=(1e-8, 1.0),
-             meaning="speed at which the platens close"),
-    Quantity(name="platens.loading_rate", symbol="dF/dt", dimension="loading_rate", display="kN/s",
-             plausible=(1.0, 1e7), meaning="rate of the force at its end, in place of the speed"),
-    Quantity(name="platens.machine_stiffness", symbol="k", dimension="stiffness", display="kN/mm",
-             plausible=(1e5, 1e10), meaning="stiffness of the machine (absent: rigid)"),
-)}  # fmt: skip
+INPUTS: Final[dict[str, Quantity]] = {
+    entry.name: entry
+    for entry in (
+        *_elastic("sphere", "", "sphere"),
+        Quantity(
+            name="sphere.radius",
+            symbol="r",
+            dimension="length",
+            display="mm",
+            plausible=(1e-4, 0.1),
+            meaning="radius of the sphere",
+        ),
+        *_law_of("sphere", "", "sphere")[:2],
+        *_elastic("bars", "b", "bars"),
+        Quantity(
+            name="bars.diameter",
+            symbol="d_b",
+            dimension="length",
+            display="mm",
+            plausible=(1e-3, 0.2),
+            meaning="diameter of both bars",
+        ),
+        Quantity(
+            name="bars.incident_length",
+            symbol="l_1",
+            dimension="length",
+            display="m",
+            plausible=(0.05, 30.0),
+            meaning="length of the incident bar",
+        ),
+        Quantity(
+            name="bars.receiving_length",
+            symbol="l_3",
+            dimension="length",
+            display="m",
+            plausible=(0.05, 30.0),
+            meaning="length of the receiving bar",
+        ),
+        Quantity(
+            name="bars.incident_end",
+            symbol="R_1",
+            dimension="number",
+            lower=-1.0,
+            upper=1.0,
+            closed=True,
+            plausible=(-1.0, 1.0),
+            meaning="velocity reflection coefficient of the incident bar's far end",
+        ),
+        Quantity(
+            name="bars.receiving_end",
+            symbol="R_3",
+            dimension="number",
+            lower=-1.0,
+            upper=1.0,
+            closed=True,
+            plausible=(-1.0, 1.0),
+            meaning="velocity reflection coefficient of the receiving bar's far end",
+        ),
+        Quantity(
+            name="bars.end_radius",
+            symbol="r_end",
+            dimension="length",
+            display="mm",
+            plausible=(1e-3, 1e3),
+            meaning="radius of rounded bar ends (flat ends: absent)",
+        ),
+        Quantity(
+            name="bars.yield_strength",
+            symbol="Y_b",
+            dimension="pressure",
+            display="MPa",
+            plausible=(1e7, 5e9),
+            meaning="yield strength of the bars",
+        ),
+        Quantity(
+            name="bars.insert_E",
+            symbol="E_i",
+            dimension="pressure",
+            display="GPa",
+            plausible=(1e9, 1.2e12),
+            meaning="Young's modulus of inserts between bars and sphere",
+        ),
+        Quantity(
+            name="bars.insert_nu",
+            symbol="nu_i",
+            dimension="number",
+            lower=-1.0,
+            upper=0.5,
+            plausible=(0.05, 0.45),
+            meaning="Poisson ratio of the inserts",
+        ),
+        Quantity(
+            name="bars.insert_yield_strength",
+            symbol="Y_i",
+            dimension="pressure",
+            display="MPa",
+            plausible=(1e7, 1e10),
+            meaning="yield strength of the inserts",
+        ),
+        Quantity(
+            name="bars.insert_thickness",
+            symbol="t_i",
+            dimension="length",
+            display="mm",
+            plausible=(1e-4, 0.2),
+            meaning="thickness of the inserts",
+        ),
+        *_law_of("bars", "b", "bars' faces"),
+        Quantity(
+            name="striker.speed",
+            symbol="v_0",
+            dimension="speed",
+            display="m/s",
+            plausible=(1e-3, 50.0),
+            meaning="speed of the striker",
+        ),
+        Quantity(
+            name="striker.length",
+            symbol="l_0",
+            dimension="length",
+            display="m",
+            plausible=(0.01, 5.0),
+            meaning="length of the striker",
+        ),
+        Quantity(
+            name="striker.E",
+            symbol="E_s",
+            dimension="pressure",
+            display="GPa",
+            plausible=(1e9, 6e11),
+            meaning="Young's modulus of the striker (absent: that of the bars)",
+        ),
+        Quantity(
+            name="striker.density",
+            symbol="rho_s",
+            dimension="density",
+            display="kg/m3",
+            plausible=(500.0, 2e4),
+            meaning="density of the striker (absent: that of the bars)",
+        ),
+        Quantity(
+            name="striker.diameter",
+            symbol="d_s",
+            dimension="length",
+            display="mm",
+            plausible=(1e-3, 0.2),
+            meaning="diameter of the striker (absent: that of the bars)",
+        ),
+        Quantity(
+            name="pulse.duration",
+            symbol="t_i",
+            dimension="time",
+            display="us",
+            plausible=(1e-6, 1e-2),
+            meaning="duration of the pulse (at half height for a trapezoid)",
+        ),
+        Quantity(
+            name="pulse.rise",
+            symbol="t_rise",
+            dimension="time",
+            display="us",
+            closed=True,
+            plausible=(0.0, 1e-3),
+            meaning="rise of a trapezoidal pulse",
+        ),
+        Quantity(
+            name="pulse.fall",
+            symbol="t_fall",
+            dimension="time",
+            display="us",
+            closed=True,
+            plausible=(0.0, 1e-3),
+            meaning="fall of a trapezoidal pulse",
+        ),
+        Quantity(
+            name="pulse.t1",
+            symbol="t_1",
+            dimension="time",
+            display="us",
+            plausible=(1e-6, 1e-2),
+            meaning="time of the first peak of a two-peak pulse",
+        ),
+        Quantity(
+            name="pulse.level1",
+            symbol="g_1",
+            dimension="number",
+            plausible=(0.1, 2.0),
+            meaning="level of the first peak over v_0/2",
+        ),
+        Quantity(
+            name="pulse.t2",
+            symbol="t_2",
+            dimension="time",
+            display="us",
+            plausible=(1e-6, 1e-2),
+            meaning="time of the second peak of a two-peak pulse",
+        ),
+        Quantity(
+            name="pulse.level2",
+            symbol="g_2",
+            dimension="number",
+            plausible=(0.1, 2.0),
+            meaning="level of the second peak over v_0/2",
+        ),
+        Quantity(
+            name="pulse.valley",
+            symbol="g_v",
+            dimension="number",
+            plausible=(0.0, 2.0),
+            closed=True,
+            meaning="level half-way between the peaks of a two-peak pulse",
+        ),
+        Quantity(
+            name="pulse.gain",
+            symbol="G",
+            dimension="number",
+            plausible=(0.5, 2.0),
+            meaning="true strain over that of a measured pulse",
+        ),
+        *_law_of("contact", "", "softer face"),
+        *_moving("rig", "v", "speed at which the bodies close"),
+        Quantity(
+            name="rig.angle",
+            symbol="phi",
+            dimension="angle",
+            display="deg",
+            lower=5.0 * _DEGREE,
+            upper=90.0 * _DEGREE,
+            closed=True,
+            plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
+            meaning="angle between the path and the surface, 90 deg: square on",
+        ),
+        *_struck("target"),
+        *_struck("anvil"),
+        *_numbers_of("other"),
+        Quantity(
+            name="other.radius",
+            symbol="r_2",
+            dimension="length",
+            display="mm",
+            plausible=(1e-4, 0.1),
+            meaning="radius of the other sphere",
+        ),
+        *_moving("hammer", "v_h", "speed of the weight"),
+        *_numbers_of("hammer"),
+        _heavy("hammer"),
+        Quantity(
+            name="hammer.diameter",
+            symbol="d_h",
+            dimension="length",
+            display="mm",
+            plausible=(1e-3, 0.5),
+            meaning="diameter of a ball that falls",
+        ),
+        _rounded("hammer"),
+        *_numbers_of("rod"),
+        *_rod("rod"),
+        *_numbers_of("platens"),
+        Quantity(
+            name="platens.force",
+            symbol="F",
+            dimension="force",
+            display="kN",
+            plausible=(1.0, 1e6),
+            meaning="force up to which the platens press",
+        ),
+        Quantity(
+            name="platens.displacement",
+            symbol="delta",
+            dimension="length",
+            display="um",
+            plausible=(1e-6, 1e-2),
+            meaning="way of the crosshead from first touch, in place of the force",
+        ),
+        Quantity(
+            name="platens.speed",
+            symbol="v_p",
+            dimension="speed",
+            display="mm/s",
+            plausible=(1e-8, 1.0),
+            meaning="speed at which the platens close",
+        ),
+        Quantity(
+            name="platens.loading_rate",
+            symbol="dF/dt",
+            dimension="loading_rate",
+            display="kN/s",
+            plausible=(1.0, 1e7),
+            meaning="rate of the force at its end, in place of the speed",
+        ),
+        Quantity(
+            name="platens.machine_stiffness",
+            symbol="k",
+            dimension="stiffness",
+            display="kN/mm",
+            plausible=(1e5, 1e10),
+            meaning="stiffness of the machine (absent: rigid)",
+        ),
+    )
+}
 
 #: what the status of a row means; only rows of 0 have numbers
 STATUS: dict[int, str] = {
@@ -239,8 +571,14 @@ def answered(status: Places) -> Flags:
 
 #: last parts of columns that serve validity checks only, where nothing yields
 _CHECKED_ONLY: Final = (
-    "yield_strength", "insert_yield_strength", "insert_thickness", "width", "onset_pressure", "hardness", "pile_up",
-)  # fmt: skip
+    "yield_strength",
+    "insert_yield_strength",
+    "insert_thickness",
+    "width",
+    "onset_pressure",
+    "hardness",
+    "pile_up",
+)
 #: what makes a striker another bar than the others
 STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
@@ -301,8 +639,11 @@ class Scene:
     options: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        words = (("rig", self.rig, RIGS), ("pulse shape", self.shape, SHAPES | {"measured": None}),
-                 ("contact law", self.contact_law, FORMS["contact"]))  # fmt: skip
+        words = (
+            ("rig", self.rig, RIGS),
+            ("pulse shape", self.shape, SHAPES | {"measured": None}),
+            ("contact law", self.contact_law, FORMS["contact"]),
+        )
         for what, found, allowed in words:
             if found not in allowed:
                 raise ValueError(f"unknown {what} {found!r} (allowed: {', '.join(allowed)})")
@@ -320,12 +661,28 @@ class Scene:
     @property
     def _absent(self) -> list[str]:
         """Columns without which there is no such scene."""
-        kinds = kinds_of(self.rig, self.shape, timed="pulse.duration" in self.columns, infinite=self.infinite,
-                         options=self.options)  # fmt: skip
-        tables = ["sphere", *RIGS[self.rig].tables, *(["striker", "pulse"] if self.rig == "bars" else ["rig"])]
-        needs = [(table, need) for table in tables for need in needs_of(FORMS[table].get(kinds.get(table, ""), ""))]
-        return [f"{table}.{need[0]}" for table, need in needs
-                if not any(f"{table}.{key}" in self.columns for key in need)]  # fmt: skip
+        kinds = kinds_of(
+            self.rig,
+            self.shape,
+            timed="pulse.duration" in self.columns,
+            infinite=self.infinite,
+            options=self.options,
+        )
+        tables = [
+            "sphere",
+            *RIGS[self.rig].tables,
+            *(["striker", "pulse"] if self.rig == "bars" else ["rig"]),
+        ]
+        needs = [
+            (table, need)
+            for table in tables
+            for need in needs_of(FORMS[table].get(kinds.get(table, ""), ""))
+        ]
+        return [
+            f"{table}.{need[0]}"
+            for table, need in needs
+            if not any(f"{table}.{key}" in self.columns for key in need)
+        ]
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -344,8 +701,12 @@ class Scene:
         """The incident pulse of every row, times in seconds; one that is nothing where no wave comes in."""
         if self.rig != "bars":
             none = np.zeros(len(self))
-            return Pulse(breaks=np.zeros((len(self), 2)), coefficients=np.zeros((len(self), 1, 4)), frequency=none,
-                         valid=none == 0.0)  # fmt: skip
+            return Pulse(
+                breaks=np.zeros((len(self), 2)),
+                coefficients=np.zeros((len(self), 1, 4)),
+                frequency=none,
+                valid=none == 0.0,
+            )
         if self.record is not None:
             return self.record.pulse(len(self))
         numbers = {
@@ -369,7 +730,10 @@ class Scene:
     @property
     def _striker(self) -> tuple[Array, Array]:
         """E and density of the striker, (n,) each: the bars' where it has none of its own."""
-        own = [self.columns.get(f"striker.{key}", self.columns[f"bars.{key}"]) for key in ("E", "density")]
+        own = [
+            self.columns.get(f"striker.{key}", self.columns[f"bars.{key}"])
+            for key in ("E", "density")
+        ]
         return own[0], own[1]
 
     @cached_property
@@ -377,7 +741,9 @@ class Scene:
         """Round trips of the bars at A and B, (n, 2) [s]; infinite where there is no bar, or one without length."""
         if self.rig != "bars":
             none = np.full(len(self), np.inf)
-            return np.stack([none if one is None else one.round_trip for one in self.partners], axis=1)
+            return np.stack(
+                [none if one is None else one.round_trip for one in self.partners], axis=1
+            )
         E, density = self.columns["bars.E"], self.columns["bars.density"]
         lengths = [self.column(f"bars.{bar}_length", np.inf) for bar in ("incident", "receiving")]
         with np.errstate(all="ignore"):
@@ -388,11 +754,18 @@ class Scene:
         """Velocity reflection coefficients of the far ends, (n, 2); 0 where nothing comes back."""
         if self.rig != "bars":
             none = np.zeros(len(self))
-            return np.stack([none if one is None else one.reflection for one in self.partners], axis=1)
+            return np.stack(
+                [none if one is None else one.reflection for one in self.partners], axis=1
+            )
         if self.infinite:
             return np.zeros((len(self), 2))
-        return np.stack([self.column("bars.incident_end", bars.END_COEFFICIENTS["free"]),
-                         self.column("bars.receiving_end", bars.END_COEFFICIENTS["absorbing"])], axis=1)  # fmt: skip
+        return np.stack(
+            [
+                self.column("bars.incident_end", bars.END_COEFFICIENTS["free"]),
+                self.column("bars.receiving_end", bars.END_COEFFICIENTS["absorbing"]),
+            ],
+            axis=1,
+        )
 
     @cached_property
     def first_echo(self) -> Array:
@@ -517,7 +890,9 @@ class Scene:
             for face in (one.face for one in self.there if one.face is not None):
                 codes[~face.valid] = 1
             if any(one.kind == "bar" for one in self.there):
-                brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
+                brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (
+                    self.reflections != 0.0
+                )
                 codes[brief.any(axis=1)] = 1
             if self.rig != "bars":
                 codes[outside(self)] = 1
@@ -534,12 +909,20 @@ class Scene:
 
 #: what the words of a scene and its columns may not be together, and why
 _CONTRADICTIONS: Final[tuple[tuple[Callable[[Scene], bool], str], ...]] = (
-    (lambda s: (s.shape == "measured") != (s.record is not None),
-     "a record belongs to the shape 'measured', and that shape needs one"),
-    (lambda s: s.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(s.columns),
-     "a {0.shape} pulse does not follow from the striker's material or diameter"),
-    (lambda s: s.rig == "bars" and s.shape == "step" and s.horizon is None and s.infinite,
-     "a step pulse never ends: the record needs a horizon"),
-    (lambda s: s.horizon is not None and not 0.0 < s.horizon < np.inf,
-     "the horizon must be positive and finite, found {0.horizon!r} s"),
-)  # fmt: skip
+    (
+        lambda s: (s.shape == "measured") != (s.record is not None),
+        "a record belongs to the shape 'measured', and that shape needs one",
+    ),
+    (
+        lambda s: s.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(s.columns),
+        "a {0.shape} pulse does not follow from the striker's material or diameter",
+    ),
+    (
+        lambda s: s.rig == "bars" and s.shape == "step" and s.horizon is None and s.infinite,
+        "a step pulse never ends: the record needs a horizon",
+    ),
+    (
+        lambda s: s.horizon is not None and not 0.0 < s.horizon < np.inf,
+        "the horizon must be positive and finite, found {0.horizon!r} s",
+    ),
+)

@@ -54,7 +54,9 @@ class Load:
     @property
     def is_balanced(self) -> bool:
         """Whether both caps carry the same, so that the odd degrees vanish."""
-        return self.contact_ratio[0] == self.contact_ratio[1] and self.pressure[0] == self.pressure[1]
+        return (
+            self.contact_ratio[0] == self.contact_ratio[1] and self.pressure[0] == self.pressure[1]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +93,9 @@ def load_coefficients(load: Load, terms: int) -> Array:
     if load.is_balanced:
         total[::2] = 2.0 * load.pressure[0] * _cap_integrals(load.contact_ratio[0], terms)[::2]
     else:
-        for sign, ratio, pressure in zip((1.0, -1.0), load.contact_ratio, load.pressure, strict=True):
+        for sign, ratio, pressure in zip(
+            (1.0, -1.0), load.contact_ratio, load.pressure, strict=True
+        ):
             total += sign**n * pressure * _cap_integrals(ratio, terms)
     return 0.5 * (2 * n + 1) * total
 
@@ -158,7 +162,9 @@ def series_stress(
     if not -1.0 < nu <= 0.5:
         raise ValueError(f"nu must lie in (-1, 0.5], found {nu}")
     if not np.all((r >= 0.0) & (r <= 1.0)):
-        raise ValueError("radius must lie in [0, 1]: the points are in units of the sphere's radius")
+        raise ValueError(
+            "radius must lie in [0, 1]: the points are in units of the sphere's radius"
+        )
     largest = max(load.pressure) or 1.0
     terms = terms_for(float(r.max(initial=0.0)), tolerance)
     p = load_coefficients(load, terms)
@@ -170,7 +176,12 @@ def series_stress(
 
 def _sum(r: Array, x: Array, sine: Array, p: Array, nu: float) -> list[Array]:
     """sigma_r, sigma_t, sigma_phi, tau at points (m,) by forward recurrences of P_n and P_n'."""
-    radial, polar, around, shear = -np.full_like(r, p[0]), -np.full_like(r, p[0]), -np.full_like(r, p[0]), 0.0 * r
+    radial, polar, around, shear = (
+        -np.full_like(r, p[0]),
+        -np.full_like(r, p[0]),
+        -np.full_like(r, p[0]),
+        0.0 * r,
+    )
     if len(p) > 1 and p[1] != 0.0:
         for part in (radial, polar, around):
             part -= p[1] * r * x
@@ -187,8 +198,12 @@ def _sum(r: Array, x: Array, sine: Array, p: Array, nu: float) -> list[Array]:
             value, change = power * now, power * slope
             cross = (a * (n + 5 - 4.0 * nu) * square + b) * (x * change)
             radial += (a * (n + 1) * (n * n - n - 2 - 2.0 * nu) * square + b * n * (n - 1)) * value
-            polar += -(a * (n * n + 4 * n + 2 + 2.0 * nu) * (n + 1) * square + b * n * n) * value + cross
-            around += (a * (n + 1) * (n - 2 - 2.0 * nu - 4.0 * n * nu) * square + b * n) * value - cross
+            polar += (
+                -(a * (n * n + 4 * n + 2 + 2.0 * nu) * (n + 1) * square + b * n * n) * value + cross
+            )
+            around += (
+                a * (n + 1) * (n - 2 - 2.0 * nu - 4.0 * n * nu) * square + b * n
+            ) * value - cross
             shear -= (a * (n * n + 2 * n - 1 + 2.0 * nu) * square + b * (n - 1)) * (sine * change)
         power = power * r
     return [radial, polar, around, shear]
@@ -226,7 +241,12 @@ def pressure_on_surface(angle: npt.ArrayLike, load: Load) -> Array:
 
 
 def surface_stress(
-    angle: npt.ArrayLike, load: Load, nu: float, *, terms: int | None = None, coefficients: Array | None = None
+    angle: npt.ArrayLike,
+    load: Load,
+    nu: float,
+    *,
+    terms: int | None = None,
+    coefficients: Array | None = None,
 ) -> Stress:
     """Stress on the surface, at angles [rad] of any shape.
 
@@ -305,8 +325,13 @@ def _rest(x: Array, p: Array, nu: float) -> tuple[Array, Array]:
         b = -a * (n * n + 2 * n - 1 + 2.0 * nu) / (n - 1)
         size = p[n] * window[n]
         cross = size * (a * (n + 5 - 4.0 * nu) + b - (1.0 - 2.0 * nu) / (n * (n + 1.0))) * x * slope
-        polar += size * (1.0 - a * (n * n + 4 * n + 2 + 2.0 * nu) * (n + 1) - b * n * n) * now + cross
-        around += size * (2.0 * nu + a * (n + 1) * (n - 2 - 2.0 * nu - 4.0 * n * nu) + b * n) * now - cross
+        polar += (
+            size * (1.0 - a * (n * n + 4 * n + 2 + 2.0 * nu) * (n + 1) - b * n * n) * now + cross
+        )
+        around += (
+            size * (2.0 * nu + a * (n + 1) * (n - 2 - 2.0 * nu - 4.0 * n * nu) + b * n) * now
+            - cross
+        )
     return polar, around
 
 
@@ -336,18 +361,26 @@ class Table:
     name: str
     coefficients: Array
 
-    def __call__(self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None) -> Array:
+    def __call__(
+        self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None
+    ) -> Array:
         """The ratio of n rows, (n,) or of the shape the arguments broadcast to; `modulus` for three-way tables."""
         if modulus is None:
             return _two_way([self.coefficients], contact_ratio, nu, POISSON)[0]
         if np.ndim(modulus) == 0:
             # one modulus for all rows: three-way becomes two-way
-            weights = _polynomials(_unit_modulus(np.array([modulus], dtype=float)), self.coefficients.shape[2])[0]
+            weights = _polynomials(
+                _unit_modulus(np.array([modulus], dtype=float)), self.coefficients.shape[2]
+            )[0]
             return _two_way([self.coefficients @ weights], contact_ratio, nu, POISSON_WEIBULL)[0]
         return self._three_way(contact_ratio, nu, modulus)
 
-    def _three_way(self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike) -> Array:
-        parts = np.broadcast_arrays(*[np.asarray(part, dtype=float) for part in (contact_ratio, nu, modulus)])
+    def _three_way(
+        self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike
+    ) -> Array:
+        parts = np.broadcast_arrays(
+            *[np.asarray(part, dtype=float) for part in (contact_ratio, nu, modulus)]
+        )
         a, v, m = (part.ravel() for part in parts)
         c, out = self.coefficients, np.empty(parts[0].size)
         for start in range(0, len(out), _CHUNK):
@@ -362,7 +395,10 @@ class Table:
 
 
 def _two_way(
-    matrices: list[Array], contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, bounds: tuple[float, float]
+    matrices: list[Array],
+    contact_ratio: npt.ArrayLike,
+    nu: npt.ArrayLike,
+    bounds: tuple[float, float],
 ) -> list[Array]:
     """exp of the sums of several matrices of one shape at the same rows."""
     parts = np.broadcast_arrays(np.asarray(contact_ratio, dtype=float), np.asarray(nu, dtype=float))
@@ -389,7 +425,11 @@ def _unit(value: Array, low: float, high: float) -> Array:
 
 def _unit_ratio(value: Array) -> Array:
     with np.errstate(all="ignore"):
-        return _unit(np.log(np.maximum(value, 1e-300)), math.log(CONTACT_RATIO[0]), math.log(CONTACT_RATIO[1]))
+        return _unit(
+            np.log(np.maximum(value, 1e-300)),
+            math.log(CONTACT_RATIO[0]),
+            math.log(CONTACT_RATIO[1]),
+        )
 
 
 def _unit_modulus(value: Array) -> Array:
@@ -422,7 +462,9 @@ def load_table(name: str) -> Table:
     coefficients = np.zeros(entry["shape"])
     # whole numbers of `unit`; they fall off towards the end of every row, and what is not written is zero
     for index, row in enumerate(entry["rows"]):
-        coefficients.reshape(-1, entry["shape"][-1])[index, : len(row)] = np.array(row) * entry["unit"]
+        coefficients.reshape(-1, entry["shape"][-1])[index, : len(row)] = (
+            np.array(row) * entry["unit"]
+        )
     return Table(name=name, coefficients=coefficients)
 
 
@@ -443,7 +485,9 @@ def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, 
     """
     a, v = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(contact_ratio, nu))
     inside = np.clip(a, *CONTACT_RATIO)
-    value, depth = _two_way([load_table(name).coefficients for name in ("core", "core_depth")], a, v, POISSON)
+    value, depth = _two_way(
+        [load_table(name).coefficients for name in ("core", "core_depth")], a, v, POISSON
+    )
     square = 1.0 - inside * depth
     tension = np.where(square > 0.0, value, centre_ratio(inside, np.clip(v, *POISSON)))
     return tension, 1.0 - np.sqrt(np.maximum(square, 0.0))
@@ -468,14 +512,20 @@ def centre_ratio(contact_ratio: Array, nu: Array) -> Array:
     return np.asarray(-mean + p_2 * (7.0 + 2.0 * nu) / (2.0 * (7.0 + 5.0 * nu)))
 
 
-def half_space_rim(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike) -> Array:
+def half_space_rim(
+    contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike
+) -> Array:
     """I_rim^(1/m) of the half space: (1 - 2 nu)/3 [(a/r)²/2 3 m/((m - 1) (m + 2))]^(1/m)."""
     m = np.asarray(modulus, dtype=float)
-    area = 0.5 * np.square(np.asarray(contact_ratio, dtype=float)) * 3.0 * m / ((m - 1.0) * (m + 2.0))
+    area = (
+        0.5 * np.square(np.asarray(contact_ratio, dtype=float)) * 3.0 * m / ((m - 1.0) * (m + 2.0))
+    )
     return np.asarray((1.0 - 2.0 * np.asarray(nu, dtype=float)) / 3.0 * area ** (1.0 / m))
 
 
-def outside(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None) -> Flags:
+def outside(
+    contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None
+) -> Flags:
     """Which rows lie outside the range of the tables; with a modulus, of those of the weakest link.
 
     >>> outside([0.1, 0.4], 0.25).tolist()
@@ -484,5 +534,7 @@ def outside(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayL
     ranges = [(contact_ratio, CONTACT_RATIO), (nu, POISSON if modulus is None else POISSON_WEIBULL)]
     if modulus is not None:
         ranges.append((modulus, MODULUS))
-    inside = [(np.asarray(value) >= low) & (np.asarray(value) <= high) for value, (low, high) in ranges]
+    inside = [
+        (np.asarray(value) >= low) & (np.asarray(value) <= high) for value, (low, high) in ranges
+    ]
     return np.asarray(~np.logical_and.reduce(np.broadcast_arrays(*inside)))

@@ -61,7 +61,9 @@ class Rule:
     @property
     def limit(self) -> float:
         """The mildest of the thresholds."""
-        return next(value for value in (self.information, self.warning, self.failure) if value is not None)
+        return next(
+            value for value in (self.information, self.warning, self.failure) if value is not None
+        )
 
     def statement(self, worst: float, broken: str, further: str = "") -> str:
         """What the worst number means: in `broken`, which rows break the check, or that none does."""
@@ -143,8 +145,15 @@ def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags
         yields = body_of(scene)
         with np.errstate(all="ignore"):
             known = good & np.isfinite(yields.onset) & np.isfinite(yields.hardness)
-            scales, law = scene.scales, {name: part[known] for name, part in yields._asdict().items()}
-            face = Face(**law, modulus=scales.modulus[known], effective_radius=scales.effective_radius[known])
+            scales, law = (
+                scene.scales,
+                {name: part[known] for name, part in yields._asdict().items()},
+            )
+            face = Face(
+                **law,
+                modulus=scales.modulus[known],
+                effective_radius=scales.effective_radius[known],
+            )
             press = face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[known]))
         centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
         if len(centre) == 0 or len(dent) == 0:
@@ -161,10 +170,16 @@ def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
     for one in dict.fromkeys(one.table for one in scene.there):
         partner = next(part for part in scene.there if part.table == one)
         onset = body_of(scene.columns, one, scene.rigid_contact).onset
-        pressure = contact.pressure_at_force(answers.values["P_max"], partner.modulus, partner.effective_radius)
+        pressure = contact.pressure_at_force(
+            answers.values["P_max"], partner.modulus, partner.effective_radius
+        )
         found.append(pressure / np.where(np.isfinite(onset), _positive(onset), np.nan))
     worst = np.fmax.reduce(found)
-    return "not checked: no yield strength of what stands at the poles is given" if np.isnan(worst).all() else worst
+    return (
+        "not checked: no yield strength of what stands at the poles is given"
+        if np.isnan(worst).all()
+        else worst
+    )
 
 
 def _depth(scene: Scene, answers: Answers) -> Array | str:
@@ -248,11 +263,15 @@ def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:
     plate = next((one.table for one in scene.there if one.kind == "plate"), None)
     if plate is None:
         return None
-    E, nu, density, thickness = (scene.columns[f"{plate}.{key}"] for key in ("E", "nu", "density", "thickness"))
+    E, nu, density, thickness = (
+        scene.columns[f"{plate}.{key}"] for key in ("E", "nu", "density", "thickness")
+    )
     with np.errstate(all="ignore"):
         sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
         transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
-        return np.asarray(np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0)))
+        return np.asarray(
+            np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0))
+        )
 
 
 def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
@@ -269,7 +288,9 @@ def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
     with np.errstate(all="ignore"):
         loaded = answers.values["loaded_time"]
         bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
-        return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / c[f"{plate}.width"])
+        return np.asarray(
+            loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / c[f"{plate}.width"]
+        )
 
 
 def _gravity(scene: Scene, answers: Answers) -> Array | str:
@@ -280,13 +301,19 @@ def _gravity(scene: Scene, answers: Answers) -> Array | str:
 
 def _restitution_of_waves(scene: Scene, answers: Answers, good: Flags) -> str:
     loss = loss_to_waves(scene)
-    return "" if loss is None else f"; waves by themselves leave a restitution of {np.sqrt(1.0 - loss[good].max()):.3g}"
+    return (
+        ""
+        if loss is None
+        else f"; waves by themselves leave a restitution of {np.sqrt(1.0 - loss[good].max()):.3g}"
+    )
 
 
 def _rod_rise(scene: Scene, answers: Answers) -> Array | str | None:
     found = []
     for partner, diameter in _bars_of(scene):
-        speed = bars.wave_speed(*(scene.columns[f"{partner.table}.{key}"] for key in ("E", "density")))
+        speed = bars.wave_speed(
+            *(scene.columns[f"{partner.table}.{key}"] for key in ("E", "density"))
+        )
         found.append(answers.values["rise_time"] * speed / (0.5 * diameter))
     return np.minimum.reduce(found) if found else None
 
@@ -318,7 +345,9 @@ def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
             rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
         else:
             rise = 0.5 * scene.pulse.end
-        return np.asarray(rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"]))
+        return np.asarray(
+            rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"])
+        )
 
 
 def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
@@ -333,118 +362,289 @@ def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
 
 
 RULES: Final[tuple[Rule, ...]] = (
-    Rule(name="small_contact", meaning="contact radius over sphere radius (Hertz: small)",
-         measure=_contact_over_radius, warning=0.2, failure=0.3,
-         words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})"),
-    Rule(name="contact_on_bar_end", meaning="contact radius over bar radius (Hertz: half space)",
-         measure=_contact_over_bar, warning=0.2, failure=1.0, rigs=("bars", "impact", "drop_weight", "load_cell"),
-         words="the contact is large for the bar's end, a/(d_b/2) reaches {worst} (limit {limit})"),
-    Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
-         measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD), warning=1.0,
-         laws=("hertz",), rigs=_BARS,
-         further=_static(softest_partner),
-         words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
-               "harder bars or inserts, thinner bars or a shorter pulse help"),
-    Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
-         measure=_pulse_over_yield, warning=1.0, rigs=_BARS,
-         words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength"),
-    Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
-         measure=_imbalance, information=0.05, warning=0.1, rigs=(*_BARS, *_WEIGHTS),
-         words="the forces of the two faces differ by up to {worst} of the largest at some instant (limit {limit}). "
-               "What measures one of them does not measure the other"),
-    Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
-         measure=lambda s, a: _transits(s, a, "rise_time"), warning=4.0, failure=3.0, rising=False,
-         rigs=(*_BARS, *_WEIGHTS),
-         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
-               "10 % to 90 % (at least {limit}); too few for a quasi-static sphere"),
-    Rule(name="one_dimensional_bars", meaning="rise of the pulse over bar radius/c_0 (one-dimensional waves)",
-         measure=_pulse_rise, warning=5.0, rising=False, rigs=_BARS,
-         words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit}), sharper "
-               "than one-dimensional waves can carry"),
-    Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
-         measure=lambda s, a: s.scales.pulse_number, information=2.0, rising=False, rigs=_BARS,
-         words="the pulse is short: {worst} times the time scale of the contact (limit {limit}). The force depends on "
-               "the pulse's length; the formula Z v_0/2 would overestimate it"),
-    Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
-         measure=_record_over_echo, information=1.0, rigs=_BARS,
-         words="infinite bars were requested; but the record runs to {worst} times the first return of a "
-               "reflected wave in bars of the given length"),
-    Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
-         measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET), warning=1.0,
-         laws=("hertz",), further=_static(lambda s: sphere_body(s.columns)),
-         words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to"),
-    Rule(name="dented", meaning="approach over that at which a face first yields",
-         measure=_depth, information=1.0, laws=("plastic",), further=_dents,
-         words="a contact yields: the approach reaches {worst} times that at first yield; the pressures include it"),
-    Rule(name="softer_body", meaning="onset of the harder body of a face over that of the softer one",
-         measure=_other_onset, information=1.3, rising=False, laws=("plastic",),
-         words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear from {limit}). The "
-               "law lets only the softer one yield: beyond first yield it is a bound"),
-    Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
-         measure=_depth, warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
-         failure=1000.0, laws=("plastic",),
-         words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})"),
-    Rule(name="deep_dent", meaning="dent over the effective radius (the next blow meets the same curvature)",
-         measure=lambda s, a: _of_faces(s, a, lambda face, depth: face.pressed(depth).dent / face.effective_radius),
-         warning=0.01, laws=("plastic",),
-         words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})"),
-    Rule(name="insert_thickness", meaning="three contact radii over the thickness of the inserts",
-         measure=_contact_over_insert, warning=1.0, rigs=_BARS,
-         words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them"),
-    Rule(name="pressure_shape", meaning="approach over that at which a face first yields (shape of the pressure)",
-         measure=_depth, information=2.0, warning=6.0, laws=("plastic",),
-         words="a contact is pressed to {worst} times its first yield: the true pressure is flatter than Hertz's "
-               "(limit {limit}). Stresses inside the sphere and at the rim are approximate"),
-    Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
-         measure=lambda s, a: _transits(s, a, "loaded_time"), warning=6.0, failure=4.0, rising=False, rigs=_ONE,
-         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
-               "too few for a quasi-static sphere"),
-    Rule(name="face_yield", meaning="contact pressure over that at which what stands at a pole yields",
-         measure=_over_partner_onset, warning=1.0, laws=("hertz",), rigs=(*_BLOWS, "platens"),
-         further=_static(softest_partner),
-         words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins"),
-    Rule(name="thin_plate", meaning="thickness of the plate over the contact radius, or transits of it under load",
-         measure=_thin_plate, warning=5.0, failure=2.0, rising=False, rigs=("impact", "drop_weight"),
-         words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); where few "
-               "waves cross its thickness under load, a thick target is nearer"),
-    Rule(name="plate_edge", meaning="time under load over the return of the bending wave from the plate's edge",
-         measure=_plate_edge, warning=1.0, rigs=("impact", "drop_weight"),
-         words="the bending wave is back from the plate's edge while the sphere is pressed: {worst} returns"),
-    Rule(name="gravity", meaning="weight of what moves over the largest force (left out of the motion)",
-         measure=_gravity, information=0.01, warning=0.05, rigs=_BLOWS,
-         words="weights, which the motion leaves out, reach {worst} of the largest force (limit {limit})"),
-    Rule(name="drag", meaning="fall over that in which the drag of the air would stop the gain of speed, g h/v_t²",
-         measure=lambda s, a: s.columns["rig.drop_height"] * GRAVITY
-         / terminal_speed(s.columns["sphere.radius"], s.columns["sphere.density"]) ** 2
-         if "rig.drop_height" in s.columns else None,
-         information=0.05, warning=0.2, rigs=_ONE,
-         words="the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} (limit {limit})"),
-    Rule(name="oblique", meaning="angle between the path and the surface [deg]; friction and spin are left out",
-         measure=lambda s, a: np.rad2deg(s.columns["rig.angle"]) if "rig.angle" in s.columns else None,
-         information=75.0, warning=45.0, failure=20.0, rising=False, rigs=_ONE,
-         words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and tension by sliding at "
-               "the rim are left out, the normal part of the speed counts"),
-    Rule(name="wave_loss", meaning="share of the energy that a thick target carries off as waves",
-         measure=lambda s, a: loss_to_waves(s), information=0.02, warning=0.05, rigs=_ONE,
-         further=_restitution_of_waves,
-         words="the target carries off {worst} of the energy as waves (limit {limit}); forces leave that out"),
-    Rule(name="one_dimensional_rod", meaning="rise of the force over bar radius/c_0 (one-dimensional waves)",
-         measure=_rod_rise, warning=5.0, rising=False, rigs=("impact", "drop_weight", "load_cell"),
-         words="the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves of one dimension"),
-    Rule(name="echo_in_contact", meaning="time under load over the round trip of the rod",
-         measure=_echo_under_load, information=1.0, rigs=("impact", "drop_weight", "load_cell"),
-         words="waves come back along the rod while the sphere is pressed: {worst} round trips"),
-    Rule(name="grazing_contact", meaning="contact that comes so near to a loss that rounding decides (1 or 0)",
-         measure=lambda s, a: np.where(a.grazes, 1.0, 0.0), information=0.0,
-         words="contact grazes zero: the first loss and the duration of those rows may be a swing off"),
-    Rule(name="chatter", meaning="contacts lost and found again before the largest force",
-         measure=lambda s, a: a.values["retouches"], information=0.0, rigs=_WEIGHTS,
-         words="contacts are lost and found again before the largest force, up to {worst} times"),
-    Rule(name="one_sided_field", meaning="contact radius over sphere radius where the forces differ at the peak",
-         measure=_one_sided, information=0.1, warning=0.2, failure=0.3, rigs=_BLOWS,
-         words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}); the "
-               "field of one force is not half that of two"),
-)  # fmt: skip
+    Rule(
+        name="small_contact",
+        meaning="contact radius over sphere radius (Hertz: small)",
+        measure=_contact_over_radius,
+        warning=0.2,
+        failure=0.3,
+        words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})",
+    ),
+    Rule(
+        name="contact_on_bar_end",
+        meaning="contact radius over bar radius (Hertz: half space)",
+        measure=_contact_over_bar,
+        warning=0.2,
+        failure=1.0,
+        rigs=("bars", "impact", "drop_weight", "load_cell"),
+        words="the contact is large for the bar's end, a/(d_b/2) reaches {worst} (limit {limit})",
+    ),
+    Rule(
+        name="bar_yield_contact",
+        meaning="contact pressure over that at which the bars yield (elastic contact)",
+        measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD),
+        warning=1.0,
+        laws=("hertz",),
+        rigs=_BARS,
+        further=_static(softest_partner),
+        words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
+        "harder bars or inserts, thinner bars or a shorter pulse help",
+    ),
+    Rule(
+        name="bar_yield_pulse",
+        meaning="stress of the pulse over the bars' yield strength (elastic waves)",
+        measure=_pulse_over_yield,
+        warning=1.0,
+        rigs=_BARS,
+        words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
+    ),
+    Rule(
+        name="force_balance",
+        meaning="largest difference of the two forces over the largest force",
+        measure=_imbalance,
+        information=0.05,
+        warning=0.1,
+        rigs=(*_BARS, *_WEIGHTS),
+        words="the forces of the two faces differ by up to {worst} of the largest at some instant (limit {limit}). "
+        "What measures one of them does not measure the other",
+    ),
+    Rule(
+        name="quasi_static_sphere",
+        meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
+        measure=lambda s, a: _transits(s, a, "rise_time"),
+        warning=4.0,
+        failure=3.0,
+        rising=False,
+        rigs=(*_BARS, *_WEIGHTS),
+        words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
+        "10 % to 90 % (at least {limit}); too few for a quasi-static sphere",
+    ),
+    Rule(
+        name="one_dimensional_bars",
+        meaning="rise of the pulse over bar radius/c_0 (one-dimensional waves)",
+        measure=_pulse_rise,
+        warning=5.0,
+        rising=False,
+        rigs=_BARS,
+        words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit}), sharper "
+        "than one-dimensional waves can carry",
+    ),
+    Rule(
+        name="force_level",
+        meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
+        measure=lambda s, a: s.scales.pulse_number,
+        information=2.0,
+        rising=False,
+        rigs=_BARS,
+        words="the pulse is short: {worst} times the time scale of the contact (limit {limit}). The force depends on "
+        "the pulse's length; the formula Z v_0/2 would overestimate it",
+    ),
+    Rule(
+        name="before_reflection",
+        meaning="record over the first return of a reflected wave (infinite bars)",
+        measure=_record_over_echo,
+        information=1.0,
+        rigs=_BARS,
+        words="infinite bars were requested; but the record runs to {worst} times the first return of a "
+        "reflected wave in bars of the given length",
+    ),
+    Rule(
+        name="sphere_yield_contact",
+        meaning="contact pressure over that at which the sphere yields or crushes",
+        measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET),
+        warning=1.0,
+        laws=("hertz",),
+        further=_static(lambda s: sphere_body(s.columns)),
+        words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to",
+    ),
+    Rule(
+        name="dented",
+        meaning="approach over that at which a face first yields",
+        measure=_depth,
+        information=1.0,
+        laws=("plastic",),
+        further=_dents,
+        words="a contact yields: the approach reaches {worst} times that at first yield; the pressures include it",
+    ),
+    Rule(
+        name="softer_body",
+        meaning="onset of the harder body of a face over that of the softer one",
+        measure=_other_onset,
+        information=1.3,
+        rising=False,
+        laws=("plastic",),
+        words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear from {limit}). The "
+        "law lets only the softer one yield: beyond first yield it is a bound",
+    ),
+    Rule(
+        name="plastic_range",
+        meaning="approach over that at which a face first yields (law seen up to 110)",
+        measure=_depth,
+        warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
+        failure=1000.0,
+        laws=("plastic",),
+        words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})",
+    ),
+    Rule(
+        name="deep_dent",
+        meaning="dent over the effective radius (the next blow meets the same curvature)",
+        measure=lambda s, a: _of_faces(
+            s, a, lambda face, depth: face.pressed(depth).dent / face.effective_radius
+        ),
+        warning=0.01,
+        laws=("plastic",),
+        words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})",
+    ),
+    Rule(
+        name="insert_thickness",
+        meaning="three contact radii over the thickness of the inserts",
+        measure=_contact_over_insert,
+        warning=1.0,
+        rigs=_BARS,
+        words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them",
+    ),
+    Rule(
+        name="pressure_shape",
+        meaning="approach over that at which a face first yields (shape of the pressure)",
+        measure=_depth,
+        information=2.0,
+        warning=6.0,
+        laws=("plastic",),
+        words="a contact is pressed to {worst} times its first yield: the true pressure is flatter than Hertz's "
+        "(limit {limit}). Stresses inside the sphere and at the rim are approximate",
+    ),
+    Rule(
+        name="quasi_static_sphere",
+        meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
+        measure=lambda s, a: _transits(s, a, "loaded_time"),
+        warning=6.0,
+        failure=4.0,
+        rising=False,
+        rigs=_ONE,
+        words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
+        "too few for a quasi-static sphere",
+    ),
+    Rule(
+        name="face_yield",
+        meaning="contact pressure over that at which what stands at a pole yields",
+        measure=_over_partner_onset,
+        warning=1.0,
+        laws=("hertz",),
+        rigs=(*_BLOWS, "platens"),
+        further=_static(softest_partner),
+        words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins",
+    ),
+    Rule(
+        name="thin_plate",
+        meaning="thickness of the plate over the contact radius, or transits of it under load",
+        measure=_thin_plate,
+        warning=5.0,
+        failure=2.0,
+        rising=False,
+        rigs=("impact", "drop_weight"),
+        words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); where few "
+        "waves cross its thickness under load, a thick target is nearer",
+    ),
+    Rule(
+        name="plate_edge",
+        meaning="time under load over the return of the bending wave from the plate's edge",
+        measure=_plate_edge,
+        warning=1.0,
+        rigs=("impact", "drop_weight"),
+        words="the bending wave is back from the plate's edge while the sphere is pressed: {worst} returns",
+    ),
+    Rule(
+        name="gravity",
+        meaning="weight of what moves over the largest force (left out of the motion)",
+        measure=_gravity,
+        information=0.01,
+        warning=0.05,
+        rigs=_BLOWS,
+        words="weights, which the motion leaves out, reach {worst} of the largest force (limit {limit})",
+    ),
+    Rule(
+        name="drag",
+        meaning="fall over that in which the drag of the air would stop the gain of speed, g h/v_t²",
+        measure=lambda s, a: (
+            s.columns["rig.drop_height"]
+            * GRAVITY
+            / terminal_speed(s.columns["sphere.radius"], s.columns["sphere.density"]) ** 2
+            if "rig.drop_height" in s.columns
+            else None
+        ),
+        information=0.05,
+        warning=0.2,
+        rigs=_ONE,
+        words="the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} (limit {limit})",
+    ),
+    Rule(
+        name="oblique",
+        meaning="angle between the path and the surface [deg]; friction and spin are left out",
+        measure=lambda s, a: (
+            np.rad2deg(s.columns["rig.angle"]) if "rig.angle" in s.columns else None
+        ),
+        information=75.0,
+        warning=45.0,
+        failure=20.0,
+        rising=False,
+        rigs=_ONE,
+        words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and tension by sliding at "
+        "the rim are left out, the normal part of the speed counts",
+    ),
+    Rule(
+        name="wave_loss",
+        meaning="share of the energy that a thick target carries off as waves",
+        measure=lambda s, a: loss_to_waves(s),
+        information=0.02,
+        warning=0.05,
+        rigs=_ONE,
+        further=_restitution_of_waves,
+        words="the target carries off {worst} of the energy as waves (limit {limit}); forces leave that out",
+    ),
+    Rule(
+        name="one_dimensional_rod",
+        meaning="rise of the force over bar radius/c_0 (one-dimensional waves)",
+        measure=_rod_rise,
+        warning=5.0,
+        rising=False,
+        rigs=("impact", "drop_weight", "load_cell"),
+        words="the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves of one dimension",
+    ),
+    Rule(
+        name="echo_in_contact",
+        meaning="time under load over the round trip of the rod",
+        measure=_echo_under_load,
+        information=1.0,
+        rigs=("impact", "drop_weight", "load_cell"),
+        words="waves come back along the rod while the sphere is pressed: {worst} round trips",
+    ),
+    Rule(
+        name="grazing_contact",
+        meaning="contact that comes so near to a loss that rounding decides (1 or 0)",
+        measure=lambda s, a: np.where(a.grazes, 1.0, 0.0),
+        information=0.0,
+        words="contact grazes zero: the first loss and the duration of those rows may be a swing off",
+    ),
+    Rule(
+        name="chatter",
+        meaning="contacts lost and found again before the largest force",
+        measure=lambda s, a: a.values["retouches"],
+        information=0.0,
+        rigs=_WEIGHTS,
+        words="contacts are lost and found again before the largest force, up to {worst} times",
+    ),
+    Rule(
+        name="one_sided_field",
+        meaning="contact radius over sphere radius where the forces differ at the peak",
+        measure=_one_sided,
+        information=0.1,
+        warning=0.2,
+        failure=0.3,
+        rigs=_BLOWS,
+        words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}); the "
+        "field of one force is not half that of two",
+    ),
+)
 
 
 def grades(rule: Rule, measured: Array) -> Places:
@@ -475,7 +675,9 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
 def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     """Every check that is asked of a batch, on its answers, in the order of `RULES`."""
     if len(answers.status) != len(scene):
-        raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} rows")
+        raise ValueError(
+            f"{len(answers.status)} answers do not belong to a batch of {len(scene)} rows"
+        )
     good = answered(answers.status)
     found = (_check(rule, scene, answers, good) for rule in rules_of(scene))
     return [check for check in found if check is not None]
@@ -495,7 +697,12 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | N
     if not shares.any():
         return _result(rule.name, shares, worst, rule.statement(worst, ""))
     further = "" if rule.further is None else rule.further(scene, answers, good)
-    return _result(rule.name, shares, worst, rule.statement(worst, f"{_percent(float(shares.sum()))} rows", further))
+    return _result(
+        rule.name,
+        shares,
+        worst,
+        rule.statement(worst, f"{_percent(float(shares.sum()))} rows", further),
+    )
 
 
 def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:
@@ -510,8 +717,14 @@ def _result(name: str, shares: Array, worst: float | None, text: str) -> Check:
     information, warning, failure = (float(share) for share in shares)
     # an endless pulse is infinitely long, and a report holds no infinity
     finite = worst if worst is not None and np.isfinite(worst) else None
-    return Check(check=name, share_information=information, share_warning=warning, share_failure=failure,
-                 worst=finite, text=text)  # fmt: skip
+    return Check(
+        check=name,
+        share_information=information,
+        share_warning=warning,
+        share_failure=failure,
+        worst=finite,
+        text=text,
+    )
 
 
 def _percent(share: float) -> str:
@@ -542,7 +755,10 @@ def check_ranges(
     }
     known |= dict(scene.demands if demands is None else demands)
     good = answered(answers.status)
-    columns = {name: np.asarray(values)[good] for name, values in {**scene.columns, **answers.values}.items()}
+    columns = {
+        name: np.asarray(values)[good]
+        for name, values in {**scene.columns, **answers.values}.items()
+    }
     found = []
     for name in dict.fromkeys(quantities):
         if name in known and CRITERIA[known[name][0]].ranges:
@@ -551,7 +767,10 @@ def check_ranges(
 
 
 def _check_range(
-    quantity: str, criterion: Criterion, parameters: Mapping[str, float], columns: Mapping[str, Array]
+    quantity: str,
+    criterion: Criterion,
+    parameters: Mapping[str, float],
+    columns: Mapping[str, Array],
 ) -> Check:
     name = f"range_of_{quantity}"
     inside = in_range(criterion, columns, parameters)
@@ -563,7 +782,11 @@ def _check_range(
     text = f"{criterion.name} is used inside its range ({criterion.range_text})"
     if share > 0.0:
         left = ", ".join(words for beyond, _, words in parts if beyond > 0.0)
-        edge = "at the edge of its table" if "equal forces" in criterion.range_text else "of the formula all the same"
+        edge = (
+            "at the edge of its table"
+            if "equal forces" in criterion.range_text
+            else "of the formula all the same"
+        )
         text = (
             f"in {_percent(share)} rows {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
             f"value there is that {edge}"

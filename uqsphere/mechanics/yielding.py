@@ -57,7 +57,9 @@ def metal_body(yield_strength: Array, nu: Array) -> Body:
     onset = metal_onset(yield_strength, nu)
     known = np.isfinite(onset)
     return Body(
-        np.where(known, onset, np.inf), FLOW * np.asarray(yield_strength), np.full(np.shape(onset), METAL_PILE_UP)
+        np.where(known, onset, np.inf),
+        FLOW * np.asarray(yield_strength),
+        np.full(np.shape(onset), METAL_PILE_UP),
     )
 
 
@@ -144,12 +146,16 @@ class Face:
     @property
     def onset_approach(self) -> Array:
         """alpha_y [m], (C2)."""
-        return np.asarray(self.effective_radius * np.square(0.5 * math.pi * self.onset / self.modulus))
+        return np.asarray(
+            self.effective_radius * np.square(0.5 * math.pi * self.onset / self.modulus)
+        )
 
     @property
     def onset_force(self) -> Array:
         """P_y [N], (C2)."""
-        return np.asarray((2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach)
+        return np.asarray(
+            (2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach
+        )
 
     def force(self, depth: Array) -> Array:
         """L = P/P_y at z on virgin loading, (C5); Hertz below onset."""
@@ -172,7 +178,9 @@ class Face:
         with np.errstate(divide="ignore", invalid="ignore"):
             g = np.where(c > 1.0, np.minimum(5.0, c * b * b / ((c - 1.0) * (1.0 + b))), 5.0)
             rest = np.where(
-                g > 0.0, s * s * (1.0 + (c - 1.0) / g) + 2.0 * (c - 1.0) * g * (g - 1.0) * _bend(s / g), 0.0
+                g > 0.0,
+                s * s * (1.0 + (c - 1.0) / g) + 2.0 * (c - 1.0) * g * (g - 1.0) * _bend(s / g),
+                0.0,
             )
         beyond = np.where(g > 0.0, 1.0 + 2.0 * s + rest, 1.0 + c * s * (2.0 + s))
         return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0))
@@ -208,15 +216,24 @@ class Face:
     def recovery(self, depth: Array) -> Array:
         """alpha_e/alpha_y: the approach that unloading from z gives back, (C8)."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(depth > 1.0, self.force(depth) / np.sqrt(self.area(depth)), np.maximum(depth, 0.0))
+            return np.where(
+                depth > 1.0, self.force(depth) / np.sqrt(self.area(depth)), np.maximum(depth, 0.0)
+            )
 
     def pressed(self, depth: Array) -> Press:
         """The state of the face whose largest approach so far is z alpha_y."""
         force, area, recovered = self.force(depth), self.area(depth), self.recovery(depth)
-        alpha_y, force_y, p_y, hardness = self.onset_approach, self.onset_force, self.onset, self.hardness
+        alpha_y, force_y, p_y, hardness = (
+            self.onset_approach,
+            self.onset_force,
+            self.onset,
+            self.hardness,
+        )
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
-            beyond = hardness - (hardness - mean) * (hardness - p_y) / (hardness - (2.0 / 3.0) * p_y)
+            beyond = hardness - (hardness - mean) * (hardness - p_y) / (
+                hardness - (2.0 / 3.0) * p_y
+            )
         stored = 0.4 * force * recovered
         return Press(
             depth=np.asarray(depth),
@@ -232,4 +249,6 @@ class Face:
 
     def restitution(self, depth: Array) -> Array:
         """Speed after over speed before a blow on a rigid wall that presses to z: sqrt(recovered/work)."""
-        return np.asarray(np.sqrt(0.4 * self.force(depth) * self.recovery(depth) / self.work(depth)))
+        return np.asarray(
+            np.sqrt(0.4 * self.force(depth) * self.recovery(depth) / self.work(depth))
+        )

@@ -43,11 +43,19 @@ class ModelFile:
         try:
             exec(compile(self.source, str(self.path), "exec"), module.__dict__)
         except (Exception, SystemExit) as error:
-            raise ModelError(f"{self.path} raised {_described(error)} while it was loaded") from error
+            raise ModelError(
+                f"{self.path} raised {_described(error)} while it was loaded"
+            ) from error
         function = getattr(module, self.name, None)
         if not callable(function):
-            functions = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
-            raise UsageError(f"{self.path} has no function {self.name!r} (it has: {', '.join(functions) or 'none'})")
+            functions = [
+                key
+                for key, value in vars(module).items()
+                if inspect.isfunction(value) and key[0] != "_"
+            ]
+            raise UsageError(
+                f"{self.path} has no function {self.name!r} (it has: {', '.join(functions) or 'none'})"
+            )
         return function  # type: ignore[no-any-return]
 
 
@@ -91,7 +99,9 @@ def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {as_text(error)}{places[-1] if places else ''}"
 
 
-def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]) -> Array:
+def call_black_box(
+    box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]
+) -> Array:
     """Answers (n, q) of a model to rows (n, d), in one call.
 
     names : d inputs, the columns of `rows`.
@@ -120,7 +130,9 @@ def call_black_box(box: BlackBox, names: Sequence[str], rows: Array, outputs: Se
     if missing := [name for name in outputs if name not in returned]:
         keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
         raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
-    return np.stack([_column(by_index(returned[name], count), name, count) for name in outputs], axis=1)
+    return np.stack(
+        [_column(by_index(returned[name], count), name, count) for name in outputs], axis=1
+    )
 
 
 def by_index(value: Any, count: int) -> Any:
@@ -137,14 +149,20 @@ def _column(value: Any, name: str, count: int) -> Array:
     try:
         given = np.asanyarray(value)
         if given.dtype.kind not in "fiubO":
-            raise TypeError(f"its type is {given.dtype}; of complex numbers return the real part or the absolute value")
+            raise TypeError(
+                f"its type is {given.dtype}; of complex numbers return the real part or the absolute value"
+            )
         column: Array = np.ma.filled(given.astype(float), np.nan)
     except Exception as error:  # what was returned computes its content as it likes
-        raise ModelError(f"the model's {name!r} is not an array of numbers: {_described(error)}") from error
+        raise ModelError(
+            f"the model's {name!r} is not an array of numbers: {_described(error)}"
+        ) from error
     if count == 1 and column.ndim == 0:
         return column[None]
     if column.shape != (count,):
-        hint = "; a function of one row can be wrapped by numpy.vectorize" if column.ndim == 0 else ""
+        hint = (
+            "; a function of one row can be wrapped by numpy.vectorize" if column.ndim == 0 else ""
+        )
         raise ModelError(
             f"the model's {name!r} must have shape ({count},), one number for each row of its inputs; "
             f"its shape is {column.shape}{hint}"

@@ -18,7 +18,9 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import AccessError, as_text
 
-_TABLE: Final = "CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, answer BLOB) WITHOUT ROWID"
+_TABLE: Final = (
+    "CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, answer BLOB) WITHOUT ROWID"
+)
 #: seconds that another run is waited for
 _WAIT: Final = 30.0
 
@@ -29,7 +31,9 @@ class Cache:
     Every method raises AccessError where the cache cannot be used.
     """
 
-    def __init__(self, path: Path, model: bytes, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    def __init__(
+        self, path: Path, model: bytes, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> None:
         self.path, self._outputs = path, len(outputs)
         self._about = hashlib.blake2b(repr((model, inputs, outputs)).encode()).digest()
         with self._access():
@@ -48,12 +52,17 @@ class Cache:
         try:
             yield
         except sqlite3.Error as error:
-            raise AccessError(f"{self.path} cannot be used ({as_text(error)}): --fresh starts without it") from error
+            raise AccessError(
+                f"{self.path} cannot be used ({as_text(error)}): --fresh starts without it"
+            ) from error
 
     def _keys(self, rows: Array) -> list[bytes]:
         """What rows (n, inputs) are stored by."""
         numbers = np.ascontiguousarray(rows + 0.0, dtype="<f8")  # + 0.0: -0 is 0
-        return [hashlib.blake2b(row.tobytes(), key=self._about, digest_size=16).digest() for row in numbers]
+        return [
+            hashlib.blake2b(row.tobytes(), key=self._about, digest_size=16).digest()
+            for row in numbers
+        ]
 
     def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is, (n,)."""
@@ -61,7 +70,9 @@ class Cache:
         with self._access():
             if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():
                 for k, key in enumerate(self._keys(rows)):
-                    for (answer,) in self._database.execute("SELECT answer FROM answers WHERE key = ?", (key,)):
+                    for (answer,) in self._database.execute(
+                        "SELECT answer FROM answers WHERE key = ?", (key,)
+                    ):
                         found[k] = answer
         stored = np.array([answer != b"" for answer in found], dtype=bool)
         return np.frombuffer(b"".join(found), dtype="<f8").reshape(-1, self._outputs), stored

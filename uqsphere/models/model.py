@@ -75,18 +75,27 @@ def evaluate(
     import pandas as pd
 
     if not isinstance(study, Study):
-        raise UsageError(f"evaluate takes a study of uqsphere.load_study, found {type(study).__name__}")
+        raise UsageError(
+            f"evaluate takes a study of uqsphere.load_study, found {type(study).__name__}"
+        )
     if not isinstance(frame, (pd.DataFrame, Mapping)):
-        raise UsageError(f"rows are a DataFrame or a dict of arrays by name, not {type(frame).__name__}")
+        raise UsageError(
+            f"rows are a DataFrame or a dict of arrays by name, not {type(frame).__name__}"
+        )
     if tolerance is not None:
         if not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
             raise UsageError(f"tolerance must lie between 1e-12 and 1e-2, not {tolerance!r}")
         study = replace(study, model=study.model.model_copy(update={"tolerance": tolerance}))
-    names, columns = list(frame), [quantities] if isinstance(quantities, str) else list(quantities or ())
+    names, columns = (
+        list(frame),
+        [quantities] if isinstance(quantities, str) else list(quantities or ()),
+    )
     columns = columns or list(study.analysis.quantities)
     with Model(study, model, threads=threads) as opened:
         opened.check_names(names, columns)
-        if isinstance(frame, pd.DataFrame) and (missing := [name for name in study.random if name not in names]):
+        if isinstance(frame, pd.DataFrame) and (
+            missing := [name for name in study.random if name not in names]
+        ):
             raise UsageError(
                 f"the column {missing[0]!r} is missing: a table has every random input of the study "
                 f"({', '.join(study.random)}); a dict leaves the others at the study's means"
@@ -97,7 +106,9 @@ def evaluate(
         answers = opened.evaluate(names, rows, columns)
     if not answers.good.all():
         count = int((~answers.good).sum())
-        warnings.warn(f"{count} of {len(rows)} rows have no answer; the first: {answers.note}", stacklevel=2)
+        warnings.warn(
+            f"{count} of {len(rows)} rows have no answer; the first: {answers.note}", stacklevel=2
+        )
     found = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
     found["censored"] = np.asarray(answers.censored.any(axis=1))
     return found
@@ -136,9 +147,13 @@ class Model:
 
         study, box = self.study, cast(Any, self.model)
         if study.black_box and box is None:
-            raise UsageError("a black box is run with --model FILE.py:FUNCTION, in Python with model=")
+            raise UsageError(
+                "a black box is run with --model FILE.py:FUNCTION, in Python with model="
+            )
         if not study.black_box and box is not None:
-            raise UsageError("a model of one's own belongs to a black-box study; this one describes an impact scene")
+            raise UsageError(
+                "a model of one's own belongs to a black-box study; this one describes an impact scene"
+            )
         if self.executor is not None and study.analysis.time_limit is not None:
             raise UsageError(
                 "analysis.time_limit needs local processes, which can be ended: leave out it or the executor"
@@ -182,10 +197,15 @@ class Model:
 
     def check_names(self, names: Sequence[str], columns: Sequence[str]) -> None:
         """Refuse inputs and outputs that are unknown or repeated. Raises UsageError."""
-        for kind, given, allowed in (("input", names, self._inputs), ("output", columns, self._outputs)):
+        for kind, given, allowed in (
+            ("input", names, self._inputs),
+            ("output", columns, self._outputs),
+        ):
             for name in given:
                 if name not in allowed:
-                    raise UsageError(f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})")
+                    raise UsageError(
+                        f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})"
+                    )
                 if given.count(name) > 1:
                     raise UsageError(f"the {kind} {name!r} is there {given.count(name)} times")
 
@@ -203,7 +223,9 @@ class Model:
         """
         rows = np.asarray(rows, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != len(names):
-            raise UsageError(f"rows must have shape (n, {len(names)}), a column for each name, not {rows.shape}")
+            raise UsageError(
+                f"rows must have shape (n, {len(names)}), a column for each name, not {rows.shape}"
+            )
         self.check_names(names, columns)
         if not self.study.black_box:
             return self._evaluate_scene(names, rows, columns)
@@ -224,7 +246,9 @@ class Model:
                 )
         return answers
 
-    def _evaluate_scene(self, names: Sequence[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
+    def _evaluate_scene(
+        self, names: Sequence[str], rows: Array, columns: Sequence[str]
+    ) -> EvaluatedRows:
         """Answers of the impact model, in blocks: what is in work stays small, and `stop` is checked between two."""
         if not self._calls and len(rows):
             announce_compilation()
@@ -270,7 +294,11 @@ class Model:
                 status[places[unusable.any(axis=1)]] = FAILED
 
         # two sizes, none between: the last digits of a model may depend on the rows of a call, and time does not repeat
-        size = _MOST_ROWS if self._calls > 1 and not self._is_slow() else max(1, min(_MOST_ROWS, total // _CALLS))
+        size = (
+            _MOST_ROWS
+            if self._calls > 1 and not self._is_slow()
+            else max(1, min(_MOST_ROWS, total // _CALLS))
+        )
         if analysis.time_limit is not None:
             size = 1
         due = (np.arange(start, min(start + size, total)) for start in range(0, total, size))
@@ -298,7 +326,9 @@ class Model:
                     break
                 ended, _ = wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED)
                 # answers first: what is lost with an executor ends the run
-                for future in sorted(ended, key=lambda f: f.cancelled() or f.exception() is not None):
+                for future in sorted(
+                    ended, key=lambda f: f.cancelled() or f.exception() is not None
+                ):
                     places = running.pop(future)
                     try:
                         answers, seconds = result(future, analysis.time_limit)
@@ -310,7 +340,9 @@ class Model:
                             died.add(row)  # once more: another row may have taken the memory
                             again.append(places)
                         elif analysis.on_failure == "abort":
-                            raise ModelError(f"{failure} {where_of(self._inputs, whole(places)[0])}") from failure
+                            raise ModelError(
+                                f"{failure} {where_of(self._inputs, whole(places)[0])}"
+                            ) from failure
                         else:
                             self.evaluations += 1
                             status[row], failures[row] = FAILED, failure
@@ -327,7 +359,9 @@ class Model:
             text = failures.get(int(failed[0])) or _unusable(columns, values[failed[0]])
             note = f"{text} {where_of(self._inputs, whole(failed[:1])[0])}"
             values[failed] = np.nan
-        return EvaluatedRows(values=values, censored=np.zeros(values.shape, dtype=bool), status=status, note=note)
+        return EvaluatedRows(
+            values=values, censored=np.zeros(values.shape, dtype=bool), status=status, note=note
+        )
 
     def _check_stop(self) -> None:
         if self.stop is not None and self.stop():
@@ -383,5 +417,8 @@ def _warn_of_unusual(names: Sequence[str], rows: Array) -> None:
         far = column[(column < low / _FAR) | (column > high * _FAR)]
         if far.size:
             usual = f"{format_value(low, name)} to {format_value(high, name)}"
-            warnings.warn(f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}); numbers are in SI: "
-                          "is the unit right?", stacklevel=3)  # fmt: skip
+            warnings.warn(
+                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}); numbers are in SI: "
+                "is the unit right?",
+                stacklevel=3,
+            )

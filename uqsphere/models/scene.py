@@ -33,14 +33,25 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     from uqsphere.mechanics.scene import Scene
 
     if unknown := [name for name in values if name not in INPUTS]:
-        raise UsageError(f"{unknown[0]!r} is not a number of a scene (allowed: {', '.join(INPUTS)})")
-    n = rows if rows is not None else max((np.size(column) for column in values.values()), default=1)
+        raise UsageError(
+            f"{unknown[0]!r} is not a number of a scene (allowed: {', '.join(INPUTS)})"
+        )
+    n = (
+        rows
+        if rows is not None
+        else max((np.size(column) for column in values.values()), default=1)
+    )
     numbers = {**study.at_means(), **values, **_library_onset(study)}
-    columns = {name: np.broadcast_to(np.asarray(number, dtype=float), (n,)) for name, number in numbers.items()}
+    columns = {
+        name: np.broadcast_to(np.asarray(number, dtype=float), (n,))
+        for name, number in numbers.items()
+    }
     if study.record is not None:
         # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of each row
         gain = columns.get("pulse.gain", np.ones(n))
-        columns["striker.speed"] = 2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
+        columns["striker.speed"] = (
+            2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
+        )
     options = study.options
     return Scene(
         columns=columns,
@@ -67,11 +78,19 @@ def scene_at(study: Study, names: Sequence[str], rows: Array) -> Scene:
 def _library_onset(study: Study) -> dict[str, float]:
     """Onset and hardness that the library has of a sphere, for the check of a contact that is taken for elastic."""
     given = {**study.fixed, **study.random}
-    if "sphere" not in study.materials or "sphere.onset_pressure" in given or "contact.law" in study.options:
+    if (
+        "sphere" not in study.materials
+        or "sphere.onset_pressure" in given
+        or "contact.law" in study.options
+    ):
         return {}
     properties = library()["sphere"][study.materials["sphere"]].properties
     names = ("onset_pressure", "hardness")
-    return {f"sphere.{name}": properties[name].value for name in names} if set(names) <= properties.keys() else {}
+    return (
+        {f"sphere.{name}": properties[name].value for name in names}
+        if set(names) <= properties.keys()
+        else {}
+    )
 
 
 def solve_scene(
@@ -95,7 +114,9 @@ def solve_scene(
     from uqsphere.mechanics.outputs import merged_answers
 
     def integrated(part: Scene) -> Answers:
-        return dynamics.solve(part, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+        return dynamics.solve(
+            part, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
+        )
 
     if scene.rig == "bars":
         exact: Flags = np.asarray(closed_form.closed_form_applies(scene, fidelity))
@@ -114,7 +135,12 @@ def solve_scene(
 
 
 def evaluate_scene(
-    study: Study, names: Sequence[str], rows: Array, columns: Sequence[str], *, threads: int | None = None
+    study: Study,
+    names: Sequence[str],
+    rows: Array,
+    columns: Sequence[str],
+    *,
+    threads: int | None = None,
 ) -> EvaluatedRows:
     """Answers of the impact model to rows (n, d).
 
@@ -127,8 +153,13 @@ def evaluate_scene(
 
     try:
         with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
-            answers = solve_scene(scene_at(study, names, rows), study.model.fidelity, threads=threads,
-                                  tolerance=study.model.tolerance, quantities=tuple(columns))  # fmt: skip
+            answers = solve_scene(
+                scene_at(study, names, rows),
+                study.model.fidelity,
+                threads=threads,
+                tolerance=study.model.tolerance,
+                quantities=tuple(columns),
+            )
     except ValueError as error:
         raise UsageError(str(error)) from error
     good, none = np.asarray(answered(answers.status)), np.zeros(len(rows), dtype=bool)
@@ -138,7 +169,9 @@ def evaluate_scene(
         values=np.where(good[:, None], values, np.nan),
         censored=np.stack([answers.censored.get(name, none) for name in columns], axis=1),
         status=np.where(good, 0, answers.status),
-        note="".join(f"{STATUS[int(answers.status[k])]} {where_of(names, rows[k])}" for k in failed),
+        note="".join(
+            f"{STATUS[int(answers.status[k])]} {where_of(names, rows[k])}" for k in failed
+        ),
     )
 
 
@@ -168,7 +201,9 @@ def check_scene(study: Study) -> None:
     requested |= dict.fromkeys(study.analysis.quantities, "analysis.quantities")
     for name, place in requested.items():
         if why := absent_quantity(study, name):
-            raise UsageError(f"{place}: the rig {study.rig} has no {name} here: {why}; leave it out")
+            raise UsageError(
+                f"{place}: the rig {study.rig} has no {name} here: {why}; leave it out"
+            )
 
 
 def checked_rows(
@@ -181,7 +216,11 @@ def checked_rows(
     scene = scene_at(study, names, rows)
     answers = solve_scene(scene, study.model.fidelity, tolerance=study.model.tolerance)
     measured = {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
-    graded = {rule.name: grades(rule, row) for rule, row in measured.items() if isinstance(row, np.ndarray)}
+    graded = {
+        rule.name: grades(rule, row)
+        for rule, row in measured.items()
+        if isinstance(row, np.ndarray)
+    }
     return [*check_validity(scene, answers), *check_ranges(scene, answers, quantities)], graded
 
 
@@ -209,7 +248,9 @@ def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:
     """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is harder."""
     from uqsphere.mechanics.integrator import solve
 
-    return solve.later_loading(scene_at(study, names, rows), tolerance=max(study.model.tolerance, 1e-4))
+    return solve.later_loading(
+        scene_at(study, names, rows), tolerance=max(study.model.tolerance, 1e-4)
+    )
 
 
 def fractures_of(

@@ -71,10 +71,17 @@ def result(future: Future[Timed], limit: float | None) -> Timed:
         raise NoAnswer(str(error)) from error
     except Exception as error:
         if limit is not None and isinstance(error, TimeoutError):
-            raise NoAnswer(f"the model took longer than analysis.time_limit ({limit:g} s)") from error
-        if isinstance(error, (ProcessExpired, BrokenProcessPool)) or type(error).__name__ == "KilledWorker":
+            raise NoAnswer(
+                f"the model took longer than analysis.time_limit ({limit:g} s)"
+            ) from error
+        if (
+            isinstance(error, (ProcessExpired, BrokenProcessPool))
+            or type(error).__name__ == "KilledWorker"
+        ):
             code = getattr(error, "exitcode", "unknown")
-            raise Died(f"the model ended the process it ran in (exit code {0 if code == _ENDED else code})") from error
+            raise Died(
+                f"the model ended the process it ran in (exit code {0 if code == _ENDED else code})"
+            ) from error
         raise
 
 
@@ -91,7 +98,9 @@ def _prepare(parent: int, packed: bytes) -> None:
     if hasattr(os, "setsid"):
         os.setsid()  # Ctrl-C is for the run
         threading.Thread(target=watch, daemon=True).start()
-    with contextlib.suppress(Exception):  # loaded before its calls are timed; the first says again what fails
+    with contextlib.suppress(
+        Exception
+    ):  # loaded before its calls are timed; the first says again what fails
         _unpacked(packed)
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     threadpool_limits(limits=1, user_api="blas")
@@ -125,9 +134,13 @@ class Workers:
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
         # the same call twice is two evaluations, which Dask would not make
-        self._executor = executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
+        self._executor = (
+            executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
+        )
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
-            raise UsageError(f"an executor has a method submit(), which {type(executor).__name__} has not")
+            raise UsageError(
+                f"an executor has a method submit(), which {type(executor).__name__} has not"
+            )
         self._task, self._packed = task, b"" if executor is None else pack(task)
         self._limit = limit
         self._pool: ProcessPool | None = None
@@ -148,7 +161,9 @@ class Workers:
             if self._pool is None or not self._pool.active:  # or a process died between two calls
                 self.close()
                 given = (os.getpid(), self._packed)
-                self._pool = ProcessPool(self.count, initializer=_prepare, initargs=given, context=_Context())
+                self._pool = ProcessPool(
+                    self.count, initializer=_prepare, initargs=given, context=_Context()
+                )
             future = self._pool.schedule(answer, (self._packed, rows), timeout=self._limit)
         else:
             try:

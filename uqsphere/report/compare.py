@@ -16,7 +16,16 @@ if TYPE_CHECKING:
 #: answers that are probabilities
 PROBABILITIES = ("exceedance_probability", "failure_probability", "mode_share")
 #: answers that are compared
-COMPARED = (*PROBABILITIES, "mean", "sd", "quantile", "margin", "safety_factor", "sobol_first", "sobol_total")
+COMPARED = (
+    *PROBABILITIES,
+    "mean",
+    "sd",
+    "quantile",
+    "margin",
+    "safety_factor",
+    "sobol_first",
+    "sobol_total",
+)
 
 
 def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
@@ -52,7 +61,9 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     for number, name in enumerate(names):
         merged[name] = merged[f"value_{number}"]
     order = merged["change"].abs().sort_values(ascending=False, kind="stable").index
-    found: pd.DataFrame = merged.loc[order, [*keys, *names, "change", "significant"]].reset_index(drop=True)
+    found: pd.DataFrame = merged.loc[order, [*keys, *names, "change", "significant"]].reset_index(
+        drop=True
+    )
     return found
 
 
@@ -67,8 +78,12 @@ def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:
         scale = target or max(abs(before), 1e-12)
     elif row["answer"].startswith("sobol"):
         scale = 1.0
-    half = math.hypot(*(0.5 * (row[f"high_{n}"] - row[f"low_{n}"]) if math.isfinite(row[f"high_{n}"]) else 0.0
-                        for n in (0, k)))  # fmt: skip
+    half = math.hypot(
+        *(
+            0.5 * (row[f"high_{n}"] - row[f"low_{n}"]) if math.isfinite(row[f"high_{n}"]) else 0.0
+            for n in (0, k)
+        )
+    )
     return (difference / scale if scale > 0.0 else 0.0), abs(difference) > half
 
 
@@ -76,7 +91,8 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
     """What was set otherwise, and the answers that moved most, as text."""
     table = compare(runs, names)
     lines = [
-        f"{name}: {run.results['study']['title']}" + "".join(f"\n  set: {s}" for s in run.results["study"]["overrides"])
+        f"{name}: {run.results['study']['title']}"
+        + "".join(f"\n  set: {s}" for s in run.results["study"]["overrides"])
         for name, run in zip(names, runs, strict=True)
     ]
     lines += [f"  {text}" for text in _inputs_changed(runs, names)]
@@ -86,19 +102,28 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
         at = f" {row['at']}" if row["at"] else ""
         texts = [_text(row, name) for name in names]
         sure = "" if row["significant"] else ", inside the intervals"
-        lines.append(f"{row['subject']} {row['answer'].replace('_', ' ')}{at}: {' -> '.join(texts)} "
-                     f"({100.0 * row['change']:+.3g} %{sure})")  # fmt: skip
+        lines.append(
+            f"{row['subject']} {row['answer'].replace('_', ' ')}{at}: {' -> '.join(texts)} "
+            f"({100.0 * row['change']:+.3g} %{sure})"
+        )
     if len(moved) > most:
         lines.append(f"... {len(moved) - most} more; --csv has all")
     if table[list(names)].notna().sum(axis=1).max() < 2:
-        lines.append("the runs have no answer in common: runs of one study with something set otherwise are compared")
+        lines.append(
+            "the runs have no answer in common: runs of one study with something set otherwise are compared"
+        )
     elif moved.empty:
         lines.append("no answer moved by more than 0.1 %")
     return "\n".join(lines)
 
 
 def _text(row: Any, name: str) -> str:
-    entry = {"value": None if math.isnan(row[name]) else row[name], "low": None, "high": None, "note": ""}
+    entry = {
+        "value": None if math.isnan(row[name]) else row[name],
+        "low": None,
+        "high": None,
+        "note": "",
+    }
     if row["answer"] in PROBABILITIES:
         return probability(entry)
     quantity = row["subject"] if row["answer"] in ("mean", "sd", "quantile") else ""
@@ -115,7 +140,8 @@ def _inputs_changed(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
             before = first.get(path)
             if before is None or (before["mean"], before["sd"]) != (entry["mean"], entry["sd"]):
                 texts = [
-                    "–" if e is None else f"{value(e['mean'], path)} ± {value(e['sd'], path)}" for e in (before, entry)
+                    "–" if e is None else f"{value(e['mean'], path)} ± {value(e['sd'], path)}"
+                    for e in (before, entry)
                 ]
                 lines.append(f"{path}: {texts[0]} -> {texts[1]} ({name})")
     return lines

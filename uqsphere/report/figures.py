@@ -31,11 +31,20 @@ MOST_CURVES: Final = 12
 #: probabilities that the axis of a fragility curve is marked at
 TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
 STYLE: Final[dict[str, Any]] = {
-    "svg.fonttype": "none", "svg.hashsalt": "uqsphere", "font.size": 9.0, "font.family": "sans-serif",
-    "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6, "axes.axisbelow": True, "legend.frameon": False, "path.simplify": True,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "uqsphere",
+    "font.size": 9.0,
+    "font.family": "sans-serif",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "path.simplify": True,
     "path.simplify_threshold": 0.3,
-}  # fmt: skip
+}
 
 
 def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -> str:
@@ -70,14 +79,22 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
     from scipy.special import ndtri
 
     free = results["study"]["free"]
-    subjects = [s for s in dict.fromkeys(r["subject"] for r in results["answers"] if r["answer"] == "curve")
-                if limit is None or s in (f"limits.{limit}", f"modes.{limit}")]  # fmt: skip
+    subjects = [
+        s
+        for s in dict.fromkeys(r["subject"] for r in results["answers"] if r["answer"] == "curve")
+        if limit is None or s in (f"limits.{limit}", f"modes.{limit}")
+    ]
     if free is None or not subjects:
         raise UsageError("this run has no curve: a study with [margins] has one")
     unit, factor = display_unit(free["path"], free["planned"] or free["high"])
     least = TICKS[0] / 3.0
-    curves = {s: [[float(r["at"]), r["value"], r["low"], r["high"]] for r in of(results["answers"], s, "curve")]
-              for s in _likeliest(results, subjects)}  # fmt: skip
+    curves = {
+        s: [
+            [float(r["at"]), r["value"], r["low"], r["high"]]
+            for r in of(results["answers"], s, "curve")
+        ]
+        for s in _likeliest(results, subjects)
+    }
     joint = all_together(results)
     if limit is None and joint is not None and joint.get("curve"):
         curves["all together"] = joint["curve"]
@@ -99,28 +116,67 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
         entry = results["study"]["limits"].get(subject.removeprefix("limits."))
         if entry and entry.get("test_points"):
             places, shares = np.asarray(entry["test_points"], dtype=float)
-            axes.plot(places * factor, ndtri(np.clip(shares, least, 1.0 - least)), "o", ms=3.5, color=colour,
-                      label=f"tests of {label(subject)}")  # fmt: skip
-    targets = {e["target"] if e["aim"] == "survive" else 1.0 - e["target"]
-               for n, e in results["study"]["limits"].items() if e["target"] and limit in (None, n)}  # fmt: skip
+            axes.plot(
+                places * factor,
+                ndtri(np.clip(shares, least, 1.0 - least)),
+                "o",
+                ms=3.5,
+                color=colour,
+                label=f"tests of {label(subject)}",
+            )
+    targets = {
+        e["target"] if e["aim"] == "survive" else 1.0 - e["target"]
+        for n, e in results["study"]["limits"].items()
+        if e["target"] and limit in (None, n)
+    }
     for target in sorted(targets):
         axes.axhline(ndtri(target), color="#555555", lw=0.8, ls=":")
-        axes.annotate(f"target {format_probability(target)}", (1.0, ndtri(target)), xycoords=("axes fraction", "data"),
-                      ha="right", va="bottom", fontsize=8, color="#333333")  # fmt: skip
+        axes.annotate(
+            f"target {format_probability(target)}",
+            (1.0, ndtri(target)),
+            xycoords=("axes fraction", "data"),
+            ha="right",
+            va="bottom",
+            fontsize=8,
+            color="#333333",
+        )
     if free["planned"] is not None and free["low"] <= free["planned"] <= free["high"]:
         axes.axvline(free["planned"] * factor, color="#555555", lw=0.8)
-        axes.annotate(f"planned {format_value(free['planned'], free['path'], 3)}", (free["planned"] * factor, 0.97),
-                      xycoords=("data", "axes fraction"), ha="left", va="top", fontsize=8, color="#333333",
-                      xytext=(3, 0), textcoords="offset points",
-                      bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # fmt: skip
+        axes.annotate(
+            f"planned {format_value(free['planned'], free['path'], 3)}",
+            (free["planned"] * factor, 0.97),
+            xycoords=("data", "axes fraction"),
+            ha="left",
+            va="top",
+            fontsize=8,
+            color="#333333",
+            xytext=(3, 0),
+            textcoords="offset points",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+        )
     if free["low"] > 0.0:
         axes.set_xscale("log")
         _plain_logarithms(axes.xaxis, free["high"] / free["low"])
     axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(t) for t in TICKS])
-    axes.set(xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"], ylim=(ndtri(least), ndtri(1.0 - least)),
-             ylabel=_probability_name(results), xlim=(free["low"] * factor, free["high"] * factor))  # fmt: skip
-    left = f"the {MOST_CURVES} of {len(subjects)} that are exceeded most often" if len(subjects) > MOST_CURVES else None
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8, title=left, title_fontsize=8)
+    axes.set(
+        xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"],
+        ylim=(ndtri(least), ndtri(1.0 - least)),
+        ylabel=_probability_name(results),
+        xlim=(free["low"] * factor, free["high"] * factor),
+    )
+    left = (
+        f"the {MOST_CURVES} of {len(subjects)} that are exceeded most often"
+        if len(subjects) > MOST_CURVES
+        else None
+    )
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=2,
+        fontsize=8,
+        title=left,
+        title_fontsize=8,
+    )
 
 
 def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
@@ -139,7 +195,11 @@ def _plain_logarithms(axis: Axis, ratio: float) -> None:
     """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where there is room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-    few = MaxNLocator(4) if ratio < 5.0 else LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,))
+    few = (
+        MaxNLocator(4)
+        if ratio < 5.0
+        else LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,))
+    )
     axis.set_major_locator(few)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axis.set_minor_locator(NullLocator())
@@ -154,18 +214,28 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     """Density of a quantity, with that of every strength that it is held against."""
     entry = results["study"]["quantities"].get(quantity)
     if entry is None:
-        raise UsageError(f"the run has no quantity {quantity!r} (known: {', '.join(results['study']['quantities'])})")
+        raise UsageError(
+            f"the run has no quantity {quantity!r} (known: {', '.join(results['study']['quantities'])})"
+        )
     middle = entry["range"][1]
     unit, factor = display_unit(quantity, middle or math.inf)
     shown = []
     if entry["density"]:
         shown.append(("demand", entry["density"], COLOURS[0], "-"))
-    held = [f"limits.{name}" for name, limit in results["study"]["limits"].items() if limit["quantity"] == quantity]
-    limits = {s.removeprefix("limits."): results["study"]["limits"][s.removeprefix("limits.")]
-              for s in _likeliest(results, held)}  # fmt: skip
+    held = [
+        f"limits.{name}"
+        for name, limit in results["study"]["limits"].items()
+        if limit["quantity"] == quantity
+    ]
+    limits = {
+        s.removeprefix("limits."): results["study"]["limits"][s.removeprefix("limits.")]
+        for s in _likeliest(results, held)
+    }
     for k, (name, limit) in enumerate(limits.items()):
         if limit["strength"].get("density"):
-            shown.append((f"strength, {name}", limit["strength"]["density"], COLOURS[1 + k % 5], "--"))
+            shown.append(
+                (f"strength, {name}", limit["strength"]["density"], COLOURS[1 + k % 5], "--")
+            )
     for text, (places, density), colour, line in shown:
         x, y = np.array(places, dtype=float) * factor, np.array(density, dtype=float) / factor
         axes.plot(x, y, line, color=colour, label=text)
@@ -173,7 +243,12 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     for k, (name, limit) in enumerate(limits.items()):
         strength = limit["strength"]
         if not strength.get("density") and strength["median"] is not None:
-            axes.axvline(strength["median"] * factor, color=COLOURS[1 + k % 5], ls="--", label=f"strength, {name}")
+            axes.axvline(
+                strength["median"] * factor,
+                color=COLOURS[1 + k % 5],
+                ls="--",
+                label=f"strength, {name}",
+            )
     if not shown and middle is not None:
         axes.axvline(middle * factor, color=COLOURS[0], label="demand (no scatter)")
     text = fill(short(entry["meaning"]), 40)
@@ -187,22 +262,43 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
 
 def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> None:
     """First-order and total Sobol' indices of a quantity with 95 % intervals, the largest first."""
-    rows = {order: of(results["answers"], quantity, f"sobol_{order}") for order in ("first", "total")}
+    rows = {
+        order: of(results["answers"], quantity, f"sobol_{order}") for order in ("first", "total")
+    }
     known = [row for row in rows["total"] if row["value"] is not None]
     if not known:
         raise UsageError(f"the run has no Sobol' indices of {quantity!r}")
     names = [row["at"] for row in sorted(known, key=lambda row: row["value"])][-most:]
     for shift, order, colour in ((0.2, "first", COLOURS[0]), (-0.2, "total", COLOURS[5])):
         each = [find(rows[order], quantity, f"sobol_{order}", name) for name in names]
-        v = np.array([row["value"] if row and row["value"] is not None else np.nan for row in each], dtype=float)
-        ends = np.array([[v[k] - row["low"], row["high"] - v[k]] if row and row["low"] is not None else [0.0, 0.0]
-                         for k, row in enumerate(each)]).T  # fmt: skip
-        axes.barh(np.arange(len(names)) + shift, v, 0.36, color=colour, error_kw={"lw": 0.9, "capsize": 2},
-                  xerr=np.maximum(np.nan_to_num(ends), 0.0).tolist(),  # an array of one column warns
-                  label="first-order" if order == "first" else "total")  # fmt: skip
+        v = np.array(
+            [row["value"] if row and row["value"] is not None else np.nan for row in each],
+            dtype=float,
+        )
+        ends = np.array(
+            [
+                [v[k] - row["low"], row["high"] - v[k]]
+                if row and row["low"] is not None
+                else [0.0, 0.0]
+                for k, row in enumerate(each)
+            ]
+        ).T
+        axes.barh(
+            np.arange(len(names)) + shift,
+            v,
+            0.36,
+            color=colour,
+            error_kw={"lw": 0.9, "capsize": 2},
+            xerr=np.maximum(np.nan_to_num(ends), 0.0).tolist(),  # an array of one column warns
+            label="first-order" if order == "first" else "total",
+        )
     axes.set_yticks(range(len(names)), [meaning(str(name), results["inputs"]) for name in names])
     axes.set(xlim=(0.0, 1.05))
-    axes.set_title(fill(short(results["study"]["quantities"][quantity]["meaning"]), 40), fontsize=9, loc="right")
+    axes.set_title(
+        fill(short(results["study"]["quantities"][quantity]["meaning"]), 40),
+        fontsize=9,
+        loc="right",
+    )
     axes.legend(fontsize=8, loc="upper right", bbox_to_anchor=(1.0, -0.22), ncols=2)
 
 
@@ -214,8 +310,14 @@ def draw_convergence(axes: Axes, results: Results) -> None:
     runs, error = np.array(rows, dtype=float).T
     axes.loglog(runs, error, "o-", color=COLOURS[0])
     axes.axhline(1.0, color="#555555", lw=0.8, ls=":")
-    axes.annotate("as required", (0.0, 1.0), xycoords=("axes fraction", "data"), ha="left", va="bottom",
-                  fontsize=8)  # fmt: skip
+    axes.annotate(
+        "as required",
+        (0.0, 1.0),
+        xycoords=("axes fraction", "data"),
+        ha="left",
+        va="bottom",
+        fontsize=8,
+    )
     for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
         _plain_logarithms(axis, shown.max() / shown.min())
     axes.set(xlabel="model runs (logarithmic)", ylabel="largest error / tolerance")

@@ -15,7 +15,10 @@ Results = Mapping[str, Any]
 
 def find(rows: Sequence[Row], subject: str, answer: str, at: float | str = "") -> Row | None:
     """The row of an answer, None where there is none."""
-    return next((r for r in rows if r["subject"] == subject and r["answer"] == answer and r["at"] == at), None)
+    return next(
+        (r for r in rows if r["subject"] == subject and r["answer"] == answer and r["at"] == at),
+        None,
+    )
 
 
 def of(rows: Sequence[Row], subject: str, answer: str) -> list[Row]:
@@ -52,24 +55,45 @@ def failure_modes(results: Results) -> list[Mode]:
     for kind in ("limits", "modes"):
         for name, entry in study[kind].items():
             subject, margin = f"{kind}.{name}", None
-            target = next((target for target in (entry["target"], *targets) if target is not None), None)
+            target = next(
+                (target for target in (entry["target"], *targets) if target is not None), None
+            )
             if target is not None:
                 at = target if entry["aim"] == "survive" else 1.0 - target
-                rows = (row for row in of(answers, subject, "margin") if isinstance(row["at"], float))
+                rows = (
+                    row for row in of(answers, subject, "margin") if isinstance(row["at"], float)
+                )
                 margin = next((row for row in rows if abs(row["at"] - at) <= 1e-9), None)
-            modes.append(Mode(subject=subject, name=label(subject), entry=entry, margin=margin,
-                              fracture=find(answers, subject, "exceedance_probability"),
-                              index=(find(answers, subject, "reliability_index") or {}).get("value")))  # fmt: skip
+            modes.append(
+                Mode(
+                    subject=subject,
+                    name=label(subject),
+                    entry=entry,
+                    margin=margin,
+                    fracture=find(answers, subject, "exceedance_probability"),
+                    index=(find(answers, subject, "reliability_index") or {}).get("value"),
+                )
+            )
     joint = all_together(results)
     if joint is not None:
-        modes.append(Mode(subject="", name="all together", entry={}, fracture=joint["probability"],
-                          index=joint["reliability_index"]["value"], margin=joint.get("margin")))  # fmt: skip
+        modes.append(
+            Mode(
+                subject="",
+                name="all together",
+                entry={},
+                fracture=joint["probability"],
+                index=joint["reliability_index"]["value"],
+                margin=joint.get("margin"),
+            )
+        )
     return modes
 
 
 def all_together(results: Results) -> Mapping[str, Any] | None:
     """What the failure modes say together: the first verdict that rests on several."""
-    return next((verdict["all_modes"] for _, verdict in verdicts(results) if verdict.get("all_modes")), None)
+    return next(
+        (verdict["all_modes"] for _, verdict in verdicts(results) if verdict.get("all_modes")), None
+    )
 
 
 def value(number: float | None, name: str, digits: int = 3) -> str:
@@ -108,7 +132,9 @@ def index(row: Row | None) -> str:
     """
     if row is None or row["value"] is None:
         return "–"
-    low, middle, high = (f"{row['value'] if row[key] is None else row[key]:.3f}" for key in ("low", "value", "high"))
+    low, middle, high = (
+        f"{row['value'] if row[key] is None else row[key]:.3f}" for key in ("low", "value", "high")
+    )
     return middle if low == middle == high else f"{middle} ({low} to {high})"
 
 

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.history import History
 
 
-def history(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
+def history(
+    study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000
+) -> History:
     """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give it.
 
     With the signals of the study's gauges, or of one half-way along each bar or rod that has a length.
@@ -38,19 +40,32 @@ def history(study: Study, values: Mapping[str, float] | None = None, *, points: 
 
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
-    scene = scene_of(study, {name: np.array([float(value)]) for name, value in (values or {}).items()}, 1)
+    scene = scene_of(
+        study, {name: np.array([float(value)]) for name, value in (values or {}).items()}, 1
+    )
     if status := int(scene.status[0]):
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
     fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
     announce_compilation()
     try:
-        found = trace(scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points)
+        found = trace(
+            scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points
+        )
         if study.rig == "bars":
-            places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found.motion)
-            signals = [gauge_record(found.motion, bar, place, points=len(found.time)) for bar, place in places]
+            places = tuple(
+                (gauge.bar, gauge.position) for gauge in study.gauges
+            ) or default_positions(found.motion)
+            signals = [
+                gauge_record(found.motion, bar, place, points=len(found.time))
+                for bar, place in places
+            ]
         else:
             ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(found.motion)]
-            signals = [rod_record(found.motion, place, found.time) for place in ahead if 0.0 < place < math.inf]
+            signals = [
+                rod_record(found.motion, place, found.time)
+                for place in ahead
+                if 0.0 < place < math.inf
+            ]
         return replace(found, gauges=tuple(signals))
     except ValueError as error:
         raise UsageError(str(error)) from None
@@ -70,24 +85,52 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
     answers = evaluate_scene(study, (), np.zeros((1, 0)), names)
     for name, number, late in zip(names, answers.values[0], answers.censored[0], strict=True):
         if np.isfinite(number):
-            rows.append((lookup(name).meaning, f"{'more than ' if late else ''}{format_value(float(number), name, 5)}"))
-    rows += [(f"contact {'lost' if change.kind == 'lost' else 'made again'} at face {change.face}", _when(change.time))
-             for change in found.changes[:6]]  # fmt: skip
+            rows.append(
+                (
+                    lookup(name).meaning,
+                    f"{'more than ' if late else ''}{format_value(float(number), name, 5)}",
+                )
+            )
+    rows += [
+        (
+            f"contact {'lost' if change.kind == 'lost' else 'made again'} at face {change.face}",
+            _when(change.time),
+        )
+        for change in found.changes[:6]
+    ]
     if len(found.changes) > 6:
         rows.append(("further changes of contact", str(len(found.changes) - 6)))
     if found.later_peak is not None:
         pressure = format_value(found.later_peak.pressure, "p_max", 5)
-        rows.append(("largest contact pressure after the first loss of contact",
-                     f"{pressure} at {_when(found.later_peak.time)}"))  # fmt: skip
+        rows.append(
+            (
+                "largest contact pressure after the first loss of contact",
+                f"{pressure} at {_when(found.later_peak.time)}",
+            )
+        )
     if study.rig == "bars":
         rows.append(("forces first within 5 % of their mean", _when(equilibrium(found))))
         for bar in BARS:
             tension = first_tension(found.motion, bar)
-            text = "none" if tension is None else f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
+            text = (
+                "none"
+                if tension is None
+                else f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
+            )
             rows.append((f"first tension in the {bar} bar", text))
-        rows += [(f"waves overlap at the gauge {record.name}", f"{one.first} and {one.second}, {_when(one.begin)} to "
-                  f"{_when(one.end)}") for record in found.gauges for one in record.overlaps[:2]]  # fmt: skip
-    return [*rows, ("end of the record", _when(found.record_end)), ("end of this history", _when(found.horizon))]
+        rows += [
+            (
+                f"waves overlap at the gauge {record.name}",
+                f"{one.first} and {one.second}, {_when(one.begin)} to {_when(one.end)}",
+            )
+            for record in found.gauges
+            for one in record.overlaps[:2]
+        ]
+    return [
+        *rows,
+        ("end of the record", _when(found.record_end)),
+        ("end of this history", _when(found.horizon)),
+    ]
 
 
 def _when(time: float | None) -> str:
@@ -100,10 +143,14 @@ def write_history(study: Study, found: History, folder: Path) -> list[str]:
 
     files: dict[str, str | bytes] = {"history.csv": found.to_frame().to_csv(index=False)}
     if found.gauges:
-        parts = [pd.DataFrame({"gauge": record.name, "time [s]": record.time, "strain": record.strain})
-                 for record in found.gauges]  # fmt: skip
+        parts = [
+            pd.DataFrame({"gauge": record.name, "time [s]": record.time, "strain": record.strain})
+            for record in found.gauges
+        ]
         files["gauges.csv"] = pd.concat(parts).to_csv(index=False)
-    draw = {"forces": _draw_forces, "pressures": _draw_pressures} | ({"gauges": _draw_gauges} if found.gauges else {})
+    draw = {"forces": _draw_forces, "pressures": _draw_pressures} | (
+        {"gauges": _draw_gauges} if found.gauges else {}
+    )
     draw |= {"xt": _draw_xt} if study.rig == "bars" else {}
     for name, one in draw.items():
         files[f"figures/{name}.svg"] = svg(partial(one, found=found))
@@ -113,16 +160,26 @@ def write_history(study: Study, found: History, folder: Path) -> list[str]:
 
 def _draw_forces(axes: Axes, found: History) -> None:
     for k, face in enumerate("ab"):
-        axes.plot(1e6 * found.time, 1e-3 * getattr(found, f"force_{face}"), color=COLOURS[k], lw=1.2,
-                  label=f"face {face.upper()}")  # fmt: skip
+        axes.plot(
+            1e6 * found.time,
+            1e-3 * getattr(found, f"force_{face}"),
+            color=COLOURS[k],
+            lw=1.2,
+            label=f"face {face.upper()}",
+        )
     _mark_record(axes, found)
     axes.set(xlabel="time [us]", ylabel="contact force [kN]")
 
 
 def _draw_pressures(axes: Axes, found: History) -> None:
     for k, face in enumerate("ab"):
-        axes.plot(1e6 * found.time, 1e-9 * getattr(found, f"pressure_{face}"), color=COLOURS[k], lw=1.2,
-                  label=f"face {face.upper()}")  # fmt: skip
+        axes.plot(
+            1e6 * found.time,
+            1e-9 * getattr(found, f"pressure_{face}"),
+            color=COLOURS[k],
+            lw=1.2,
+            label=f"face {face.upper()}",
+        )
     _mark_record(axes, found)
     axes.set(xlabel="time [us]", ylabel="contact pressure [GPa]")
 
@@ -134,7 +191,13 @@ def _mark_record(axes: Axes, found: History) -> None:
 
 def _draw_gauges(axes: Axes, found: History) -> None:
     for k, record in enumerate(found.gauges):
-        axes.plot(1e6 * record.time, 1e6 * record.strain, color=COLOURS[k % len(COLOURS)], lw=1.2, label=record.name)
+        axes.plot(
+            1e6 * record.time,
+            1e6 * record.strain,
+            color=COLOURS[k % len(COLOURS)],
+            lw=1.2,
+            label=record.name,
+        )
     axes.set(xlabel="time [us]", ylabel="strain [um/m], tension positive")
     axes.legend(fontsize=8)
 
@@ -155,6 +218,8 @@ def _draw_xt(axes: Axes, found: History) -> None:
     )
     axes.figure.colorbar(picture, ax=axes, label="stress [MPa], tension positive")
     for one in view.tensions:
-        axes.plot(-one.position if one.bar == "incident" else one.position, 1e6 * one.time, "k^", ms=5)
+        axes.plot(
+            -one.position if one.bar == "incident" else one.position, 1e6 * one.time, "k^", ms=5
+        )
     axes.grid(visible=False)
     axes.set(xlabel="place [m], the sphere at 0", ylabel="time [us]")

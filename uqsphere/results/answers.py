@@ -14,8 +14,18 @@ if TYPE_CHECKING:
 
 #: columns of answers.csv and of `Run.answers`
 COLUMNS: Final = (
-    "subject", "answer", "at", "value", "low", "high", "std_error", "unit", "method", "runs", "note",
-)  # fmt: skip
+    "subject",
+    "answer",
+    "at",
+    "value",
+    "low",
+    "high",
+    "std_error",
+    "unit",
+    "method",
+    "runs",
+    "note",
+)
 
 Row = dict[str, Any]
 
@@ -26,7 +36,9 @@ class Answers:
 
     rows: list[Row] = field(default_factory=list)
     #: rows by subject and answer, of the first so many
-    places: dict[tuple[str, str], list[Row]] = field(default_factory=dict, repr=False, compare=False)
+    places: dict[tuple[str, str], list[Row]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     seen: int = field(default=0, repr=False, compare=False)
 
     def __iadd__(self, other: Answers) -> Answers:
@@ -36,20 +48,61 @@ class Answers:
     def __iter__(self) -> Iterator[Row]:
         return iter(self.rows)
 
-    def add(self, subject: str, answer: str, at: float | str, estimate: Estimate, *, unit: str, runs: int) -> None:
+    def add(
+        self,
+        subject: str,
+        answer: str,
+        at: float | str,
+        estimate: Estimate,
+        *,
+        unit: str,
+        runs: int,
+    ) -> None:
         """An estimate; one without a value leaves its reason as the note."""
-        self.row(subject, answer, at, estimate.value, estimate.low, estimate.high, estimate.std_error, unit=unit,
-                 method=estimate.method, runs=runs, note=estimate.reason or "")  # fmt: skip
+        self.row(
+            subject,
+            answer,
+            at,
+            estimate.value,
+            estimate.low,
+            estimate.high,
+            estimate.std_error,
+            unit=unit,
+            method=estimate.method,
+            runs=runs,
+            note=estimate.reason or "",
+        )
 
     def row(
-        self, subject: str, answer: str, at: float | str, value: float | None, low: float | None = None,
-        high: float | None = None, std_error: float | None = None, *, unit: str, method: str = "", runs: int = 0,
+        self,
+        subject: str,
+        answer: str,
+        at: float | str,
+        value: float | None,
+        low: float | None = None,
+        high: float | None = None,
+        std_error: float | None = None,
+        *,
+        unit: str,
+        method: str = "",
+        runs: int = 0,
         note: str = "",
-    ) -> None:  # fmt: skip
+    ) -> None:
         """A row of plain numbers; what is not finite is left empty."""
-        numbers = [None if x is None or not math.isfinite(x) else float(x) for x in (value, low, high, std_error)]
+        numbers = [
+            None if x is None or not math.isfinite(x) else float(x)
+            for x in (value, low, high, std_error)
+        ]
         place = at if isinstance(at, str) else float(at)
-        self.rows.append(dict(zip(COLUMNS, (subject, answer, place, *numbers, unit, method, runs, note), strict=True)))
+        self.rows.append(
+            dict(
+                zip(
+                    COLUMNS,
+                    (subject, answer, place, *numbers, unit, method, runs, note),
+                    strict=True,
+                )
+            )
+        )
 
     def get(self, subject: str, answer: str, at: float | str = "") -> Row | None:
         """The row of an answer, None where there is none."""

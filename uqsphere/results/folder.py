@@ -20,12 +20,27 @@ from uqsphere.errors import AccessError, FolderError
 SUMS: Final = "SHA256SUMS"
 RESULTS: Final = "results.json"
 #: what a results.json holds beside its version
-PARTS: Final = frozenset({"study", "inputs", "answers", "verdicts", "checks", "accuracy", "versions"})
+PARTS: Final = frozenset(
+    {"study", "inputs", "answers", "verdicts", "checks", "accuracy", "versions"}
+)
 #: files that a run may have written; another folder is not written into
-OWN: Final = frozenset({
-    "study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures", "history.csv", "log.txt",
-    SUMS, ".lock", "cache.sqlite", "cache.sqlite-journal",
-})  # fmt: skip
+OWN: Final = frozenset(
+    {
+        "study.toml",
+        "files",
+        RESULTS,
+        "answers.csv",
+        "samples.csv",
+        "report.html",
+        "figures",
+        "history.csv",
+        "log.txt",
+        SUMS,
+        ".lock",
+        "cache.sqlite",
+        "cache.sqlite-journal",
+    }
+)
 #: what a folder begins with in which files wait until all are written
 PART: Final = ".part-"
 _AGAIN: Final = "run the study again with --fresh"
@@ -46,7 +61,9 @@ def locked(folder: Path) -> Iterator[None]:
         names = sorted(entry.name for entry in folder.iterdir())
         strange = [name for name in names if name not in OWN and not name.startswith(PART)]
         if strange:
-            raise FolderError(f"{folder} holds {strange[0]!r}, which is of no run: choose another folder with --out")
+            raise FolderError(
+                f"{folder} holds {strange[0]!r}, which is of no run: choose another folder with --out"
+            )
         lock = FileLock(folder / ".lock", timeout=0)
         lock.acquire()
     except Timeout:
@@ -69,14 +86,20 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     Raises AccessError where the system refuses (a full disk, no permission): what stood there before stands.
     """
     sums, part = {} if RESULTS in files else _sums(folder), None
-    contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
+    contents = {
+        name: text.encode() if isinstance(text, str) else text for name, text in files.items()
+    }
     sums |= {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-    contents[SUMS] = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
+    contents[SUMS] = "".join(
+        f"{digest}  {name}\n" for name, digest in sorted(sums.items())
+    ).encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=folder, prefix=PART))
         for number, (name, content) in enumerate(contents.items()):
-            link = next((one for one in (folder / name).parents if one != folder and one.is_symlink()), None)
+            link = next(
+                (one for one in (folder / name).parents if one != folder and one.is_symlink()), None
+            )
             if link is not None and folder in link.parents:
                 raise FolderError(f"{link} is a link, which is not followed: remove it")
             (part / f"{number}").write_bytes(content)
@@ -116,7 +139,9 @@ def read_results(folder: Path) -> dict[str, Any]:
     path = folder / RESULTS
     try:
         if path.is_symlink() or not path.is_file():
-            raise FolderError(f"{folder} holds no {RESULTS}: it is no result folder of this version")
+            raise FolderError(
+                f"{folder} holds no {RESULTS}: it is no result folder of this version"
+            )
         if path.stat().st_size > LARGEST:
             raise FolderError(f"{path} is larger than any run writes")
         content = path.read_bytes()
@@ -125,7 +150,11 @@ def read_results(folder: Path) -> dict[str, Any]:
         raise AccessError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise FolderError(f"{path} is damaged ({type(error).__name__}): {_AGAIN}") from None
-    if not isinstance(results, dict) or results.get("schema_version") != 2 or not results.keys() >= PARTS:
+    if (
+        not isinstance(results, dict)
+        or results.get("schema_version") != 2
+        or not results.keys() >= PARTS
+    ):
         raise FolderError(f"{path} is of another version: {_AGAIN}")
     if hashlib.sha256(content).hexdigest() != _sums(folder).get(RESULTS):
         raise FolderError(f"{path} is not as it was written: {_AGAIN}")
@@ -139,7 +168,9 @@ def damaged_files(folder: Path) -> list[str]:
         raise FolderError(f"{folder} holds no {SUMS}: it is no result folder, or an unfinished one")
     for name, digest in sums.items():
         path = folder / name
-        whole = path.is_file() and not path.is_symlink() and folder.resolve() in path.resolve().parents
+        whole = (
+            path.is_file() and not path.is_symlink() and folder.resolve() in path.resolve().parents
+        )
         if not whole or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
             wrong.append(name)
     return wrong

@@ -70,7 +70,11 @@ class Run:
         parts: dict[str, pd.Series] = {}
         for order in ("first", "total"):
             rows = table[table["answer"] == f"sobol_{order}"].set_index("at")
-            parts |= {order: rows["value"], f"{order}_low": rows["low"], f"{order}_high": rows["high"]}
+            parts |= {
+                order: rows["value"],
+                f"{order}_low": rows["low"],
+                f"{order}_high": rows["high"],
+            }
             parts["method"] = rows["method"]
         import pandas as pd
 
@@ -82,7 +86,9 @@ class Run:
         """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in `answers`."""
         table = self._of(quantity)
         rows = table[table["answer"] == "quantile"]
-        return rows.set_index(rows["at"].astype(float).rename("probability"))[["value", "low", "high", "note"]]
+        return rows.set_index(rows["at"].astype(float).rename("probability"))[
+            ["value", "low", "high", "note"]
+        ]
 
     def probability(self, limit: str) -> pd.Series:
         """The failure probability of a limit or failure mode: value, low, high, method, note."""
@@ -106,10 +112,14 @@ class Run:
         the quantity does not vary, or the run was read from a folder.
         """
         if not self.live:
-            raise UsageError(f"no expansion of {quantity!r}: the run was read from a folder, run the study again")
+            raise UsageError(
+                f"no expansion of {quantity!r}: the run was read from a folder, run the study again"
+            )
         made = self.live["fit"](quantity)
         if made is None:
-            raise UsageError(f"no expansion of {quantity!r}: it does not vary, or has no plain value in every row")
+            raise UsageError(
+                f"no expansion of {quantity!r}: it does not vary, or has no plain value in every row"
+            )
         return made
 
     def pairs(self, quantity: str) -> Any:
@@ -121,7 +131,9 @@ class Run:
         """
         made = self.live["pairs"](quantity) if self.live else None
         if made is None:
-            raise UsageError(f"no pairs of runs of {quantity!r}: study.to_salib() makes rows of the same design")
+            raise UsageError(
+                f"no pairs of runs of {quantity!r}: study.to_salib() makes rows of the same design"
+            )
         return made
 
     @property
@@ -137,7 +149,9 @@ class Run:
             if subject in subjects:
                 return subject
         known = [re.sub(r"^(limits|modes)\.", "", s) for s in subjects if "." in s]
-        raise UsageError(f"no limit or failure mode {limit!r} (known: {', '.join(known) or 'none'})")
+        raise UsageError(
+            f"no limit or failure mode {limit!r} (known: {', '.join(known) or 'none'})"
+        )
 
     def _of(self, subject: str) -> pd.DataFrame:
         table = self.answers[self.answers["subject"] == subject]

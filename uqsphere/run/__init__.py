@@ -80,12 +80,24 @@ def run(
     Raises UqsphereError (`uqsphere.errors`), KeyboardInterrupt where `stop` leaves nothing to answer with.
     """
     if not isinstance(study, Study):
-        raise UsageError(f"run takes a study of uqsphere.load_study or uqsphere.Study, found {type(study).__name__}")
+        raise UsageError(
+            f"run takes a study of uqsphere.load_study or uqsphere.Study, found {type(study).__name__}"
+        )
     check_scene(study)
     if progress is None:
         with watched() as progress:
-            return run(study, model, out=out, executor=executor, threads=threads, seconds=seconds, progress=progress,
-                       stop=stop, fresh=fresh, rows=rows)  # fmt: skip
+            return run(
+                study,
+                model,
+                out=out,
+                executor=executor,
+                threads=threads,
+                seconds=seconds,
+                progress=progress,
+                stop=stop,
+                fresh=fresh,
+                rows=rows,
+            )
     if out is None:
         return _run(study, model, None, executor, threads, seconds, progress, stop, rows)
     folder = Path(out).absolute()  # a function of the user may change the working folder
@@ -95,9 +107,16 @@ def run(
 
 
 def _run(
-    study: Study, model: str | Callable[..., Any] | None, folder: Path | None, executor: Executor | None,
-    threads: int | None, seconds: float | None, progress: Progress, stop: Callable[[], bool] | None, rows: Any,
-) -> Run:  # fmt: skip
+    study: Study,
+    model: str | Callable[..., Any] | None,
+    folder: Path | None,
+    executor: Executor | None,
+    threads: int | None,
+    seconds: float | None,
+    progress: Progress,
+    stop: Callable[[], bool] | None,
+    rows: Any,
+) -> Run:
     from threadpoolctl import threadpool_limits
 
     started = time.monotonic()
@@ -109,10 +128,21 @@ def _run(
     evaluated = None if rows is None else surrogate.known_rows(design, rows)
 
     def stage(done: int, total: int) -> None:
-        progress(evaluator.evaluations + evaluator.reused, math.nan, f"{done:,} of {total:,} rows of a table")
+        progress(
+            evaluator.evaluations + evaluator.reused,
+            math.nan,
+            f"{done:,} of {total:,} rows of a table",
+        )
 
-    evaluator = Model(design.judged, model if evaluated is None else evaluated.model, executor=executor,
-                      threads=threads, cache_file=cache, stop=stop, progress=stage)  # fmt: skip
+    evaluator = Model(
+        design.judged,
+        model if evaluated is None else evaluated.model,
+        executor=executor,
+        threads=threads,
+        cache_file=cache,
+        stop=stop,
+        progress=stage,
+    )
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     with threadpool_limits(limits=1, user_api="blas"), evaluator:
         if evaluated is not None:
@@ -128,7 +158,14 @@ def _run(
         assumed = assumptions(design, tables)
         answers += assumed.answers
         for runs, error in tables.reached:
-            answers.row("run", "error", float(runs), error, unit="1", method="half-width over what is required")
+            answers.row(
+                "run",
+                "error",
+                float(runs),
+                error,
+                unit="1",
+                method="half-width over what is required",
+            )
         checked = checks(design, tables, evaluator.notes)
         judged = verdicts(design, tables, answers, assumed, checked)
         took = time.monotonic() - started
@@ -160,8 +197,12 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
             return None
         rows = pair_rows(design, outputs.shape[1])
         problem = salib_problem(design.joint.only(design.inputs))
-        return SalibDesign(problem=problem, rows=rows.reshape(-1, rows.shape[3]),
-                           second=bool(design.study.analysis.second_order), outputs=outputs.ravel())  # fmt: skip
+        return SalibDesign(
+            problem=problem,
+            rows=rows.reshape(-1, rows.shape[3]),
+            second=bool(design.study.analysis.second_order),
+            outputs=outputs.ravel(),
+        )
 
     return {"fit": fit, "pairs": pairs}
 

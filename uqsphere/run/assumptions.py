@@ -57,8 +57,16 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
 
     def otherwise(limit: Limit, name: str, state: LimitState, note: str) -> float:
         p = _mean(limit, state)
-        answers.row(design.subject(limit), "failure_probability", f"assumed: {name}", p, unit="1",
-                    runs=state.demands.size, method="epistemic", note=note)  # fmt: skip
+        answers.row(
+            design.subject(limit),
+            "failure_probability",
+            f"assumed: {name}",
+            p,
+            unit="1",
+            runs=state.demands.size,
+            method="epistemic",
+            note=note,
+        )
         return p
 
     for limit in design.judged.limits:
@@ -70,8 +78,18 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
         low, high = (float(x) for x in np.quantile(found, [0.025, 0.975]))
         ranges[limit.name] = low, high
         note = f"95 % range over the strengths that {count_tests(law)} tests allow"
-        answers.row(design.subject(limit), "failure_probability", "tests", float(found.mean()), low, high, unit="1",
-                    runs=few.size, method="epistemic", note=note)  # fmt: skip
+        answers.row(
+            design.subject(limit),
+            "failure_probability",
+            "tests",
+            float(found.mean()),
+            low,
+            high,
+            unit="1",
+            runs=few.size,
+            method="epistemic",
+            note=note,
+        )
         _margin_by_tests(design, tables, limit, answers)
     for mode in design.modes:
         for end, law in (("weak", mode.weak), ("strong", mode.strong)):
@@ -79,7 +97,12 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
             otherwise(mode.limit, f"{end} end of the library's range", state, mode.source)
     for limit in design.limits:
         for name, other in _other_distributions(limit).items():
-            otherwise(limit, name, state_of(design, limit, head, other), "same mean and standard deviation")
+            otherwise(
+                limit,
+                name,
+                state_of(design, limit, head, other),
+                "same mean and standard deviation",
+            )
         state = state_of(design, limit, head)
         if state.tie is not None:
             alone = replace(state, tie=None)
@@ -88,7 +111,9 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
     for limit in design.fracture:
         if plastic is None:
             break
-        p = otherwise(limit, "contacts yield", state_of(design, limit, plastic), '[contact] law = "plastic"')
+        p = otherwise(
+            limit, "contacts yield", state_of(design, limit, plastic), '[contact] law = "plastic"'
+        )
         own = _mean(limit, state_of(design, limit, head))
         if limit.target is not None and (p < limit.target) is not (own < limit.target):
             _margin_under_plastic_contact(design, tables, limit, answers)
@@ -104,7 +129,9 @@ def _possible_strengths(design: Design, limit: Limit, count: int) -> Iterator[La
     law = strength_of(limit)
     if not isinstance(law, Law) or not is_fitted(law):
         return None
-    generator = random_generator(seed=design.study.seed, task=f"tests of {strength_name(limit.name)}")
+    generator = random_generator(
+        seed=design.study.seed, task=f"tests of {strength_name(limit.name)}"
+    )
     with suppress(LawError):
         return possible_laws(law, count, generator)
     return None
@@ -122,13 +149,29 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
     # where a law has none in the range, it lies beyond an end of it, which is no number to promise
     if len(known) < 0.95 * len(values):
         note = f"{len(values) - len(known)} of {len(values)} strengths that the tests allow leave none in the range"
-        answers.row(design.subject(limit), "margin", "tests", None, unit=lookup(margins.solve).unit,
-                    method="epistemic", note=note)  # fmt: skip
+        answers.row(
+            design.subject(limit),
+            "margin",
+            "tests",
+            None,
+            unit=lookup(margins.solve).unit,
+            method="epistemic",
+            note=note,
+        )
         return
     low, high = (float(x) for x in np.quantile(known, [0.025, 0.975]))
     note = f"95 % range over the strengths that the tests allow, at the target {target_of(design, limit):g}"
-    answers.row(design.subject(limit), "margin", "tests", float(np.median(known)), low, high,
-                unit=lookup(margins.solve).unit, method="epistemic", note=note)  # fmt: skip
+    answers.row(
+        design.subject(limit),
+        "margin",
+        "tests",
+        float(np.median(known)),
+        low,
+        high,
+        unit=lookup(margins.solve).unit,
+        method="epistemic",
+        note=note,
+    )
 
 
 def _other_distributions(limit: Limit) -> dict[str, Law]:
@@ -147,12 +190,16 @@ def _other_distributions(limit: Limit) -> dict[str, Law]:
             return {"lognormal strength": make_law("lognormal", {"mean": mean, "cov": sd / mean})}
         # 1 + cov² = Gamma(1 + 2/m)/Gamma(1 + 1/m)²
         excess = math.log1p((sd / mean) ** 2)
-        modulus = brentq(lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4)
+        modulus = brentq(
+            lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4
+        )
         return {"Weibull strength": make_law("weibull", {"mean": mean, "modulus": modulus})}
     return {}
 
 
-def _under_plastic_contact(design: Design, sample: Sample, further: Mapping[str, float] | None = None) -> Sample | None:
+def _under_plastic_contact(
+    design: Design, sample: Sample, further: Mapping[str, float] | None = None
+) -> Sample | None:
     """Points under a contact that yields, None where the study has one, or no face would yield.
 
     further : numbers that all points share in place of the study's
@@ -160,17 +207,29 @@ def _under_plastic_contact(design: Design, sample: Sample, further: Mapping[str,
     if design.study.black_box or not design.fracture:
         return None
     fixed = {name: value for name, value in (further or {}).items() if name not in design.inputs}
-    rows = np.column_stack([sample.inputs[:, :, : len(design.inputs)].reshape(sample.size, -1),
-                            *(np.full(sample.size, value) for value in fixed.values())])  # fmt: skip
-    found = rows_under_plastic_contact(design.judged, (*design.inputs, *fixed), rows, design.columns)
+    rows = np.column_stack(
+        [
+            sample.inputs[:, :, : len(design.inputs)].reshape(sample.size, -1),
+            *(np.full(sample.size, value) for value in fixed.values()),
+        ]
+    )
+    found = rows_under_plastic_contact(
+        design.judged, (*design.inputs, *fixed), rows, design.columns
+    )
     if found is None:
         return None
     shape, values = sample.scores.shape[:2], np.where(found.good[:, None], found.values, np.nan)
-    answered = sample.with_answers(design.columns, values.reshape(*shape, -1), failed=~found.good.reshape(shape))
-    return with_test_forces(design, answered, {name: np.full(shape, x) for name, x in (further or {}).items()})
+    answered = sample.with_answers(
+        design.columns, values.reshape(*shape, -1), failed=~found.good.reshape(shape)
+    )
+    return with_test_forces(
+        design, answered, {name: np.full(shape, x) for name, x in (further or {}).items()}
+    )
 
 
-def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, answers: Answers) -> None:
+def _margin_under_plastic_contact(
+    design: Design, tables: Tables, limit: Limit, answers: Answers
+) -> None:
     """The free number at the target where contacts yield, which turns the verdict."""
     margins, line = design.study.margins, dict[float, Sample]()
     if margins is None or not tables.line:
@@ -183,8 +242,14 @@ def _margin_under_plastic_contact(design: Design, tables: Tables, limit: Limit, 
         line[value] = moved
     wanted = allowable_probability(design, limit)
     margin = curve_of(design, replace(tables, line=line), limit, None, (wanted,)).values[wanted]
-    answers.add(design.subject(limit), "margin", "assumed: contacts yield", margin,
-                unit=lookup(path).unit, runs=sum(sample.size for sample in line.values()))  # fmt: skip
+    answers.add(
+        design.subject(limit),
+        "margin",
+        "assumed: contacts yield",
+        margin,
+        unit=lookup(path).unit,
+        runs=sum(sample.size for sample in line.values()),
+    )
 
 
 # --- several limits together ----------------------------------------------------------------------------------------
@@ -217,9 +282,12 @@ def along_line(design: Design, limits: Sequence[Limit]) -> Callable[[Sample, flo
     margins = design.study.margins
 
     def probability(sample: Sample, value: float) -> Array:
-        moved = [replace(limit, model_factor=limit.model_factor * demand_factor(margins, limit, value))
-                 if margins and margins.limit == limit.name and not isinstance(limit.model_factor, Law) else limit
-                 for limit in limits]  # fmt: skip
+        moved = [
+            replace(limit, model_factor=limit.model_factor * demand_factor(margins, limit, value))
+            if margins and margins.limit == limit.name and not isinstance(limit.model_factor, Law)
+            else limit
+            for limit in limits
+        ]
         return together(design, sample, moved)
 
     return probability

@@ -34,7 +34,7 @@ from uqsphere.uq.chaos import (
     integrals,
     predict,
     rows_of,
-)  # fmt: skip
+)
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth ones need fewer
 MOST_ROWS: Final = 512
@@ -76,7 +76,10 @@ class Expansion:
 
         share : of the expansion's own variance that belongs to these terms
         """
-        coefficients, variance = np.where(which, self.fit.plain_form.coefficients, 0.0), self.known.sd**2
+        coefficients, variance = (
+            np.where(which, self.fit.plain_form.coefficients, 0.0),
+            self.known.sd**2,
+        )
         own = share * variance + 2.0 * ((self.terms @ coefficients) * self.residuals).mean(axis=1)
         rest = self.residuals - self.residuals.mean()
         off = self.values[:, : rest.shape[1]] - self.known.mean
@@ -90,7 +93,11 @@ def expansions(
 
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
-    size, count, germs = len(design.inputs), sample.count, germs_of(design.joint.only(design.inputs).laws)
+    size, count, germs = (
+        len(design.inputs),
+        sample.count,
+        germs_of(design.joint.only(design.inputs).laws),
+    )
     points = points_of(design, sample.scores)
     found: dict[str, Expansion] = {}
     for name in columns:
@@ -104,7 +111,11 @@ def expansions(
         else:
             fit, known = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True), None
         values = predict(fit, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
-        if known is None and not design.study.analysis.second_order and _left(outputs, values) > GOOD:
+        if (
+            known is None
+            and not design.study.analysis.second_order
+            and _left(outputs, values) > GOOD
+        ):
             other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
             others = predict(other, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
             if other.log and _left(outputs, others) < 0.5 * _left(outputs, values):
@@ -113,9 +124,13 @@ def expansions(
         terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
         rest = outputs[1:] - values
         found[name] = Expansion(
-            fit=fit, rows=rows, values=values, terms=terms.T.reshape(len(values), few, -1), residuals=rest[:, :few],
+            fit=fit,
+            rows=rows,
+            values=values,
+            terms=terms.T.reshape(len(values), few, -1),
+            residuals=rest[:, :few],
             left=_left(outputs, values),
-        )  # fmt: skip
+        )
     return found
 
 
@@ -129,7 +144,9 @@ def points_of(design: Design, normals: Array) -> Array:
     first."""
     germs = germs_of(design.joint.only(design.inputs).laws)
     shape = (*normals.shape[:-1], len(germs))
-    return germ_points(normals[..., : len(germs)].reshape(math.prod(shape[:-1]), len(germs)), germs).reshape(shape)
+    return germ_points(
+        normals[..., : len(germs)].reshape(math.prod(shape[:-1]), len(germs)), germs
+    ).reshape(shape)
 
 
 def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
@@ -137,6 +154,8 @@ def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
 
     def at(normals: Array) -> Array:
         points = points_of(design, normals)
-        return predict(expansion.fit, points.reshape(-1, points.shape[-1])).reshape(normals.shape[:-1])
+        return predict(expansion.fit, points.reshape(-1, points.shape[-1])).reshape(
+            normals.shape[:-1]
+        )
 
     return at

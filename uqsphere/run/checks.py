@@ -38,45 +38,91 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """As results.json has it."""
-        return {"name": self.name, "text": self.text, "share": self.share, "grade": self.grade, "effect": self.effect}
+        return {
+            "name": self.name,
+            "text": self.text,
+            "share": self.share,
+            "grade": self.grade,
+            "effect": self.effect,
+        }
 
 
 def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:
     """Checks of the model on the first rows of every replicate, those of the tables, and what the model noted."""
-    found = [Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified") for note in notes]
+    found = [
+        Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified")
+        for note in notes
+    ]
     sample = tables.sample
     each = max(ROWS // len(sample.scores), 1)
     head = sample.head(min(each, sample.count))
     if not design.study.black_box:
-        rows = (np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
-                if design.inputs else np.zeros((1, 0)))  # fmt: skip
+        rows = (
+            np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
+            if design.inputs
+            else np.zeros((1, 0))
+        )
         results, grades = checked_rows(design.judged, design.inputs, rows, design.columns)
         weights = {
             limit.name: np.ravel(failure_given_inputs(state_of(design, limit, head), limit.aim))
             for limit in design.limits
         }
         for result in results:
-            if not result.grade or (result.check == "grazing_contact" and _TIMES.isdisjoint(design.columns)):
+            if not result.grade or (
+                result.check == "grazing_contact" and _TIMES.isdisjoint(design.columns)
+            ):
                 continue
             broken = np.resize(grades.get(result.check, np.zeros(1)), head.size) == 3
-            failures = {name: float((w * broken).sum() / w.sum()) for name, w in weights.items() if w.sum() > 0.0}
+            failures = {
+                name: float((w * broken).sum() / w.sum())
+                for name, w in weights.items()
+                if w.sum() > 0.0
+            }
             worst = max(failures.values(), default=0.0)
             unknown = "" if GRADES[result.grade] == "note" else "bias not quantified"
-            effect = f"{format_probability(worst)} of the failures lie in such rows" if worst else unknown
-            found.append(Check(name=result.check, text=result.text, share=float(result.share),
-                               grade=GRADES[result.grade], effect=effect, failures=failures))  # fmt: skip
+            effect = (
+                f"{format_probability(worst)} of the failures lie in such rows"
+                if worst
+                else unknown
+            )
+            found.append(
+                Check(
+                    name=result.check,
+                    text=result.text,
+                    share=float(result.share),
+                    grade=GRADES[result.grade],
+                    effect=effect,
+                    failures=failures,
+                )
+            )
         found += _later_loading(design, rows) + _out_of_reach(design, rows)
-    failed = float(sample.failed.mean()) if tables.slow is None else tables.slow.dropped or float(sample.failed.mean())
+    failed = (
+        float(sample.failed.mean())
+        if tables.slow is None
+        else tables.slow.dropped or float(sample.failed.mean())
+    )
     if failed > 0.0:
         policy = design.study.analysis.policy
-        found.append(Check(name="failed_rows", share=failed, grade="warning",
-                           text=f"{format_probability(failed)} of the model runs failed",
-                           effect="left out" if policy == "drop" else "intervals widened"))  # fmt: skip
+        found.append(
+            Check(
+                name="failed_rows",
+                share=failed,
+                grade="warning",
+                text=f"{format_probability(failed)} of the model runs failed",
+                effect="left out" if policy == "drop" else "intervals widened",
+            )
+        )
     if tables.slow is not None:
         n = tables.slow.count
-        found.append(Check(name="few_runs", share=1.0, grade="note",
-                           text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
-                           effect=f"failure probabilities below {3.0 / n:.2g} are bounds"))  # fmt: skip
+        found.append(
+            Check(
+                name="few_runs",
+                share=1.0,
+                grade="note",
+                text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
+                effect=f"failure probabilities below {3.0 / n:.2g} are bounds",
+            )
+        )
     found += _heavy_tails(design, tables)
     return found
 
@@ -146,8 +192,14 @@ def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
             continue
         order = hill(values)
         if order < 2.0:
-            found.append(Check(name=f"heavy_tail_{name}", share=1.0, grade="warning",
-                               text=f"{name} has a tail so heavy that its variance may not exist (Hill index "
-                                    f"{order:.2g})",
-                               effect="read quantiles; do not use standard deviation and indices"))  # fmt: skip
+            found.append(
+                Check(
+                    name=f"heavy_tail_{name}",
+                    share=1.0,
+                    grade="warning",
+                    text=f"{name} has a tail so heavy that its variance may not exist (Hill index "
+                    f"{order:.2g})",
+                    effect="read quantiles; do not use standard deviation and indices",
+                )
+            )
     return found

@@ -33,7 +33,9 @@ def strength_of(limit: Limit) -> Law | float:
 
 def by_force(limit: Limit) -> bool:
     """Whether a limit is held against the force of crushing tests, or against draws with a law of size."""
-    return limit.tested is not None and (limit.tested.law is not None or limit.tested.exponent != 0.0)
+    return limit.tested is not None and (
+        limit.tested.law is not None or limit.tested.exponent != 0.0
+    )
 
 
 def column_of(limit: Limit) -> str:
@@ -50,7 +52,11 @@ def _factor(limit: Limit, sample: Sample) -> Array | float:
     name = f"limits.{limit.name}.model_factor"
     if name in sample.names:
         return sample.input(name)
-    return limit.model_factor.nominal_mean() if isinstance(limit.model_factor, Law) else limit.model_factor
+    return (
+        limit.model_factor.nominal_mean()
+        if isinstance(limit.model_factor, Law)
+        else limit.model_factor
+    )
 
 
 def _law(limit: Limit, moving: Mapping[str, Array], sample: Sample) -> list[str]:
@@ -75,7 +81,10 @@ def _test_force(limit: Limit, value: Array, sphere: Mapping[str, Array], radius:
 
 
 def with_test_forces(
-    design: Design, sample: Sample, moving: Mapping[str, Array], limits: Sequence[Limit] | None = None
+    design: Design,
+    sample: Sample,
+    moving: Mapping[str, Array],
+    limits: Sequence[Limit] | None = None,
 ) -> Sample:
     """An evaluated sample with a column of equivalent test forces for every limit, or some, that need them.
 
@@ -85,7 +94,13 @@ def with_test_forces(
     shape = sample.scores.shape[:2]
 
     def number(name: str) -> Array:
-        own = moving[name] if name in moving else sample.input(name) if name in sample.names else means[name]
+        own = (
+            moving[name]
+            if name in moving
+            else sample.input(name)
+            if name in sample.names
+            else means[name]
+        )
         return np.broadcast_to(np.asarray(own, dtype=float), shape).ravel()
 
     for limit in design.judged.limits if limits is None else limits:
@@ -94,12 +109,18 @@ def with_test_forces(
         value = sample.answer(limit.quantity) * _factor(limit, sample)
         known = np.isfinite(value)
         sphere = {
-            name.partition(".")[2]: number(name)[known.ravel()] for name in (*SPHERE, *_law(limit, moving, sample))
+            name.partition(".")[2]: number(name)[known.ravel()]
+            for name in (*SPHERE, *_law(limit, moving, sample))
         }
         force = np.full(shape, np.nan)
-        force[known] = _test_force(limit, value[known], sphere, number("sphere.radius")[known.ravel()])
+        force[known] = _test_force(
+            limit, value[known], sphere, number("sphere.radius")[known.ravel()]
+        )
         late = sample.late(limit.quantity)
-        sample = replace(sample, quantities=(*sample.quantities, column_of(limit)),
-                         answers=np.concatenate([sample.answers, force[:, :, None]], axis=2),
-                         censored=np.concatenate([sample.censored, late[:, :, None]], axis=2))  # fmt: skip
+        sample = replace(
+            sample,
+            quantities=(*sample.quantities, column_of(limit)),
+            answers=np.concatenate([sample.answers, force[:, :, None]], axis=2),
+            censored=np.concatenate([sample.censored, late[:, :, None]], axis=2),
+        )
     return sample

@@ -48,12 +48,23 @@ class Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
         found = failure_modes_of(study)
         wide = _with_limits(study, [mode.limit for mode in found.assumed])
-        unanswered = {mode.called: why for mode in found.assumed if (why := absent_quantity(wide, mode.limit.quantity))}
+        unanswered = {
+            mode.called: why
+            for mode in found.assumed
+            if (why := absent_quantity(wide, mode.limit.quantity))
+        }
         modes = tuple(mode for mode in found.assumed if mode.called not in unanswered)
         wide = _with_limits(study, [mode.limit for mode in modes])
-        columns = dict.fromkeys([*study.analysis.quantities, *(limit.quantity for limit in wide.limits)])
-        return cls(study=study, judged=wide, modes=modes, not_judged={**found.not_judged, **unanswered},
-                   columns=tuple(columns))  # fmt: skip
+        columns = dict.fromkeys(
+            [*study.analysis.quantities, *(limit.quantity for limit in wide.limits)]
+        )
+        return cls(
+            study=study,
+            judged=wide,
+            modes=modes,
+            not_judged={**found.not_judged, **unanswered},
+            columns=tuple(columns),
+        )
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -73,17 +84,25 @@ class Design:
     @cached_property
     def drawn(self) -> Joint:
         """The variables that points are drawn of: the model's inputs and model factors.  Strengths are integrated."""
-        return self.joint.only([name for name in self.joint.names if not name.endswith(".strength")])
+        return self.joint.only(
+            [name for name in self.joint.names if not name.endswith(".strength")]
+        )
 
     @cached_property
     def described(self) -> tuple[str, ...]:
         """The quantities whose distributions and indices are answered: those asked for, and those of limits."""
-        return tuple(dict.fromkeys([*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]))
+        return tuple(
+            dict.fromkeys(
+                [*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]
+            )
+        )
 
     @cached_property
     def explained(self) -> tuple[str, ...]:
         """Those with indices: not what is held against a force of tests, where E and nu cancel."""
-        held = {limit.quantity for limit in self.limits if by_force(limit)} - {*self.study.analysis.quantities}
+        held = {limit.quantity for limit in self.limits if by_force(limit)} - {
+            *self.study.analysis.quantities
+        }
         return tuple(name for name in self.described if name not in held)
 
     @cached_property
@@ -96,7 +115,9 @@ class Design:
         assumed = next((mode for mode in self.modes if mode.limit.name == limit.name), None)
         return f"limits.{limit.name}" if assumed is None else f"modes.{assumed.called}"
 
-    def points(self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None) -> Sample:
+    def points(
+        self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None
+    ) -> Sample:
         """`count` points of every replicate, from the `start`-th of its sequence on; `joint` replaces the variables."""
         drawn = self.drawn if joint is None else joint
         if not drawn.names:
@@ -106,10 +127,16 @@ class Design:
     def normals(self, count: int, start: int = 0, task: str = "sample") -> Array:
         """The points as independent standard normals (R, count, D)."""
         uniforms = [
-            sobol_points(dimension=len(self.drawn.names), count=count, start=start, seed=self.study.seed, task=task,
-                         replicate=replicate)
+            sobol_points(
+                dimension=len(self.drawn.names),
+                count=count,
+                start=start,
+                seed=self.study.seed,
+                task=task,
+                replicate=replicate,
+            )
             for replicate in range(REPLICATES)
-        ]  # fmt: skip
+        ]
         return normal_scores(np.stack(uniforms))
 
 

@@ -51,18 +51,34 @@ def _described(design: Design, tables: Tables, name: str) -> Description:
     analysis, sample = design.study.analysis, tables.sample
     if not design.drawn.names and not sample.late(name).any() and not sample.failed.any():
         value = exact(float(sample.answer(name)[0, 0]))
-        return Description(mean=value, sd=exact(0.0), quantiles=dict.fromkeys(analysis.quantiles, value),
-                           censored_share=exact(0.0), scale=0.0)  # fmt: skip
+        return Description(
+            mean=value,
+            sd=exact(0.0),
+            quantiles=dict.fromkeys(analysis.quantiles, value),
+            censored_share=exact(0.0),
+            scale=0.0,
+        )
     if tables.slow is not None:
         return surrogate.described(design, tables.slow, sample, name)
     expansion = tables.expansions.get(name)
     if expansion is not None and expansion.left < chaos.CONTROL and sample.count < MOST_MANY:
         many = many_values(design, expansion, sample.count)
-        return describe_controlled(sample.answer(name)[1:], expansion.values, many[1:], quantiles=analysis.quantiles,
-                                   method=CONTROLLED)  # fmt: skip
+        return describe_controlled(
+            sample.answer(name)[1:],
+            expansion.values,
+            many[1:],
+            quantiles=analysis.quantiles,
+            method=CONTROLLED,
+        )
     policy = "drop" if analysis.policy == "abort" else analysis.policy
-    return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name), on_failure=policy,
-                    quantiles=analysis.quantiles, method=SAMPLED)  # fmt: skip
+    return describe(
+        sample.answer(name),
+        censored=sample.late(name),
+        failed=sample.lost(name),
+        on_failure=policy,
+        quantiles=analysis.quantiles,
+        method=SAMPLED,
+    )
 
 
 def many_values(design: Design, expansion: chaos.Expansion, count: int) -> Array:
@@ -84,13 +100,19 @@ def density(values: Array) -> list[list[float]] | None:
     if flat.size < 16 or not flat[-1] - flat[0] > 1e-9 * abs(flat[-1]):
         return None
     low, high = np.quantile(flat, [0.0005, 0.9995])
-    spread = min(float(flat.std()), float(np.subtract(*np.quantile(flat, [0.75, 0.25]))) / 1.349) or float(flat.std())
+    spread = min(
+        float(flat.std()), float(np.subtract(*np.quantile(flat, [0.75, 0.25]))) / 1.349
+    ) or float(flat.std())
     width = 0.9 * spread * flat.size**-0.2
     if not width > 0.0:
         return None
     places = np.linspace(low - 2.0 * width, high + 2.0 * width, 160)
     # counts in cells much finer than the kernel, so that the cost does not grow with the rows
-    counts, edges = np.histogram(flat, bins=2048, range=(places[0] - 3.0 * width, places[-1] + 3.0 * width))
+    counts, edges = np.histogram(
+        flat, bins=2048, range=(places[0] - 3.0 * width, places[-1] + 3.0 * width)
+    )
     middles = 0.5 * (edges[1:] + edges[:-1])
-    kernel = np.exp(-0.5 * ((places[:, None] - middles) / width) ** 2) / (width * np.sqrt(2.0 * np.pi))
+    kernel = np.exp(-0.5 * ((places[:, None] - middles) / width) ** 2) / (
+        width * np.sqrt(2.0 * np.pi)
+    )
     return [places.tolist(), (kernel @ counts / flat.size).tolist()]

@@ -40,8 +40,12 @@ def drivers(design: Design, tables: Tables) -> Answers:
             assert tie is not None
             # a strength that depends on an input stays where it was while the input moves
             small = np.where(np.arange(len(tie.columns)) == k, STEP, 0.0)
-            below, above = (failure_given_inputs(replace(state, tie=replace(tie, given=tie.given + way)), limit.aim)
-                            for way in (-small, small))  # fmt: skip
+            below, above = (
+                failure_given_inputs(
+                    replace(state, tie=replace(tie, given=tie.given + way)), limit.aim
+                )
+                for way in (-small, small)
+            )
             moved[:, :, column] = (below - above) / (2.0 * STEP)
         found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
@@ -55,11 +59,15 @@ def drivers(design: Design, tables: Tables) -> Answers:
                 score = state.score_given_inputs(score_of(below, above) + step)
                 rows.append(special.ndtr(-score if limit.aim == "break" else score).mean(axis=1))
             change = from_replicates((rows[0] - rows[1]) / (2.0 * STEP), "difference", sample.size)
-            answers.add(subject, "driver", strength_name(limit.name), change, unit="1", runs=sample.size)
+            answers.add(
+                subject, "driver", strength_name(limit.name), change, unit="1", runs=sample.size
+            )
     return answers
 
 
-def change_per_sd(probabilities: Array, gradients: Array, moved: Array | float = 0.0) -> list[Estimate]:
+def change_per_sd(
+    probabilities: Array, gradients: Array, moved: Array | float = 0.0
+) -> list[Estimate]:
     """Change of the failure probability per standard deviation that an input's centre is moved by.
 
     For T (R, n) and gradients (R, n, d) of `Joint.score_gradients` it is E[T g_i], by the density that moves with the

@@ -50,7 +50,13 @@ def breaks_by(limit: Limit) -> str:
     'core'
     """
     entry = lookup(limit.quantity)
-    return "" if not entry.fracture else "energy" if entry.follows == "energy" else entry.place or "force"
+    return (
+        ""
+        if not entry.fracture
+        else "energy"
+        if entry.follows == "energy"
+        else entry.place or "force"
+    )
 
 
 def means_fracture(limit: Limit) -> bool:
@@ -62,7 +68,13 @@ def failure_modes_of(study: Study) -> FailureModes:
     """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is not to be."""
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
     given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
-    if study.black_box or study.analysis.failure_modes == "given" or rock is None or not rock.rock or not given:
+    if (
+        study.black_box
+        or study.analysis.failure_modes == "given"
+        or rock is None
+        or not rock.rock
+        or not given
+    ):
         return FailureModes(assumed=(), not_judged={})
     assumed, not_judged, diameter = [], {}, 2.0 * study.at_means()["sphere.radius"]
     for place, (called, criterion, key) in _FAILURE_MODES.items():
@@ -78,17 +90,38 @@ def failure_modes_of(study: Study) -> FailureModes:
         values = (entry.value, *entry.range)
         if place == "core":
             # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
-            own = {"modulus": rock.properties["weibull_modulus"].value, "reference_volume": entry.further["volume"]}
-            laws = [make_law("weibull", {"mean": value, "modulus": own["modulus"]}) for value in values]
+            own = {
+                "modulus": rock.properties["weibull_modulus"].value,
+                "reference_volume": entry.further["volume"],
+            }
+            laws = [
+                make_law("weibull", {"mean": value, "modulus": own["modulus"]}) for value in values
+            ]
         elif place == "energy":
             # the median of particles of this size (Tavares and King 1998, equation 15)
             size = 1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"]
-            laws = [make_law("lognormal", {"log_mean": math.log(x * size), "log_sd": entry.cov}) for x in values]
+            laws = [
+                make_law("lognormal", {"log_mean": math.log(x * size), "log_sd": entry.cov})
+                for x in values
+            ]
         else:
             laws = [make_law("lognormal", {"mean": value, "cov": entry.cov}) for value in values]
         name = f"{called} (assumed)"
-        limit = Limit(name=name, quantity=CRITERIA[criterion].quantity or f"{criterion}.{name}", strength=laws[0],
-                      criterion=criterion if own else None, parameters=own)  # fmt: skip
-        assumed.append(FailureMode(called=called, limit=limit, weak=laws[1], strong=laws[2], source=entry.source,
-                                   seen=entry.seen))  # fmt: skip
+        limit = Limit(
+            name=name,
+            quantity=CRITERIA[criterion].quantity or f"{criterion}.{name}",
+            strength=laws[0],
+            criterion=criterion if own else None,
+            parameters=own,
+        )
+        assumed.append(
+            FailureMode(
+                called=called,
+                limit=limit,
+                weak=laws[1],
+                strong=laws[2],
+                source=entry.source,
+                seen=entry.seen,
+            )
+        )
     return FailureModes(assumed=tuple(assumed), not_judged=not_judged)

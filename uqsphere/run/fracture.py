@@ -32,21 +32,41 @@ def fracture(design: Design, tables: Tables) -> Answers:
         return answers
     sample = tables.sample.head(min(tables.sample.count, MOST))
     generator = random_generator(seed=design.study.seed, task="fracture")
-    union = make_union([state_of(design, limit, sample) for limit in limits], _common_factor(design, limits), generator)
-    answers.add("fracture", "exceedance_probability", "", exceedance(union_state(union)), unit="1", runs=sample.size)
+    union = make_union(
+        [state_of(design, limit, sample) for limit in limits],
+        _common_factor(design, limits),
+        generator,
+    )
+    answers.add(
+        "fracture",
+        "exceedance_probability",
+        "",
+        exceedance(union_state(union)),
+        unit="1",
+        runs=sample.size,
+    )
     drawn = draw_breaking(union, SPECIMENS, generator)
     if drawn is None:
         return answers
     shape = drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
     rows = np.stack([sample.input(name).ravel()[flat] for name in design.inputs], axis=1)
-    found = fractures_of(design.judged, design.inputs, rows, [limit.quantity for limit in limits],
-                         drawn.shares.reshape(len(limits), -1).T)  # fmt: skip
+    found = fractures_of(
+        design.judged,
+        design.inputs,
+        rows,
+        [limit.quantity for limit in limits],
+        drawn.shares.reshape(len(limits), -1).T,
+    )
     first = found.first.reshape(shape)
     for k, limit in enumerate(limits):
         share = share_of(first == k, METHOD, weights=drawn.weights)
         answers.add("fracture", "mode_share", limit.name, share, unit="1", runs=first.size)
-    for name, values, unit in (("time", found.time, "s"), ("force", found.force, "N"), ("energy", found.energy, "J")):
+    for name, values, unit in (
+        ("time", found.time, "s"),
+        ("force", found.force, "N"),
+        ("energy", found.energy, "J"),
+    ):
         known = np.where(np.isfinite(values), values, 0.0).reshape(shape)
         for p in (0.05, 0.5, 0.95):
             estimate = weighted_quantile(known, drawn.weights, p, METHOD, first.size)

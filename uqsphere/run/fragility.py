@@ -37,18 +37,39 @@ def fragility(design: Design, tables: Tables) -> Answers:
         return answers
     unit = lookup(margins.solve).unit
     for limit in design.judged.limits:
-        subject, runs = design.subject(limit), sum(sample.size for sample in tables.line.values()) or tables.sample.size
+        subject, runs = (
+            design.subject(limit),
+            sum(sample.size for sample in tables.line.values()) or tables.sample.size,
+        )
         found = curve_of(design, tables, limit)
         for value, p, low, high in found.curve:
             answers.row(subject, "curve", value, p, low, high, unit="1", method=METHOD, runs=runs)
         for p, estimate in found.values.items():
             answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
-        allowed, planned = found.values.get(allowable_probability(design, limit)), planned_value(design)
+        allowed, planned = (
+            found.values.get(allowable_probability(design, limit)),
+            planned_value(design),
+        )
         if allowed is not None and allowed.value and planned and limit.target is not None:
-            row = [None if x is None or not x > 0.0 else x / planned if limit.aim == "survive" else planned / x
-                   for x in (allowed.value, allowed.low, allowed.high)]  # fmt: skip
+            row = [
+                None
+                if x is None or not x > 0.0
+                else x / planned
+                if limit.aim == "survive"
+                else planned / x
+                for x in (allowed.value, allowed.low, allowed.high)
+            ]
             ends = row[1:] if limit.aim == "survive" else row[:0:-1]
-            answers.row(subject, "safety_factor", margins.solve, row[0], *ends, unit="1", method=METHOD, runs=runs)
+            answers.row(
+                subject,
+                "safety_factor",
+                margins.solve,
+                row[0],
+                *ends,
+                unit="1",
+                method=METHOD,
+                runs=runs,
+            )
     return answers
 
 
@@ -79,34 +100,64 @@ def planned_value(design: Design) -> float | None:
 
 
 def curve_by(
-    design: Design, tables: Tables, chance: Callable[[Sample, float], Array], targets: Sequence[float]
+    design: Design,
+    tables: Tables,
+    chance: Callable[[Sample, float], Array],
+    targets: Sequence[float],
 ) -> Fragility:
     """The curve of what `chance` gives (R, n) at points and a value, with the free number at each of the targets."""
     margins = design.study.margins
     assert margins is not None
-    pairs = tables.line if margins.limit is None else dict.fromkeys(grid(margins, VALUES), tables.sample)
-    return _curve(tables, pairs, [chance(sample, value).mean(axis=1) for value, sample in pairs.items()], targets)
+    pairs = (
+        tables.line
+        if margins.limit is None
+        else dict.fromkeys(grid(margins, VALUES), tables.sample)
+    )
+    return _curve(
+        tables,
+        pairs,
+        [chance(sample, value).mean(axis=1) for value, sample in pairs.items()],
+        targets,
+    )
 
 
-def _curve(tables: Tables, pairs: Mapping[float, Sample], rows: Sequence[Array], targets: Sequence[float]) -> Fragility:
+def _curve(
+    tables: Tables, pairs: Mapping[float, Sample], rows: Sequence[Array], targets: Sequence[float]
+) -> Fragility:
     """The curve of means (R,) at each value of the free number, each replicate by itself."""
     counts = [sample.count for sample in pairs.values()]
-    return fragility_of(np.array([*pairs]), np.clip(np.array(rows), 0.0, 1.0), targets, samples=min(counts),
-                        evaluations=tables.sample.replicates * sum(counts))  # fmt: skip
+    return fragility_of(
+        np.array([*pairs]),
+        np.clip(np.array(rows), 0.0, 1.0),
+        targets,
+        samples=min(counts),
+        evaluations=tables.sample.replicates * sum(counts),
+    )
 
 
 def curve_of(
-    design: Design, tables: Tables, limit: Limit, strength: Law | float | None = None, targets: tuple[float, ...] = ()
+    design: Design,
+    tables: Tables,
+    limit: Limit,
+    strength: Law | float | None = None,
+    targets: tuple[float, ...] = (),
 ) -> Fragility:
     """The curve of a limit with its margins; `strength` in place of its own."""
     margins = design.study.margins
     assert margins is not None
-    wanted = targets or tuple(sorted({*margins.for_probability, allowable_probability(design, limit)}))
+    wanted = targets or tuple(
+        sorted({*margins.for_probability, allowable_probability(design, limit)})
+    )
     if margins.limit is None:
         # all values at once
         exceeded = failure_given_inputs(state_of(design, limit, tables.along, strength), "survive")
         ends = np.cumsum([sample.count for sample in tables.line.values()])[:-1]
-        return _curve(tables, tables.line, [part.mean(axis=1) for part in np.split(exceeded, ends, axis=1)], wanted)
+        return _curve(
+            tables,
+            tables.line,
+            [part.mean(axis=1) for part in np.split(exceeded, ends, axis=1)],
+            wanted,
+        )
     state = state_of(design, limit, tables.sample, strength)
 
     def at(sample: Sample, value: float) -> Array:
@@ -121,4 +172,6 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     wanted = allowable_probability(design, limit)
     values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
     low, high = values[0.16].value, values[0.84].value
-    return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(high - low)
+    return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(
+        high - low
+    )

@@ -44,7 +44,11 @@ def moved(study: Study, value: float) -> Study:
     Raises LawError where a random number has no law with this mean.
     """
     margins = study.margins
-    return with_number(study, margins.solve, value) if margins is not None and margins.limit is None else study
+    return (
+        with_number(study, margins.solve, value)
+        if margins is not None and margins.limit is None
+        else study
+    )
 
 
 def with_number(study: Study, path: str, value: float) -> Study:
@@ -66,4 +70,6 @@ def demand_factor(margins: Margins, limit: Limit, value: float) -> float:
     """What the demands of a limit are multiplied by where the number has a value, in place of its free strength."""
     if margins.limit != limit.name:
         return 1.0
-    return (limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength) / value
+    return (
+        limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength
+    ) / value

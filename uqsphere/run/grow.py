@@ -43,7 +43,9 @@ MOST: Final = 1 << 17
 PART: Final = 1 << 18
 
 
-def grow(design: Design, model: Model, *, seconds: float, progress: Progress | None = None) -> Tables:
+def grow(
+    design: Design, model: Model, *, seconds: float, progress: Progress | None = None
+) -> Tables:
     """The tables of a study, as large as its accuracies need.
 
     Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures, ModelError.
@@ -73,14 +75,19 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
             tables.stopped = "accurate"
         elif all(_is_stuck(history, error) for error in tables.inaccurate):
             tables.stopped = "no gain"
-        elif count >= MOST or model.evaluations + model.reused + _rows(design, tables, count) > budget:
+        elif (
+            count >= MOST
+            or model.evaluations + model.reused + _rows(design, tables, count) > budget
+        ):
             tables.stopped = "budget"
         elif time.monotonic() + took > end:
             tables.stopped = "time"
         if tables.stopped:
             rare.search(design, model, tables, end)
             if tables.rare:
-                tables.inaccurate = [error for error in accuracies(design, tables) if error.reached > error.required]
+                tables.inaccurate = [
+                    error for error in accuracies(design, tables) if error.reached > error.required
+                ]
             return tables
         if not tables.line or any(error.answer != "margin" for error in tables.inaccurate):
             count *= 2
@@ -88,7 +95,10 @@ def grow(design: Design, model: Model, *, seconds: float, progress: Progress | N
 
 def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], error: Accuracy) -> bool:
     """Whether two doublings have left the error of an answer where it had been: no number of rows would lower it."""
-    before = max((errors.get((error.subject, error.answer), 0.0) for errors in history[:-2]), default=math.inf)
+    before = max(
+        (errors.get((error.subject, error.answer), 0.0) for errors in history[:-2]),
+        default=math.inf,
+    )
     return error.reached > 0.95 * before > 0.0
 
 
@@ -110,7 +120,11 @@ def first_rows(study: Study, count: int = FIRST) -> int:
 
 def _rows(design: Design, tables: Tables, count: int) -> int:
     """Rows that the next doubling adds."""
-    return REPLICATES * count + sum(s.size for s in tables.line.values()) + sum(p.size for p in tables.pairs.values())
+    return (
+        REPLICATES * count
+        + sum(s.size for s in tables.line.values())
+        + sum(p.size for p in tables.pairs.values())
+    )
 
 
 def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
@@ -121,13 +135,24 @@ def _grown(design: Design, model: Model, before: Tables | None, count: int) -> T
     if before is not None:
         # a margin that is accurate is not looked at again
         missed = {error.subject for error in before.inaccurate if error.answer == "margin"}
-        tables.margins = {name: margin for name, margin in before.margins.items()
-                          if margin[0].value is not None and f"limits.{name}" not in missed}  # fmt: skip
+        tables.margins = {
+            name: margin
+            for name, margin in before.margins.items()
+            if margin[0].value is not None and f"limits.{name}" not in missed
+        }
     names = design.study.analysis.quantities if design.inputs else ()
-    needed = tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])) if design.inputs else ()
-    tables.expansions = expansions(design, sample, needed, {} if before is None else before.expansions)
+    needed = (
+        tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)]))
+        if design.inputs
+        else ()
+    )
+    tables.expansions = expansions(
+        design, sample, needed, {} if before is None else before.expansions
+    )
     open_ = [name for name in names if not by_chaos_accurate(design, tables, name)]
-    tables.pairs = paired(design, model, max(count // PAIRS_SHARE, 2), open_, {} if before is None else before.pairs)
+    tables.pairs = paired(
+        design, model, max(count // PAIRS_SHARE, 2), open_, {} if before is None else before.pairs
+    )
     return tables
 
 
@@ -157,28 +182,45 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
         return {}
     known = {} if before is None else before.line
     if before is None:
-        counts = dict.fromkeys(grid(margins, VALUES), max(first_count(design.study) // LINE_SHARE, 2))
+        counts = dict.fromkeys(
+            grid(margins, VALUES), max(first_count(design.study) // LINE_SHARE, 2)
+        )
     else:
         twice = 2 * max(part.count for part in known.values())
         counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
     parts, moving = [], []
     for value, count in counts.items():
         start = known[value].count if value in known else 0
-        points = design.points(count - start, start,
-                               joint=moved(design.study, value).inputs().only(design.drawn.names))  # fmt: skip
+        points = design.points(
+            count - start, start, joint=moved(design.study, value).inputs().only(design.drawn.names)
+        )
         parts.append(points)
-        moving.append(points.input(margins.solve) if margins.solve in points.names
-                      else np.full(points.scores.shape[:2], value))  # fmt: skip
+        moving.append(
+            points.input(margins.solve)
+            if margins.solve in points.names
+            else np.full(points.scores.shape[:2], value)
+        )
     if not parts:
         return known
-    whole = Sample.at(design.drawn.names, np.concatenate([p.scores for p in parts], axis=1),
-                      np.concatenate([p.inputs for p in parts], axis=1))  # fmt: skip
+    whole = Sample.at(
+        design.drawn.names,
+        np.concatenate([p.scores for p in parts], axis=1),
+        np.concatenate([p.inputs for p in parts], axis=1),
+    )
     answered = evaluate(design, model, whole, {margins.solve: np.concatenate(moving, axis=1)})
     ends = np.cumsum([part.count for part in parts])
-    new = {value: answered.rows(int(end) - part.count, int(end))
-           for value, part, end in zip(counts, parts, ends, strict=True)}  # fmt: skip
-    return {value: new[value] if value not in known else known[value].join(new[value]) if value in new else known[value]
-            for value in sorted({*known, *new})}  # fmt: skip
+    new = {
+        value: answered.rows(int(end) - part.count, int(end))
+        for value, part, end in zip(counts, parts, ends, strict=True)
+    }
+    return {
+        value: new[value]
+        if value not in known
+        else known[value].join(new[value])
+        if value in new
+        else known[value]
+        for value in sorted({*known, *new})
+    }
 
 
 def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
@@ -197,7 +239,9 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
     return found
 
 
-def paired(design: Design, model: Model, count: int, names: list[str], before: dict[str, Array]) -> dict[str, Array]:
+def paired(
+    design: Design, model: Model, count: int, names: list[str], before: dict[str, Array]
+) -> dict[str, Array]:
     """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need it."""
     if not names or design.joint.only(design.inputs).dependent:
         return {}
@@ -212,7 +256,9 @@ def paired(design: Design, model: Model, count: int, names: list[str], before: d
         rows = pair_rows(design, min(step, count - start), start)
         answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
         check_failures(design, answers.status, answers.good, answers.note)
-        values = np.where(answers.good[:, None], answers.values, np.nan).reshape(*rows.shape[:3], len(names))
+        values = np.where(answers.good[:, None], answers.values, np.nan).reshape(
+            *rows.shape[:3], len(names)
+        )
         for k, name in enumerate(names):
             found[name][:, start : start + step] = values[..., k]
     return found
@@ -227,8 +273,14 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     blocks = _blocks(design)
     inputs, mixed = design.joint.only(design.inputs), []
     for replicate in range(REPLICATES):
-        halves = base_points(blocks, count=count, seed=design.study.seed, task="pairs", replicate=replicate,
-                                start=start)  # fmt: skip
+        halves = base_points(
+            blocks,
+            count=count,
+            seed=design.study.seed,
+            task="pairs",
+            replicate=replicate,
+            start=start,
+        )
         mixed.append(blocks.mix(*(inputs.physical(normal_scores(half)) for half in halves)))
     return np.stack(mixed)
 
@@ -240,7 +292,9 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
 
     def require(subject: str, answer: str, reached: float, required: float) -> None:
         if math.isfinite(required):
-            found.append(Accuracy(subject=subject, answer=answer, required=required, reached=reached))
+            found.append(
+                Accuracy(subject=subject, answer=answer, required=required, reached=reached)
+            )
 
     for name in design.study.analysis.quantities:
         description = described(design, tables, name)
@@ -251,15 +305,25 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         require(name, "mean", description.mean.half_width / scale - least, accuracy.mean)
         for p, estimate in description.quantiles.items():
             if estimate.value is not None:
-                require(name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile)
+                require(
+                    name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile
+                )
         for input_name, row in of_quantity(design, tables, name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
             require(name, f"sobol {input_name}", widest, accuracy.sobol)
     for limit in design.limits:
         estimate = failure(design, tables, limit)
-        if not estimate.value or estimate.high is None or estimate.high <= 0.01 * (limit.target or 1e-6):
+        if (
+            not estimate.value
+            or estimate.high is None
+            or estimate.high <= 0.01 * (limit.target or 1e-6)
+        ):
             continue
-        if estimate.value < rare.SMALL and limit.name not in tables.rare and rare.can_search(design):
+        if (
+            estimate.value < rare.SMALL
+            and limit.name not in tables.rare
+            and rare.can_search(design)
+        ):
             continue  # left to the search for rare events
         relative = estimate.half_width / estimate.value
         require(f"limits.{limit.name}", "failure_probability", relative, accuracy.probability)
@@ -268,5 +332,7 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
             tables.margins[limit.name] = margin_and_scale(design, tables, limit)
         margin, width = tables.margins[limit.name]
         if margin.value is not None and width is not None:
-            require(f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability)
+            require(
+                f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability
+            )
     return found

@@ -29,8 +29,11 @@ def indices(design: Design, tables: Tables) -> Answers:
     for name in design.explained:
         for label, row in of_quantity(design, tables, name).items():
             runs = tables.sample.size + (tables.pairs[name].size if name in tables.pairs else 0)
-            for order, estimate in zip(("sobol_second",) if "," in label else ("sobol_first", "sobol_total"), row,
-                                       strict=True):  # fmt: skip
+            for order, estimate in zip(
+                ("sobol_second",) if "," in label else ("sobol_first", "sobol_total"),
+                row,
+                strict=True,
+            ):
                 answers.add(name, order, label, estimate, unit="1", runs=runs)
     return answers
 
@@ -49,7 +52,10 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     sample = tables.sample if tables.slow is None else tables.slow.rows
     order = [sample.names.index(name) for name in design.inputs]
     for method in methods if design.inputs else ():
-        reason, columns = "", {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
+        reason, columns = (
+            "",
+            {name: sample.answer(name).ravel()[:GIVEN] for name in design.described},
+        )
         uniforms = special.ndtr(sample.scores[:, :, order].reshape(-1, len(order))[:GIVEN])
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"
@@ -61,8 +67,11 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
             values = np.where(found.good[:, None], found.values, np.nan)
             columns = {name: values[:, k] for k, name in enumerate(design.described)}
         for name, outputs in columns.items():
-            row = ([absent(reason, f"SALib {method}", 0)] * len(inputs.names) if reason
-                   else salib_measures(method, uniforms, outputs, inputs.names, seed=design.study.seed))  # fmt: skip
+            row = (
+                [absent(reason, f"SALib {method}", 0)] * len(inputs.names)
+                if reason
+                else salib_measures(method, uniforms, outputs, inputs.names, seed=design.study.seed)
+            )
             for label, estimate in zip(inputs.names, row, strict=True):
                 # mu* is the change of the quantity over the whole range of an input
                 unit = lookup(name).unit if method == "morris" else "1"
@@ -76,7 +85,11 @@ def of_quantity(design: Design, tables: Tables, name: str) -> Mapping[str, tuple
         return {}
     if design.joint.only(design.inputs).dependent:
         # variance has no parts of its own for each of inputs that are tied
-        nothing = absent("inputs depend on each other: their Sobol' indices have no meaning", CHAOS, tables.sample.size)
+        nothing = absent(
+            "inputs depend on each other: their Sobol' indices have no meaning",
+            CHAOS,
+            tables.sample.size,
+        )
         return dict.fromkeys(design.inputs, (nothing, nothing))
     if tables.slow is not None:
         return surrogate.shares(design, tables.slow, name)
@@ -84,7 +97,11 @@ def of_quantity(design: Design, tables: Tables, name: str) -> Mapping[str, tuple
         return _by_pairs(design, tables, name)
     if name in tables.expansions:
         return by_chaos(design, tables.expansions[name])
-    nothing = absent("the quantity does not vary, or has no plain value at every point", CHAOS, tables.sample.size)
+    nothing = absent(
+        "the quantity does not vary, or has no plain value at every point",
+        CHAOS,
+        tables.sample.size,
+    )
     return dict.fromkeys(design.inputs, (nothing, nothing))
 
 
@@ -113,7 +130,9 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     if design.study.analysis.second_order:
         for i, j in combinations(range(len(design.inputs)), 2):
             own = active[:, i] & active[:, j] & (many == 2)
-            share = float((form.coefficients[own] ** 2).sum()) / known.sd**2 if known.sd > 0.0 else 0.0
+            share = (
+                float((form.coefficients[own] ** 2).sum()) / known.sd**2 if known.sd > 0.0 else 0.0
+            )
             rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, share),)
     return rows
 
@@ -143,7 +162,9 @@ def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
 
 def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
     """Indices of the pairs; points of which any run has no value are left out."""
-    blocks = Blocks(inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order))
+    blocks = Blocks(
+        inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order)
+    )
     values = tables.pairs[name]
     whole = np.asarray(np.isfinite(values).all(axis=2))
     least = int(whole.sum(axis=1).min())
@@ -156,11 +177,13 @@ def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Esti
     if not whole.all():
         share = float(whole.mean())
         found = replace(
-            found, first=[surrogate.of_answered(e, share, "pairs") for e in found.first],
+            found,
+            first=[surrogate.of_answered(e, share, "pairs") for e in found.first],
             total=[surrogate.of_answered(e, share, "pairs") for e in found.total],
-        )  # fmt: skip
-    rows: dict[str, tuple[Estimate, ...]] = dict(zip(design.inputs, zip(found.first, found.total, strict=True),
-                                                     strict=True))  # fmt: skip
+        )
+    rows: dict[str, tuple[Estimate, ...]] = dict(
+        zip(design.inputs, zip(found.first, found.total, strict=True), strict=True)
+    )
     for (i, j), estimate in found.second.items():
         rows[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
     return rows

@@ -30,14 +30,31 @@ def limits(design: Design, tables: Tables) -> Answers:
         index = reliability_index(failed.value)
         if index is not None:
             low, high = reliability_index(failed.high), reliability_index(failed.low)
-            answers.row(subject, "reliability_index", "", index, low, high, unit="1", method=failed.method, runs=runs)
+            answers.row(
+                subject,
+                "reliability_index",
+                "",
+                index,
+                low,
+                high,
+                unit="1",
+                method=failed.method,
+                runs=runs,
+            )
         ratio = safety_factor(state_of(design, limit, tables.sample))
         answers.add(subject, "safety_factor", "strength over demand", ratio, unit="1", runs=runs)
     for limit in design.limits:
         for name, value in rare.design_point(design, tables, limit).items():
             unit = lookup(limit.quantity if name.endswith(".strength") else name).unit
-            answers.row(design.subject(limit), "design_point", name, value, unit=unit, method="FORM",
-                        runs=tables.sample.size)  # fmt: skip
+            answers.row(
+                design.subject(limit),
+                "design_point",
+                name,
+                value,
+                unit=unit,
+                method="FORM",
+                runs=tables.sample.size,
+            )
     return answers
 
 
@@ -52,13 +69,24 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
             return searched
         reason = f"no failure in {found.evaluations} samples; the probability is below {high:.2g}"
         return found if found.value else replace(searched, high=high, reason=reason)
-    if not design.drawn.names and found.value is not None and not state.late.any() and not state.broken.any():
+    if (
+        not design.drawn.names
+        and found.value is not None
+        and not state.late.any()
+        and not state.broken.any()
+    ):
         return exact(found.value)
     if tables.slow is not None:
-        rows, left = (failure_given_inputs(state_of(design, limit, part), limit.aim)[:1]
-                      for part in (tables.slow.rows, tables.slow.left_out))  # fmt: skip
+        rows, left = (
+            failure_given_inputs(state_of(design, limit, part), limit.aim)[:1]
+            for part in (tables.slow.rows, tables.slow.left_out)
+        )
         return surrogate.failure(tables.slow, found, rows, left)
-    if found.value is not None and 0.0 < found.value < 1e-3 and carriers(failure_given_inputs(state, limit.aim)) < 20.0:
+    if (
+        found.value is not None
+        and 0.0 < found.value < 1e-3
+        and carriers(failure_given_inputs(state, limit.aim)) < 20.0
+    ):
         bound = max(found.high or 0.0, 3.0 / tables.sample.size)
         none = absent("too few points carry it", found.method, found.evaluations)
         return replace(none, low=0.0, high=min(bound, 1.0))
@@ -71,17 +99,25 @@ def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     return above if aim == "break" else below
 
 
-def state_of(design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None) -> LimitState:
+def state_of(
+    design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None
+) -> LimitState:
     """Demands of a limit at points, against its strength or another one, with the dependence between the two."""
     column = column_of(limit)
     policy = design.study.analysis.policy
     state = LimitState(
-        demands=demands_of(limit, sample), strength=strength_of(limit) if strength is None else strength,
-        censored=sample.late(column), failed=sample.lost(column),
+        demands=demands_of(limit, sample),
+        strength=strength_of(limit) if strength is None else strength,
+        censored=sample.late(column),
+        failed=sample.lost(column),
         on_failure="drop" if policy == "abort" else policy,
-    )  # fmt: skip
+    )
     own = strength_name(limit.name)
-    if own not in design.joint.names or not design.study.dependence or not isinstance(state.strength, Law):
+    if (
+        own not in design.joint.names
+        or not design.study.dependence
+        or not isinstance(state.strength, Law)
+    ):
         return state
     names = design.drawn.names
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)

@@ -38,7 +38,9 @@ def watched(*, lines: bool = False) -> Iterator[Progress]:
             warnings.simplefilter("ignore")  # a notebook without widgets has a bar of text
             from tqdm.auto import tqdm
 
-            bar = tqdm(total=1.0, leave=False, bar_format=None if notebook else FORMAT, file=sys.stderr)
+            bar = tqdm(
+                total=1.0, leave=False, bar_format=None if notebook else FORMAT, file=sys.stderr
+            )
 
         def show(runs: int, share: float, text: str) -> None:
             if math.isfinite(share) and share > bar.n:

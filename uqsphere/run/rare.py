@@ -60,19 +60,34 @@ def search(design: Design, model: Model, tables: Tables, end: float) -> None:
     def answered(points: Sample) -> Sample:
         return evaluate(design, model, points)
 
-    accuracy, shared = design.study.analysis.accuracy.probability, dict[tuple[str, str], list[Draws]]()
-    known = [(limit, failure(design, tables, limit)) for limit in design.limits] if can_search(design) else []
+    accuracy, shared = (
+        design.study.analysis.accuracy.probability,
+        dict[tuple[str, str], list[Draws]](),
+    )
+    known = (
+        [(limit, failure(design, tables, limit)) for limit in design.limits]
+        if can_search(design)
+        else []
+    )
     for limit, p in sorted(known, key=lambda pair: (-(pair[1].value or 0.0), _rank(pair[0]))):
-        small = p.high is not None and p.high >= 0.01 * (limit.target or 1e-6) and (p.value is None or p.value < SMALL)
+        small = (
+            p.high is not None
+            and p.high >= 0.01 * (limit.target or 1e-6)
+            and (p.value is None or p.value < SMALL)
+        )
         if not small or (p.value and p.half_width <= accuracy * p.value):
             continue
         left = design.study.analysis.budget.evaluations - model.evaluations
         if time.monotonic() > end or left < LEAST:
             return
         problem = _problem(design, limit, answered, min(left, MOST))
-        draws = shared.setdefault((limit.quantity, limit.aim), []) if problem.limit is not None else []
+        draws = (
+            shared.setdefault((limit.quantity, limit.aim), []) if problem.limit is not None else []
+        )
         try:
-            found = failure_probability(problem, seed=design.study.seed, accuracy=accuracy, known=draws)
+            found = failure_probability(
+                problem, seed=design.study.seed, accuracy=accuracy, known=draws
+            )
         except Interrupted:
             tables.stopped = "interrupted"
             return
@@ -107,7 +122,9 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
     return _physical(design, limit, answered, find_design_points(problem, seed=design.study.seed))
 
 
-def _problem(design: Design, limit: Limit, answered: Callable[[Sample], Sample], budget: float) -> Evaluator:
+def _problem(
+    design: Design, limit: Limit, answered: Callable[[Sample], Sample], budget: float
+) -> Evaluator:
     """A limit in standard normal variables: what is left to failure, the score of a random strength integrated.
 
     Where failure hangs on the quantity alone, its values are the answers: draws for one limit then serve another.
@@ -128,16 +145,27 @@ def _problem(design: Design, limit: Limit, answered: Callable[[Sample], Sample],
 
     law = isinstance(strength_of(limit), Law)
     if design.study.dependence or by_force(limit) or isinstance(limit.model_factor, Law):
-        return Evaluator(lambda normals: left(state_of(design, limit, sample(normals))), len(design.drawn.names),
-                         integrated=law, budget=budget)  # fmt: skip
+        return Evaluator(
+            lambda normals: left(state_of(design, limit, sample(normals))),
+            len(design.drawn.names),
+            integrated=law,
+            budget=budget,
+        )
     factor = limit.model_factor
-    return Evaluator(lambda normals: sample(normals).outputs(limit.quantity), len(design.drawn.names), integrated=law,
-                     limit=lambda y: left(LimitState(demands=factor * y[None], strength=strength_of(limit))),
-                     budget=budget)  # fmt: skip
+    return Evaluator(
+        lambda normals: sample(normals).outputs(limit.quantity),
+        len(design.drawn.names),
+        integrated=law,
+        limit=lambda y: left(LimitState(demands=factor * y[None], strength=strength_of(limit))),
+        budget=budget,
+    )
 
 
 def _physical(
-    design: Design, limit: Limit, answered: Callable[[Sample], Sample], points: Sequence[DesignPoint]
+    design: Design,
+    limit: Limit,
+    answered: Callable[[Sample], Sample],
+    points: Sequence[DesignPoint],
 ) -> dict[str, float]:
     """The variables at the nearest design point, a random strength behind the others; empty if there is none."""
     from uqsphere.run.limits import state_of

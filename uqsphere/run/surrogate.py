@@ -27,7 +27,15 @@ from uqsphere.run.tables import Tables, check_failures, evaluate
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.response import METHOD, Response, cross_fit, describe_corrected, half_width, index_shares, unseen
+from uqsphere.uq.response import (
+    METHOD,
+    Response,
+    cross_fit,
+    describe_corrected,
+    half_width,
+    index_shares,
+    unseen,
+)
 from uqsphere.uq.surrogate import columns_of, each_once
 
 if TYPE_CHECKING:
@@ -85,7 +93,9 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
 def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow") -> Array:
     """Independent normals (count, D), and `extra` uniforms behind them."""
     size = len(design.drawn.names)
-    points = sobol_points(dimension=size + extra, count=count, seed=design.study.seed, task=task, replicate=0)
+    points = sobol_points(
+        dimension=size + extra, count=count, seed=design.study.seed, task=task, replicate=0
+    )
     return np.concatenate([normal_scores(points[:, :size]), points[:, size:]], axis=1)
 
 
@@ -107,24 +117,36 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
 
     study, inputs = design.study, design.inputs
     if not study.black_box or not inputs:
-        raise UsageError("analyse takes rows of a black-box study with random inputs; run evaluates a scene itself")
+        raise UsageError(
+            "analyse takes rows of a black-box study with random inputs; run evaluates a scene itself"
+        )
     outputs = study.outputs
     if not hasattr(frame, "fillna"):
-        raise UsageError(f"analyse takes a DataFrame with {', '.join((*inputs, *outputs))}, not {type(frame).__name__}")
+        raise UsageError(
+            f"analyse takes a DataFrame with {', '.join((*inputs, *outputs))}, not {type(frame).__name__}"
+        )
     columns_of(frame.fillna(0.0), (*inputs, *outputs))
-    x, y = each_once(columns_of(frame[list(inputs)], inputs), frame[list(outputs)].to_numpy(dtype=float))
+    x, y = each_once(
+        columns_of(frame[list(inputs)], inputs), frame[list(outputs)].to_numpy(dtype=float)
+    )
     if len(x) < LEAST_ROWS:
         raise UsageError(f"{len(x)} rows are too few: {LEAST_ROWS} or more are needed")
     if steps := [name for name in inputs if design.study.random[name].is_steps]:
         raise UsageError(f"{steps[0]} is discrete: rows from elsewhere need inputs with a density")
     own = design.joint.only(inputs).normals(x)
-    for name, column, values, law in zip(inputs, own.T, x.T, design.joint.only(inputs).laws, strict=True):
+    for name, column, values, law in zip(
+        inputs, own.T, x.T, design.joint.only(inputs).laws, strict=True
+    ):
         if (beyond := np.flatnonzero((law.cdf(values) <= 0.0) | (law.sf(values) <= 0.0))).size:
-            raise UsageError(f"column {name!r}: {values[beyond[0]]:g} cannot come from the distribution of the study, "
-                             f"{law!r}: {len(beyond)} of {len(x)} rows lie beyond it")  # fmt: skip
+            raise UsageError(
+                f"column {name!r}: {values[beyond[0]]:g} cannot come from the distribution of the study, "
+                f"{law!r}: {len(beyond)} of {len(x)} rows lie beyond it"
+            )
         if kstest(column, "norm").pvalue < 1e-6:
-            raise UsageError(f"the column {name!r} does not follow the distribution of the study, {law!r}: "
-                             "rows are drawn as by study.design or study.sample")  # fmt: skip
+            raise UsageError(
+                f"the column {name!r} does not follow the distribution of the study, {law!r}: "
+                "rows are drawn as by study.design or study.sample"
+            )
     names = design.drawn.names
     normals = _design_points(design, len(x), task="factors")
     normals[:, [names.index(name) for name in inputs]] = own
@@ -141,7 +163,12 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
 
 
 def tables_of(
-    design: Design, model: Model, *, seconds: float, progress: Progress | None = None, known: Sample | None = None
+    design: Design,
+    model: Model,
+    *,
+    seconds: float,
+    progress: Progress | None = None,
+    known: Sample | None = None,
 ) -> Tables:
     """The tables of a slow model: predicted by expansions of one design that its own rows correct.
 
@@ -154,13 +181,23 @@ def tables_of(
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
     affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
-    along = known is None and design.study.margins is not None and design.study.margins.limit is None
-    count = min(int(affordable * (1.0 - LINE_BUDGET * along)), MOST_ROWS) if known is None else known.count
+    along = (
+        known is None and design.study.margins is not None and design.study.margins.limit is None
+    )
+    count = (
+        min(int(affordable * (1.0 - LINE_BUDGET * along)), MOST_ROWS)
+        if known is None
+        else known.count
+    )
     if count < LEAST_ROWS:
-        raise UsageError(f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
-                         "raise analysis.budget or --budget")  # fmt: skip
+        raise UsageError(
+            f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
+            "raise analysis.budget or --budget"
+        )
     stopped, rows = "", None
-    points = at_normals(design.drawn, _design_points(design, count)[None]) if known is None else known
+    points = (
+        at_normals(design.drawn, _design_points(design, count)[None]) if known is None else known
+    )
     done = 0
     step = max(PROBE, count // 8)
     while done < count:
@@ -173,13 +210,19 @@ def tables_of(
         rows = more if rows is None else rows.join(more)
         done = rows.count
         if progress is not None:
-            progress(model.evaluations + model.reused, done / count, f"{done} of {count} runs of the design")
+            progress(
+                model.evaluations + model.reused,
+                done / count,
+                f"{done} of {count} runs of the design",
+            )
         if time.monotonic() - began > seconds:
             stopped = "time"
             break
     if rows is None or rows.count < LEAST_ROWS:
         raise KeyboardInterrupt
-    check_failures(design, rows.status[0], ~rows.failed[0], f"{int(rows.failed.sum())} of {rows.count} rows")
+    check_failures(
+        design, rows.status[0], ~rows.failed[0], f"{int(rows.failed.sum())} of {rows.count} rows"
+    )
     slow, sample = _predicted(design, rows)
     line: Mapping[float, Sample] = {}
     if along and not stopped:
@@ -206,9 +249,15 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
         germs = germs_of(design.joint.only(design.inputs).laws)
         responses = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
         if all(response.usable for response in responses):
-            left_out = rows.with_answers(rows.quantities, np.stack([one.levels for one in responses], axis=1)[None])
-            slow = Slow(rows=rows, left_out=left_out, dropped=dropped,
-                        responses=dict(zip(rows.quantities, responses, strict=True)))  # fmt: skip
+            left_out = rows.with_answers(
+                rows.quantities, np.stack([one.levels for one in responses], axis=1)[None]
+            )
+            slow = Slow(
+                rows=rows,
+                left_out=left_out,
+                dropped=dropped,
+                responses=dict(zip(rows.quantities, responses, strict=True)),
+            )
             table = design.points(POINTS)
             points = points_of(design, table.scores)
             values = np.stack([response.table(points) for response in responses], axis=2)
@@ -218,7 +267,9 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
     each = rows.count // count
     blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
     parts = ("scores", "inputs", "answers", "censored", "status", "failed")
-    cut: dict[str, Any] = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in parts}
+    cut: dict[str, Any] = {
+        name: np.concatenate([getattr(block, name) for block in blocks]) for name in parts
+    }
     return Slow(rows=rows, left_out=rows, responses={}, dropped=dropped), replace(rows, **cut)
 
 
@@ -231,9 +282,16 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     points = _design_points(design, count, 1, "slow line")
     values, normals = values_at(margins, points[:, -1]), points[:, : len(names)]
     joints = [moved(design.study, float(value)).inputs().only(names) for value in values]
-    physical = np.concatenate([joint.physical(normals[k : k + 1]) for k, joint in enumerate(joints)])
+    physical = np.concatenate(
+        [joint.physical(normals[k : k + 1]) for k, joint in enumerate(joints)]
+    )
     column = physical[:, names.index(margins.solve)] if margins.solve in names else values
-    rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), {margins.solve: column[None]})
+    rows = evaluate(
+        design,
+        model,
+        Sample.at(names, normals[None], physical[None]),
+        {margins.solve: column[None]},
+    )
     germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     good = np.isfinite(rows.answers[0]).all(axis=1)
@@ -245,7 +303,9 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     for value in grid(margins, VALUES):
         germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
         at = np.concatenate([inputs, germ], axis=2)
-        found[value] = table.with_answers(rows.quantities, np.stack([one.table(at) for one in responses], axis=2))
+        found[value] = table.with_answers(
+            rows.quantities, np.stack([one.table(at) for one in responses], axis=2)
+        )
     return found
 
 
@@ -256,17 +316,28 @@ def described(design: Design, slow: Slow, sample: Sample, name: str) -> Descript
     """The description of a quantity: of the table, corrected by what the expansions leave of the rows."""
     analysis = design.study.analysis
     if name not in slow.responses:
-        return describe(sample.answer(name), censored=sample.late(name), failed=sample.lost(name),
-                        on_failure="bound" if analysis.policy == "bound" else "drop", quantiles=analysis.quantiles,
-                        method=f"{slow.count} {ROUGH}; {unseen(slow.count)}")  # fmt: skip
+        return describe(
+            sample.answer(name),
+            censored=sample.late(name),
+            failed=sample.lost(name),
+            on_failure="bound" if analysis.policy == "bound" else "drop",
+            quantiles=analysis.quantiles,
+            method=f"{slow.count} {ROUGH}; {unseen(slow.count)}",
+        )
     response = slow.responses[name]
-    return describe_corrected(sample.answer(name), response.outputs, response.levels, analysis.quantiles)
+    return describe_corrected(
+        sample.answer(name), response.outputs, response.levels, analysis.quantiles
+    )
 
 
 def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
     """A failure probability of the table, corrected by the failure probabilities (1, N) of the rows."""
     if table.value is None or not slow.responses:
-        return replace(table, high=max(table.high or 0.0, 3.0 / slow.count)) if table.high is not None else table
+        return (
+            replace(table, high=max(table.high or 0.0, 3.0 / slow.count))
+            if table.high is not None
+            else table
+        )
     off = (rows - left).ravel()
     value = table.value + float(off.mean())
     half = math.hypot(half_width(off), table.half_width)
@@ -275,23 +346,40 @@ def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
         none = absent(f"too small for {slow.count} runs: {unseen(slow.count)}", METHOD, slow.count)
         return replace(none, low=0.0, high=min(max(high, 3.0 / slow.count), 1.0))
     value = min(max(table.value, 0.0), 1.0)
-    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=0.5 * half,
-                    method=f"{METHOD}; {unseen(slow.count)}", evaluations=slow.count)  # fmt: skip
+    return Estimate(
+        value=value,
+        low=min(low, value),
+        high=max(high, value),
+        std_error=0.5 * half,
+        method=f"{METHOD}; {unseen(slow.count)}",
+        evaluations=slow.count,
+    )
 
 
 def of_answered(estimate: Estimate, share: float, what: str) -> Estimate:
     """An estimate that says that it is of the rows that answered alone."""
-    return replace(estimate, method=f"{estimate.method}; of the {100.0 * share:.3g} % of {what} that answered")
+    return replace(
+        estimate, method=f"{estimate.method}; of the {100.0 * share:.3g} % of {what} that answered"
+    )
 
 
 def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, ...]]:
     """First and total indices of a quantity, off its expansions."""
     response = slow.responses.get(name)
     if response is None:
-        lost = '; analysis.on_failure = "drop" gives those of the rows that answered' if slow.rows.failed.any() else ""
-        nothing = absent(f"{slow.count} runs of a rough model show no indices{lost}", ROUGH, slow.count)
+        lost = (
+            '; analysis.on_failure = "drop" gives those of the rows that answered'
+            if slow.rows.failed.any()
+            else ""
+        )
+        nothing = absent(
+            f"{slow.count} runs of a rough model show no indices{lost}", ROUGH, slow.count
+        )
         return dict.fromkeys(design.inputs, (nothing, nothing))
     found = index_shares(response)
     if slow.dropped:
-        found = {order: [of_answered(e, 1.0 - slow.dropped, "rows") for e in row] for order, row in found.items()}
+        found = {
+            order: [of_answered(e, 1.0 - slow.dropped, "rows") for e in row]
+            for order, row in found.items()
+        }
     return dict(zip(design.inputs, zip(found["first"], found["total"], strict=True), strict=True))

@@ -75,7 +75,12 @@ class Tables:
 
 
 def evaluate(
-    design: Design, model: Model, points: Sample, further: Mapping[str, Array] | None = None, *, part: bool = False
+    design: Design,
+    model: Model,
+    points: Sample,
+    further: Mapping[str, Array] | None = None,
+    *,
+    part: bool = False,
 ) -> Sample:
     """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from point to point.
 
@@ -90,14 +95,20 @@ def evaluate(
             names.append(name)
             columns.append(values)
     shape = points.scores.shape[:2]
-    rows = np.stack([np.broadcast_to(c, shape).ravel() for c in columns], axis=1) if names else np.zeros((1, 0))
+    rows = (
+        np.stack([np.broadcast_to(c, shape).ravel() for c in columns], axis=1)
+        if names
+        else np.zeros((1, 0))
+    )
     answers = model.evaluate(tuple(names), rows, design.columns)
     if not part or design.study.analysis.policy == "abort":
         check_failures(design, answers.status, answers.good, answers.note)
 
     def table(cells: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         return (
-            np.broadcast_to(cells, (*shape, *cells.shape[1:])) if not names else cells.reshape(*shape, *cells.shape[1:])
+            np.broadcast_to(cells, (*shape, *cells.shape[1:]))
+            if not names
+            else cells.reshape(*shape, *cells.shape[1:])
         )
 
     answered = points.with_answers(
@@ -110,16 +121,22 @@ def evaluate(
     return with_test_forces(design, answered, further or {})
 
 
-def check_failures(design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str) -> None:
+def check_failures(
+    design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str
+) -> None:
     """Refuse failed rows as the study's policy says."""
     analysis = design.study.analysis
     share = 1.0 - float(good.mean())
     if good.all() or analysis.policy == "bound":
         return
     if analysis.policy == "abort":
-        raise TooManyFailures(f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
-                              'analysis.on_failure = "bound" or "drop" goes on without such rows')  # fmt: skip
-    most = max(0.01 if isinstance(analysis.on_failure, str) else analysis.on_failure, 3.0 / len(good))
+        raise TooManyFailures(
+            f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
+            'analysis.on_failure = "bound" or "drop" goes on without such rows'
+        )
+    most = max(
+        0.01 if isinstance(analysis.on_failure, str) else analysis.on_failure, 3.0 / len(good)
+    )
     if share > most:
         raise TooManyFailures(
             f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}; "

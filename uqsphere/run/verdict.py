@@ -45,35 +45,66 @@ def verdicts(
     design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check]
 ) -> dict[str, dict[str, Any]]:
     """The verdict on every limit of the study, ready for results.json."""
-    return {limit.name: _verdict(design, tables, answers, assumed, checks, limit) for limit in design.limits}
+    return {
+        limit.name: _verdict(design, tables, answers, assumed, checks, limit)
+        for limit in design.limits
+    }
 
 
 def _verdict(
-    design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check], limit: Limit
+    design: Design,
+    tables: Tables,
+    answers: Answers,
+    assumed: Assumptions,
+    checks: Sequence[Check],
+    limit: Limit,
 ) -> dict[str, Any]:
     judged = _judged_together(design, limit)
     p = failure(design, tables, limit)
     if len(judged) > 1:
-        p = _added(p, together(design, tables.sample, judged) - together(design, tables.sample, [limit]))
+        p = _added(
+            p, together(design, tables.sample, judged) - together(design, tables.sample, [limit])
+        )
     target = limit.target
-    reasons = _reasons(design, tables, answers, assumed, checks, limit, judged, p) if target is not None else []
-    word = "no target" if target is None else "not established" if reasons else WORDS[target_met(p, target)]
+    reasons = (
+        _reasons(design, tables, answers, assumed, checks, limit, judged, p)
+        if target is not None
+        else []
+    )
+    word = (
+        "no target"
+        if target is None
+        else "not established"
+        if reasons
+        else WORDS[target_met(p, target)]
+    )
     assumed_modes = design.modes if limit.aim == "survive" and means_fracture(limit) else ()
     modes = [*judged, *(mode.limit for mode in assumed_modes)]
     governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
     joint, curve = _joint(design, tables, answers, limit, judged, modes, p)
     number = _number_to_use(design, answers, limit, modes, joint)
     verdict = {
-        "verdict": word, "aim": limit.aim, "target": target,
-        "probability": _ends(p), "all_modes": {name: _ends(e) for name, e in joint.items()} | (
-            {"reliability_index": {"value": reliability_index(joint["probability"].value)}, "curve": curve}
-            if joint else {}),
+        "verdict": word,
+        "aim": limit.aim,
+        "target": target,
+        "probability": _ends(p),
+        "all_modes": {name: _ends(e) for name, e in joint.items()}
+        | (
+            {
+                "reliability_index": {"value": reliability_index(joint["probability"].value)},
+                "curve": curve,
+            }
+            if joint
+            else {}
+        ),
         "governing": design.subject(number["governing"] if number else governing),
         "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
-        "use": None if number is None else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
+        "use": None
+        if number is None
+        else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
         "safety_factor": None if number is None else number["factor"],
         "next": _next(word, limit, reasons),
-    }  # fmt: skip
+    }
     headline, detail = _headline(design, answers, limit, p, word, reasons, number, joint)
     return {**verdict, "headline": headline, "detail": detail}
 
@@ -83,14 +114,21 @@ def _ends(one: Estimate) -> dict[str, Any]:
 
 
 def _joint(
-    design: Design, tables: Tables, answers: Answers, limit: Limit, judged: Sequence[Limit], modes: Sequence[Limit],
+    design: Design,
+    tables: Tables,
+    answers: Answers,
+    limit: Limit,
+    judged: Sequence[Limit],
+    modes: Sequence[Limit],
     p: Estimate,
-) -> tuple[dict[str, Estimate], list[list[float]]]:  # fmt: skip
+) -> tuple[dict[str, Estimate], list[list[float]]]:
     """Failure probability by all modes together, the free number at the target, the curve; empty for a single mode."""
     if limit.aim != "survive" or len(modes) < 2:
         return {}, []
     head = tables.sample.head(min(tables.sample.count, MOST))
-    found = {"probability": _added(p, together(design, head, modes) - together(design, head, judged))}
+    found = {
+        "probability": _added(p, together(design, head, modes) - together(design, head, judged))
+    }
     curve: list[list[float]] = []
     if answers.where(design.subject(limit), "curve"):
         target = target_of(design, limit)
@@ -122,9 +160,15 @@ def _added(own: Estimate, more: Array) -> Estimate:
 
 
 def _reasons(
-    design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check], limit: Limit,
-    judged: Sequence[Limit], p: Estimate,
-) -> list[Reason]:  # fmt: skip
+    design: Design,
+    tables: Tables,
+    answers: Answers,
+    assumed: Assumptions,
+    checks: Sequence[Check],
+    limit: Limit,
+    judged: Sequence[Limit],
+    p: Estimate,
+) -> list[Reason]:
     """What is taken for granted and would turn the verdict if it were otherwise."""
     target, whole, verdict = limit.target or 0.0, p.value or 0.0, target_met(p, limit.target or 0.0)
     found: list[Reason] = []
@@ -134,7 +178,9 @@ def _reasons(
 
     if means_fracture(limit) and assumed.plastic is not None:
         base = tables.sample.head(assumed.plastic.count)
-        other = _failing(design, assumed.plastic, limit, judged) - _failing(design, base, limit, judged)
+        other = _failing(design, assumed.plastic, limit, judged) - _failing(
+            design, base, limit, judged
+        )
         value = _clipped(whole + float(other.mean()))
         if turned(value):
             text = f"where contacts yield, the failure probability is {format_probability(value)}"
@@ -152,8 +198,14 @@ def _reasons(
         for row in answers.where(design.subject(one), "failure_probability"):
             name = str(row["at"]).removeprefix("assumed: ")
             if name in OTHER_DISTRIBUTIONS and turned(value := _clipped(rest + row["value"])):
-                text = f"with a {name} of the same mean and scatter, {format_probability(value)} fail"
-                found.append(Reason("distribution", text, f"test the strength of {one.name} in its lower tail"))
+                text = (
+                    f"with a {name} of the same mean and scatter, {format_probability(value)} fail"
+                )
+                found.append(
+                    Reason(
+                        "distribution", text, f"test the strength of {one.name} in its lower tail"
+                    )
+                )
     for check in checks:
         share = check.failures.get(limit.name)
         if share is not None and share > target and check.grade == "failure":
@@ -161,7 +213,13 @@ def _reasons(
             found.append(Reason("model", text, check.remedy))
     synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
     if synthetic & set(design.study.made_up):
-        found.append(Reason("synthetic", "the tests are synthetic data", "replace synthetic tests by measured ones"))
+        found.append(
+            Reason(
+                "synthetic",
+                "the tests are synthetic data",
+                "replace synthetic tests by measured ones",
+            )
+        )
     return found
 
 
@@ -177,7 +235,11 @@ def _failing(design: Design, sample: Sample, limit: Limit, judged: Sequence[Limi
 
 
 def _assumed_modes(
-    design: Design, tables: Tables, judged: Sequence[Limit], whole: float, turned: Callable[[float], bool]
+    design: Design,
+    tables: Tables,
+    judged: Sequence[Limit],
+    whole: float,
+    turned: Callable[[float], bool],
 ) -> list[Reason]:
     """The failure modes whose assumed strengths would turn the verdict, each by itself or all of them together."""
     if not design.modes:
@@ -186,8 +248,10 @@ def _assumed_modes(
     base = together(design, sample, judged)
     deciding, worst = [], base
     for mode in design.modes:
-        each = [failure_given_inputs(state_of(design, mode.limit, sample, law), "survive")
-                for law in (mode.weak, mode.limit.strength, mode.strong)]  # fmt: skip
+        each = [
+            failure_given_inputs(state_of(design, mode.limit, sample, law), "survive")
+            for law in (mode.weak, mode.limit.strength, mode.strong)
+        ]
         if any(turned(_clipped(whole + float(((1.0 - base) * chance).mean()))) for chance in each):
             deciding.append(mode.called)
         worst = worst + (1.0 - worst) * max(each, key=lambda chance: float(chance.mean()))
@@ -199,7 +263,9 @@ def _assumed_modes(
             return []
         names, plural = _listed([mode.called for mode in design.modes]), "s"
         text = f"the assumed strengths for {names} together allow up to {format_probability(value)}"
-    return [Reason("assumed strength", text, f"measure the strength{plural} for {names} on this rock")]
+    return [
+        Reason("assumed strength", text, f"measure the strength{plural} for {names} on this rock")
+    ]
 
 
 def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
@@ -217,7 +283,11 @@ def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
 
 
 def _number_to_use(
-    design: Design, answers: Answers, limit: Limit, modes: Sequence[Limit], joint: dict[str, Estimate]
+    design: Design,
+    answers: Answers,
+    limit: Limit,
+    modes: Sequence[Limit],
+    joint: dict[str, Estimate],
 ) -> dict[str, Any] | None:
     """The conservative value of the free number: by all modes, at the unsafe end of what the tests leave open."""
     margins = design.study.margins
@@ -251,17 +321,33 @@ def _number_to_use(
     factor = None
     if planned and value > 0.0:
         factor = value / planned if pick is min else planned / value
-    return {"value": value, "low": best["low"], "high": best["high"], "best": best["value"], "by": by,
-            "safe_end": "largest" if pick is min else "smallest", "path": margins.solve,
-            "text": format_value(value, margins.solve, 2), "governing": governing, "factor": factor}  # fmt: skip
+    return {
+        "value": value,
+        "low": best["low"],
+        "high": best["high"],
+        "best": best["value"],
+        "by": by,
+        "safe_end": "largest" if pick is min else "smallest",
+        "path": margins.solve,
+        "text": format_value(value, margins.solve, 2),
+        "governing": governing,
+        "factor": factor,
+    }
 
 
-def _conservative_margin(answers: Answers, subject: str, probability: float, *, survive: bool) -> float | None:
+def _conservative_margin(
+    answers: Answers, subject: str, probability: float, *, survive: bool
+) -> float | None:
     """The safe end of the free number at a probability, of the computation and of what the tests leave open."""
     row, tests = (answers.get(subject, "margin", at) for at in (probability, "tests"))
     if row is None or row["value"] is None:
         return None
-    ends = [one[end] for one in (row, tests) if one is not None and one["value"] is not None for end in ("low", "high")]
+    ends = [
+        one[end]
+        for one in (row, tests)
+        if one is not None and one["value"] is not None
+        for end in ("low", "high")
+    ]
     known = [end for end in ends if end is not None] or [row["value"]]
     return float(min(known) if _rising(answers, subject) == survive else max(known))
 
@@ -290,43 +376,76 @@ def _next(word: str, limit: Limit, reasons: Sequence[Reason]) -> str:
 
 
 def _headline(
-    design: Design, answers: Answers, limit: Limit, p: Estimate, word: str, reasons: Sequence[Reason],
-    number: dict[str, Any] | None, joint: dict[str, Estimate],
-) -> tuple[str, str]:  # fmt: skip
+    design: Design,
+    answers: Answers,
+    limit: Limit,
+    p: Estimate,
+    word: str,
+    reasons: Sequence[Reason],
+    number: dict[str, Any] | None,
+    joint: dict[str, Estimate],
+) -> tuple[str, str]:
     """The sentence to act on, and what stands behind it."""
-    of = "the limits of the study" if len(_judged_together(design, limit)) > 1 else "the limit of the study"
+    of = (
+        "the limits of the study"
+        if len(_judged_together(design, limit)) > 1
+        else "the limit of the study"
+    )
     what, rest = _probability_text(limit, p, joint, of), list[str]()
     margins, curve = design.study.margins, answers.where(design.subject(limit), "curve")
     safe = _conservative_margin(
-        answers, design.subject(limit), allowable_probability(design, limit), survive=limit.aim == "survive"
+        answers,
+        design.subject(limit),
+        allowable_probability(design, limit),
+        survive=limit.aim == "survive",
     )
     if number is None:
         first = [f"{what}."]
         if margins is None:
-            rest += ["The study asks for no value to use: it has no [margins]."] * (limit.target is not None)
+            rest += ["The study asks for no value to use: it has no [margins]."] * (
+                limit.target is not None
+            )
         elif joint.get("margin") is not None and safe is not None:
             most = _rising(answers, design.subject(limit))
-            rest.append(f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. "
-                        + _by_one(limit, safe, margins.solve, most=most))  # fmt: skip
+            rest.append(
+                f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. "
+                + _by_one(limit, safe, margins.solve, most=most)
+            )
         elif curve:
             path = margins.solve
-            (low, p_low), (high, p_high) = ((end["at"], end["value"]) for end in (curve[0], curve[-1]))
-            rest.append(f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
-                        f"probability of exceedance runs from {format_probability(p_low)} to "
-                        f"{format_probability(p_high)}; widen margins.between.")  # fmt: skip
+            (low, p_low), (high, p_high) = (
+                (end["at"], end["value"]) for end in (curve[0], curve[-1])
+            )
+            rest.append(
+                f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
+                f"probability of exceedance runs from {format_probability(p_low)} to "
+                f"{format_probability(p_high)}; widen margins.between."
+            )
     else:
         path, planned, most = number["path"], planned_value(design), number["safe_end"] == "largest"
         value = format_conservative(number["value"], path, least=not most)
         first = [f"Use at {'most' if most else 'least'} {value} ({lookup(path).meaning})."]
         if planned is not None:
             factor, inside = number["factor"], (number["value"] >= planned) is most
-            margin = "no margin" if not inside else "a margin" if factor is None else f"safety factor {factor:.3g}"
+            margin = (
+                "no margin"
+                if not inside
+                else "a margin"
+                if factor is None
+                else f"safety factor {factor:.3g}"
+            )
             first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
         if number["best"] is not None:
             best = format_value(number["best"], path, 3)
-            at = "" if limit.target else f" for a probability of {format_probability(target_of(design, limit))}"
-            rest.append(f"That is the conservative, {'lower' if most else 'upper'} end of its interval{at}; best "
-                        f"estimate {best}, by {number['by']}.")  # fmt: skip
+            at = (
+                ""
+                if limit.target
+                else f" for a probability of {format_probability(target_of(design, limit))}"
+            )
+            rest.append(
+                f"That is the conservative, {'lower' if most else 'upper'} end of its interval{at}; best "
+                f"estimate {best}, by {number['by']}."
+            )
         if number["by"] != limit.name and safe is not None:
             rest.append(_by_one(limit, safe, path, most=most))
         rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
@@ -367,7 +486,10 @@ def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of:
 
 def _called(design: Design, limit: Limit) -> str:
     """A limit by its name, a failure mode with an assumed strength by that it is."""
-    return next((f"{m.called} (assumed strength)" for m in design.modes if m.limit.name == limit.name), limit.name)
+    return next(
+        (f"{m.called} (assumed strength)" for m in design.modes if m.limit.name == limit.name),
+        limit.name,
+    )
 
 
 def _listed(words: Sequence[str]) -> str:

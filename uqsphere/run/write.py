@@ -34,42 +34,83 @@ if TYPE_CHECKING:
 
 #: rows of samples.csv
 MOST_ROWS: Final = 16_384
-PACKAGES: Final = ("numpy", "scipy", "numba", "pandas", "chaospy", "SALib", "pydantic", "matplotlib")
+PACKAGES: Final = (
+    "numpy",
+    "scipy",
+    "numba",
+    "pandas",
+    "chaospy",
+    "SALib",
+    "pydantic",
+    "matplotlib",
+)
 
 
 def results_of(
-    design: Design, tables: Tables, answers: Answers, judged: dict[str, Any], checked: Sequence[Check], model: Model,
+    design: Design,
+    tables: Tables,
+    answers: Answers,
+    judged: dict[str, Any],
+    checked: Sequence[Check],
+    model: Model,
     seconds: float,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """results.json as a dictionary (docs/study-file.md, "Results")."""
     study = design.study
     accuracy = study.analysis.accuracy
     return {
         "schema_version": 2,
         "study": {
-            "title": study.title, "hash": study.hash, "kind": "black box" if study.black_box else study.rig,
-            "seed": study.seed, "description": _description(design), "free": _free(design),
-            "overrides": list(study.overrides), "warnings": list(study.warnings),
+            "title": study.title,
+            "hash": study.hash,
+            "kind": "black box" if study.black_box else study.rig,
+            "seed": study.seed,
+            "description": _description(design),
+            "free": _free(design),
+            "overrides": list(study.overrides),
+            "warnings": list(study.warnings),
             "quantities": {name: _quantity(design, tables, name) for name in design.described},
             "limits": {limit.name: _limit(design, limit) for limit in design.limits},
-            "modes": {mode.called: {**_limit(design, mode.limit), "assumed": True, "source": mode.source,
-                                    "source_checked": mode.seen} for mode in design.modes},
-            "not_judged": dict(design.not_judged), "dependence": [_dependence(tie) for tie in study.dependence],
+            "modes": {
+                mode.called: {
+                    **_limit(design, mode.limit),
+                    "assumed": True,
+                    "source": mode.source,
+                    "source_checked": mode.seen,
+                }
+                for mode in design.modes
+            },
+            "not_judged": dict(design.not_judged),
+            "dependence": [_dependence(tie) for tie in study.dependence],
         },
-        "inputs": {name: _input(design, name) for name in (*study.fixed, *study.random, *_factors(design))},
+        "inputs": {
+            name: _input(design, name) for name in (*study.fixed, *study.random, *_factors(design))
+        },
         "answers": as_json(answers.rows),
         "verdicts": as_json(judged),
         "checks": [as_json(check.as_dict()) for check in checked],
         "accuracy": {
-            "required": {name: getattr(accuracy, name) for name in ("mean", "quantile", "sobol", "probability")},
+            "required": {
+                name: getattr(accuracy, name)
+                for name in ("mean", "quantile", "sobol", "probability")
+            },
             "reached": [{"runs": runs, "error": as_json(error)} for runs, error in tables.reached],
             "stopped": tables.stopped,
-            "missed": [{"subject": m.subject, "answer": m.answer, "required": m.required, "reached": as_json(m.reached)}
-                       for m in tables.inaccurate],
-            "runs": model.evaluations + model.reused, "reused": model.reused, "seconds": round(seconds, 2),
+            "missed": [
+                {
+                    "subject": m.subject,
+                    "answer": m.answer,
+                    "required": m.required,
+                    "reached": as_json(m.reached),
+                }
+                for m in tables.inaccurate
+            ],
+            "runs": model.evaluations + model.reused,
+            "reused": model.reused,
+            "seconds": round(seconds, 2),
         },
         "versions": _versions(),
-    }  # fmt: skip
+    }
 
 
 def _description(design: Design) -> list[str]:
@@ -94,10 +135,14 @@ def _description(design: Design) -> list[str]:
     strengths = []
     for limit in design.limits:
         tests = _tests(limit)
-        strengths.append(f"{limit.name}: {_strength_text(limit)}" + (f" from {tests} tests" if tests else ""))
+        strengths.append(
+            f"{limit.name}: {_strength_text(limit)}" + (f" from {tests} tests" if tests else "")
+        )
     return [
         first,
-        "Strength " + "; ".join(strengths) if strengths else "No strength: distributions and sensitivity only",
+        "Strength " + "; ".join(strengths)
+        if strengths
+        else "No strength: distributions and sensitivity only",
     ]
 
 
@@ -106,8 +151,14 @@ def _free(design: Design) -> dict[str, Any] | None:
     if margins is None:
         return None
     path = margins.solve
-    return {"path": path, "meaning": lookup(path).meaning, "planned": planned_value(design), "low": margins.between[0],
-            "high": margins.between[1], "unit": display_unit(path)[0]}  # fmt: skip
+    return {
+        "path": path,
+        "meaning": lookup(path).meaning,
+        "planned": planned_value(design),
+        "low": margins.between[0],
+        "high": margins.between[1],
+        "unit": display_unit(path)[0],
+    }
 
 
 def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:
@@ -117,32 +168,58 @@ def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:
     else:
         values = tables.sample.answer(name)
     known = values[np.isfinite(values)]
-    ranges = [None] * 3 if not known.size else [float(x) for x in np.quantile(known, [0.05, 0.5, 0.95])]
-    return {"meaning": lookup(name).meaning, "unit": display_unit(name)[0], "range": ranges,
-            "method_of_indices": method_of(design, tables, name), "density": density(values)}  # fmt: skip
+    ranges = (
+        [None] * 3 if not known.size else [float(x) for x in np.quantile(known, [0.05, 0.5, 0.95])]
+    )
+    return {
+        "meaning": lookup(name).meaning,
+        "unit": display_unit(name)[0],
+        "range": ranges,
+        "method_of_indices": method_of(design, tables, name),
+        "density": density(values),
+    }
 
 
 def _limit(design: Design, limit: Limit) -> dict[str, Any]:
     law = limit.strength
-    strength: dict[str, Any] = {"text": _strength_text(limit), "unit": display_unit(limit.quantity)[0]}
+    strength: dict[str, Any] = {
+        "text": _strength_text(limit),
+        "unit": display_unit(limit.quantity)[0],
+    }
     if isinstance(law, Law):
         p05, median, p95 = (float(x) for x in law.ppf(np.array([0.05, 0.5, 0.95])))
         ends = law.ppf(np.array([0.001, 0.999]))
         places = np.linspace(float(ends[0]), float(ends[1]), 160)
         smooth = not law.is_steps
-        strength |= {"median": median, "p05": p05, "p95": p95,
-                     "density": [places.tolist(), as_json(law.pdf(places))] if smooth else None}  # fmt: skip
+        strength |= {
+            "median": median,
+            "p05": p05,
+            "p95": p95,
+            "density": [places.tolist(), as_json(law.pdf(places))] if smooth else None,
+        }
     else:
         strength |= {"median": float(law), "p05": float(law), "p95": float(law), "density": None}
     tests = _tests(limit)
-    modes = {"contact": "contact pressure", "rim": "ring crack", "core": "core tension", "energy": "fracture energy"}
+    modes = {
+        "contact": "contact pressure",
+        "rim": "ring crack",
+        "core": "core tension",
+        "energy": "fracture energy",
+    }
     found = breaks_by(limit)
     return {
-        "mode": modes.get(found, found or "limit"), "quantity": limit.quantity, "aim": limit.aim,
-        "target": limit.target, "criterion": limit.criterion, "fracture": means_fracture(limit),
-        "assumed": False, "tests": tests,
-        "strength": as_json(strength), "source": "study", "test_points": None,
-    }  # fmt: skip
+        "mode": modes.get(found, found or "limit"),
+        "quantity": limit.quantity,
+        "aim": limit.aim,
+        "target": limit.target,
+        "criterion": limit.criterion,
+        "fracture": means_fracture(limit),
+        "assumed": False,
+        "tests": tests,
+        "strength": as_json(strength),
+        "source": "study",
+        "test_points": None,
+    }
 
 
 def _tests(limit: Limit) -> int | None:
@@ -168,8 +245,12 @@ def _strength_text(limit: Limit) -> str:
 
 def _dependence(tie: Any) -> dict[str, Any]:
     """Names and text of a dependence."""
-    kind, strength = ("Spearman", tie.spearman) if tie.spearman is not None else ("Kendall", tie.kendall)
-    copula = "" if tie.copula == "gaussian" else f", Student t copula of {tie.dof:g} degrees of freedom"
+    kind, strength = (
+        ("Spearman", tie.spearman) if tie.spearman is not None else ("Kendall", tie.kendall)
+    )
+    copula = (
+        "" if tie.copula == "gaussian" else f", Student t copula of {tie.dof:g} degrees of freedom"
+    )
     return {"of": list(tie.of), "text": f"{kind}'s rank correlation {strength:g}{copula}"}
 
 
@@ -182,24 +263,50 @@ def _input(design: Design, name: str) -> Any:
     study = design.study
     quantity, source = lookup(name), study.sources.get(name)
     about = {
-        "meaning": quantity.meaning, "unit": display_unit(name)[0],
-        "source": source.source if source else "study", "source_checked": source.seen if source else True,
-    }  # fmt: skip
+        "meaning": quantity.meaning,
+        "unit": display_unit(name)[0],
+        "source": source.source if source else "study",
+        "source_checked": source.seen if source else True,
+    }
     if name in design.drawn.names:
         law = study.laws()[name]
         low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
-        return as_json({**about, "mean": law.mean(), "sd": law.sd(), "p05": low, "p95": high, "fixed": False,
-                        "distribution": _distribution_text(law, name)})  # fmt: skip
+        return as_json(
+            {
+                **about,
+                "mean": law.mean(),
+                "sd": law.sd(),
+                "p05": low,
+                "p95": high,
+                "fixed": False,
+                "distribution": _distribution_text(law, name),
+            }
+        )
     value = study.fixed[name]
-    return as_json({**about, "mean": value, "sd": 0.0, "p05": value, "p95": value, "fixed": True,
-                    "distribution": "fixed"})  # fmt: skip
+    return as_json(
+        {
+            **about,
+            "mean": value,
+            "sd": 0.0,
+            "p05": value,
+            "p95": value,
+            "fixed": True,
+            "distribution": "fixed",
+        }
+    )
 
 
 def _distribution_text(law: Law, name: str) -> str:
     """The family with what mean and standard deviation leave open: shapes and bounds."""
     parts = [law.family.name.replace("_", " ")]
-    parts += [f"{key} {law.parameters[key]:.3g}" for key in ("modulus", "shape", "dof") if key in law.parameters]
-    low, high = (None if math.isinf(end) else format_value(end, name) for end in (law.lower, law.upper))
+    parts += [
+        f"{key} {law.parameters[key]:.3g}"
+        for key in ("modulus", "shape", "dof")
+        if key in law.parameters
+    ]
+    low, high = (
+        None if math.isinf(end) else format_value(end, name) for end in (law.lower, law.upper)
+    )
     if low and high:
         parts.append(f"{low} to {high}")
     elif low or high:
@@ -210,7 +317,10 @@ def _distribution_text(law: Law, name: str) -> str:
 def _versions() -> dict[str, str]:
     from uqsphere import __version__
 
-    found = {"python": ".".join(str(part) for part in sys.version_info[:3]), "uqsphere": __version__}
+    found = {
+        "python": ".".join(str(part) for part in sys.version_info[:3]),
+        "uqsphere": __version__,
+    }
     for name in PACKAGES:
         try:
             found[name] = version(name)
@@ -233,14 +343,21 @@ def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
         if isinstance(state.strength, Law):
             drawn = state.score_drawn(generator.standard_normal(state.demands.shape))
             table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
-    table |= {name: np.where(head.lost(name), np.nan, head.answer(name)).ravel() for name in head.quantities}
+    table |= {
+        name: np.where(head.lost(name), np.nan, head.answer(name)).ravel()
+        for name in head.quantities
+    }
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()
     return pd.DataFrame(table)
 
 
 def written(
-    folder: Path | None, study: Study, results: dict[str, Any], samples: pd.DataFrame, live: dict[str, Any]
+    folder: Path | None,
+    study: Study,
+    results: dict[str, Any],
+    samples: pd.DataFrame,
+    live: dict[str, Any],
 ) -> Run:
     """The run, kept in its folder with its page where it has one."""
     found = Run(results=results, folder=folder, table=samples, live=live)

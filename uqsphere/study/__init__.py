@@ -10,15 +10,27 @@ from uqsphere.study.study import Limit, Study, strength_name
 from uqsphere.study.values import NOTABLE
 
 __all__ = [
-    "NOTABLE", "Limit", "Margins", "Study", "json_schema", "limit_of", "load_study", "shipped_studies", "strength_name",
-]  # fmt: skip
+    "NOTABLE",
+    "Limit",
+    "Margins",
+    "Study",
+    "json_schema",
+    "limit_of",
+    "load_study",
+    "shipped_studies",
+    "strength_name",
+]
 
 
 def shipped_studies() -> dict[str, Path]:
     """Shipped studies by name, but for the labs' input files: in the package when installed, else in the repository."""
     package = Path(__file__).parent.parent
     for folder in (package / "templates", package.parent / "studies"):
-        found = {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.startswith("lab_")}
+        found = {
+            path.stem: path
+            for path in sorted(folder.glob("*.toml"))
+            if not path.stem.startswith("lab_")
+        }
         if found:
             return found
     return {}

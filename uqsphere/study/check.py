@@ -34,7 +34,12 @@ from uqsphere.uq import Dependence, Law, LawError, make_joint
 
 Faults = Iterator[Fault]
 #: which materials of the library a table may name; partners take any
-_KINDS: Final = {"sphere": ("sphere",), "bars": ("bars",), "striker": ("bars",), "insert": ("plates", "bars")}
+_KINDS: Final = {
+    "sphere": ("sphere",),
+    "bars": ("bars",),
+    "striker": ("bars",),
+    "insert": ("plates", "bars"),
+}
 _NO_SPHERE: Final = (
     "A rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
     "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
@@ -52,21 +57,40 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
 def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
     document, rod = draft.document, draft.document.rod
-    usual = draft.known if draft.box else ("p_max", *["contact_duration"] * (draft.rig != "platens"))
+    usual = (
+        draft.known if draft.box else ("p_max", *["contact_duration"] * (draft.rig != "platens"))
+    )
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
-    own = {name: number.value for name, number in draft.numbers.items() if not name.startswith("limits.")}
+    own = {
+        name: number.value
+        for name, number in draft.numbers.items()
+        if not name.startswith("limits.")
+    }
     return Study(
-        title=as_text(document.title) or path.stem, seed=document.seed, path=path, text=text, black_box=draft.box,
+        title=as_text(document.title) or path.stem,
+        seed=document.seed,
+        path=path,
+        text=text,
+        black_box=draft.box,
         fixed={name: value for name, value in own.items() if not isinstance(value, Law)},
         random={name: value for name, value in own.items() if isinstance(value, Law)},
         made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
-        options=draft.options, materials=draft.materials, sources=draft.sources, model=document.model,
-        limits=tuple(draft.limits.values()), margins=draft.margins, record=draft.record,
+        options=draft.options,
+        materials=draft.materials,
+        sources=draft.sources,
+        model=document.model,
+        limits=tuple(draft.limits.values()),
+        margins=draft.margins,
+        record=draft.record,
         dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
-        analysis=document.analysis.model_copy(update={"quantities": document.analysis.quantities or usual}),
-        outputs=document.outputs.names if draft.box else (), warnings=tuple(draft.warnings),
-        gauges=(*gauges, *document.gauges), files=tuple(draft.files.items()),
-    )  # fmt: skip
+        analysis=document.analysis.model_copy(
+            update={"quantities": document.analysis.quantities or usual}
+        ),
+        outputs=document.outputs.names if draft.box else (),
+        warnings=tuple(draft.warnings),
+        gauges=(*gauges, *document.gauges),
+        files=tuple(draft.files.items()),
+    )
 
 
 # --- 1: each table by itself ---------------------------------------------------------------------------------------
@@ -74,7 +98,9 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
 
 def tables(draft: Draft) -> Faults:
     """Words of every table, and numbers in the order of the file."""
-    for name, raw in inputs.items() if isinstance(inputs := draft.data.get("inputs"), Mapping) else ():
+    for name, raw in (
+        inputs.items() if isinstance(inputs := draft.data.get("inputs"), Mapping) else ()
+    ):
         try:
             draft.numbers[name] = number_of(raw, plain_quantity(name), draft, ("inputs", name))
         except Fault as fault:
@@ -116,11 +142,21 @@ def _box(draft: Draft) -> Faults:
     inputs, names = draft.document.inputs, draft.known
     scene = [name for name in (*SCENE, "model", "gauges") if name in draft.data]
     for name in scene:
-        yield Fault(f"[{name}] belongs to a scene, [inputs] and [outputs] to a black box: leave one out", name)
+        yield Fault(
+            f"[{name}] belongs to a scene, [inputs] and [outputs] to a black box: leave one out",
+            name,
+        )
     if not inputs and not scene:
-        yield Fault("[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution", "inputs")
+        yield Fault(
+            "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution",
+            "inputs",
+        )
     if not names and not scene:
-        yield Fault('the names of the outputs are missing: add [outputs] with names = ["y"]', "outputs", "names")
+        yield Fault(
+            'the names of the outputs are missing: add [outputs] with names = ["y"]',
+            "outputs",
+            "names",
+        )
     for name in sorted({"status", "censored", *inputs} & {*names}):
         said = f"{shown(name)} is the name of an input already, or of a column of the model"
         yield Fault(said, "outputs", "names")
@@ -134,7 +170,11 @@ def _library(draft: Draft) -> Faults:
         kinds = _KINDS.get(table, MATERIAL_KINDS)
         known = {one: material for kind in kinds for one, material in library()[kind].items()}
         if name not in known:
-            homes = [f" ({shown(name)} is for {kind})" for kind in MATERIAL_KINDS if name in library()[kind]]
+            homes = [
+                f" ({shown(name)} is for {kind})"
+                for kind in MATERIAL_KINDS
+                if name in library()[kind]
+            ]
             near = homes[0] if homes else suggestion(name, known)
             said = f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(known)}{near}"
             yield Fault(said, table, "material")
@@ -143,7 +183,11 @@ def _library(draft: Draft) -> Faults:
             draft.materials[table] = name
         for key, entry in known[name].properties.items():
             path = getattr(numbers_of(table).get(key), "name", None)
-            if path is None or path in draft.numbers or (key in LAW and not (table == "sphere" and draft.plastic)):
+            if (
+                path is None
+                or path in draft.numbers
+                or (key in LAW and not (table == "sphere" and draft.plastic))
+            ):
                 continue
             draft.numbers[path] = Number(value=entry.value)
             draft.sources[path] = entry
@@ -157,10 +201,16 @@ def _library(draft: Draft) -> Faults:
 def _forms(draft: Draft) -> Faults:
     """Words that choose an equation, defaults, what each table needs by its kind, and what belongs to another kind."""
     document, numbers, options = draft.document, draft.numbers, draft.options
-    options |= {f"{table}.kind": getattr(document, table).kind for table in ("target", "anvil") if table in draft.data}
+    options |= {
+        f"{table}.kind": getattr(document, table).kind
+        for table in ("target", "anvil")
+        if table in draft.data
+    }
     if document.hammer.shape is not None:
         options["hammer.shape"] = "ball"
-    usual = {f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers}
+    usual = {
+        f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers
+    }
     pulse, shape = document.pulse, str(document.pulse.shape)
     if draft.rig != "bars":
         options["rig.kind"] = draft.rig
@@ -172,34 +222,60 @@ def _forms(draft: Draft) -> Faults:
             if "shape" in pulse.model_fields_set and pulse.shape != shape:
                 said = f'the preset "{pulse.preset}" is a {shape} pulse: leave shape or preset out'
                 yield Fault(said, "pulse", "shape")
-        options |= {"bars.infinite": document.bars.infinite, "bars.rigid_contact": document.bars.rigid_contact,
-                    "pulse.shape": shape}  # fmt: skip
-        usual |= {"bars.incident_end": END_COEFFICIENTS["free"], "bars.receiving_end": END_COEFFICIENTS["absorbing"]}
+        options |= {
+            "bars.infinite": document.bars.infinite,
+            "bars.rigid_contact": document.bars.rigid_contact,
+            "pulse.shape": shape,
+        }
+        usual |= {
+            "bars.incident_end": END_COEFFICIENTS["free"],
+            "bars.receiving_end": END_COEFFICIENTS["absorbing"],
+        }
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
     if draft.plastic:
         options["contact.law"] = "plastic"
-    kinds = forms.kinds_of(draft.rig, shape, timed="pulse.duration" in numbers, infinite=document.bars.infinite,
-                           options=options) | {"model": draft.rig}  # fmt: skip
+    kinds = forms.kinds_of(
+        draft.rig,
+        shape,
+        timed="pulse.duration" in numbers,
+        infinite=document.bars.infinite,
+        options=options,
+    ) | {"model": draft.rig}
     for table in (name for name in FORMS if name in draft.data):
         kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
         needs, _, others = FORMS[table].get(kind, "").partition(";")
-        takes, anywhere = (re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values())))
+        takes, anywhere = (
+            re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values()))
+        )
         for key in raw:
             if key in anywhere and key not in takes:
-                homes = [shown(one) for one, text in FORMS[table].items() if one and key in re.findall(r"\w+", text)]
+                homes = [
+                    shown(one)
+                    for one, text in FORMS[table].items()
+                    if one and key in re.findall(r"\w+", text)
+                ]
                 of = f"[{table}]{f' with {shown(kind)}' * bool(kind)}{f', but with {one_of(homes)}' * bool(homes)}"
                 yield Fault(f"{key} does not belong to {of}: leave it out", table, key)
         for keys in forms.needs_of(needs):
-            given = [key for key in keys if key in raw or (key in known and known[key].name in numbers)]
+            given = [
+                key for key in keys if key in raw or (key in known and known[key].name in numbers)
+            ]
             if len(given) == 2:
-                yield Fault(f"{keys[0]} is given too: leave one of {one_of(keys)} out", table, keys[1])
+                yield Fault(
+                    f"{keys[0]} is given too: leave one of {one_of(keys)} out", table, keys[1]
+                )
             if not given:
-                ways = [f'{key} = "{f"… {known[key].display}".rstrip() if key in known else "…"}"' for key in keys]
+                ways = [
+                    f'{key} = "{f"… {known[key].display}".rstrip() if key in known else "…"}"'
+                    for key in keys
+                ]
                 ways += ['material = "…" to take it from'] * (keys[0] in ("E", "nu", "density"))
                 ways += ["infinite = true"] * keys[0].endswith("ing_length")
                 meaning = f" ({known[keys[0]].meaning})" if keys[0] in known else ""
-                yield Fault(f"{one_of(keys)} is missing{meaning}: add {' or '.join(ways)}", table, keys[0])
+                yield Fault(
+                    f"{one_of(keys)} is missing{meaning}: add {' or '.join(ways)}", table, keys[0]
+                )
 
 
 # --- 4: what contradicts, random numbers at their nominal means ----------------------------------------------------
@@ -207,9 +283,21 @@ def _forms(draft: Draft) -> Faults:
 
 def _model(draft: Draft) -> Faults:
     """Which models go with a rig."""
-    rig, model, anvil, bars = draft.rig, draft.document.model, draft.document.anvil, draft.rig == "bars"
-    light = rig == "drop_weight" and anvil.kind != "bar" and not draft.plastic and model.fidelity == "massless"
-    for key, word in (("fidelity", "linear"), ("compare_with_paper", True)) if bars and draft.plastic else ():
+    rig, model, anvil, bars = (
+        draft.rig,
+        draft.document.model,
+        draft.document.anvil,
+        draft.rig == "bars",
+    )
+    light = (
+        rig == "drop_weight"
+        and anvil.kind != "bar"
+        and not draft.plastic
+        and model.fidelity == "massless"
+    )
+    for key, word in (
+        (("fidelity", "linear"), ("compare_with_paper", True)) if bars and draft.plastic else ()
+    ):
         if getattr(model, key) == word:
             said = 'the linear model and the paper know Hertz only, contact.law is "plastic": leave one out'
             yield Fault(said, "model", key)
@@ -217,14 +305,18 @@ def _model(draft: Draft) -> Faults:
         said = "the whole record goes on after the first loading: leave first_loading_only out"
         yield Fault(said, "model", "whole_record")
     if model.fidelity != "full" and not bars and not light:
-        yield Fault(f"the rig {shown(rig)} is solved in full: leave fidelity out", "model", "fidelity")
+        yield Fault(
+            f"the rig {shown(rig)} is solved in full: leave fidelity out", "model", "fidelity"
+        )
     if not bars and rig != "platens":
         draft.warn((), _NO_SPHERE)
     if draft.mean("platens.displacement") >= (radius := draft.mean("sphere.radius")):
         said = f'more than the radius of the sphere, {1e3 * radius:.4g} mm: write "0.1 mm", say'
         yield Fault(said, "platens", "displacement")
     if "insert" in draft.data and draft.document.bars.rigid_contact:
-        yield Fault("rigid_contact = true leaves inserts out as well: leave one of them out", "insert", "E")
+        yield Fault(
+            "rigid_contact = true leaves inserts out as well: leave one of them out", "insert", "E"
+        )
 
 
 def _scene(draft: Draft) -> Faults:
@@ -241,13 +333,26 @@ def _scene(draft: Draft) -> Faults:
         columns["striker.speed"] = np.ones(1)
     try:
         draft.scene = scene = Scene(
-            columns=columns, rig=draft.rig, options={name: str(word) for name, word in options.items()}, shape=shape,
-            infinite=document.bars.infinite, rigid_contact=document.bars.rigid_contact, horizon=horizon or 1.0,
-            contact_law=document.contact.law, hardness_at_onset=at_onset, record=draft.record,
-        )  # fmt: skip
+            columns=columns,
+            rig=draft.rig,
+            options={name: str(word) for name, word in options.items()},
+            shape=shape,
+            infinite=document.bars.infinite,
+            rigid_contact=document.bars.rigid_contact,
+            horizon=horizon or 1.0,
+            contact_law=document.contact.law,
+            hardness_at_onset=at_onset,
+            record=draft.record,
+        )
     except ValueError as error:
-        raise Fault(f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker") from None
-    faces = {"sphere" if one.takes[0] else one.table: one.face for one in scene.there if one.face is not None}
+        raise Fault(
+            f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker"
+        ) from None
+    faces = {
+        "sphere" if one.takes[0] else one.table: one.face
+        for one in scene.there
+        if one.face is not None
+    }
     if draft.plastic and not faces:
         bodies = dict.fromkeys(f"{one.table}.yield_strength" for one in scene.there)
         names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
@@ -255,10 +360,16 @@ def _scene(draft: Draft) -> Faults:
     for softer, face in faces.items():
         if not face.valid[0]:
             law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
-            values = ", ".join(f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law)
+            values = ", ".join(
+                f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law
+            )
             values = re.sub("(nan|inf) GPa", "missing", values)
             said = f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 to 100 are required"
-            yield Fault(f"{said}; pile_up = 1 and no hardness make it 0", "contact" if own else softer, "hardness")
+            yield Fault(
+                f"{said}; pile_up = 1 and no hardness make it 0",
+                "contact" if own else softer,
+                "hardness",
+            )
     if draft.rig != "bars":
         return
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
@@ -266,11 +377,19 @@ def _scene(draft: Draft) -> Faults:
         said = f"the sphere is larger than its bars: take bars of {format_value(across, 'bars.diameter')} or more"
         yield Fault(said, "sphere", "radius")
     if shape == "step" and horizon is None:
-        yield Fault('a step pulse never ends: add an end, horizon = "3 ms", to [model]', "model", "horizon")
+        yield Fault(
+            'a step pulse never ends: add an end, horizon = "3 ms", to [model]', "model", "horizon"
+        )
     if not scene.pulse.valid[0]:
-        place, why = ("pulse", "rise"), "shorten rise and fall, half of both exceeds the width of the pulse"
+        place, why = (
+            ("pulse", "rise"),
+            "shorten rise and fall, half of both exceeds the width of the pulse",
+        )
         if shape == "two_peak":
-            place, why = ("pulse", "t2"), "the first peak must come before the second, and that before the pulse ends"
+            place, why = (
+                ("pulse", "t2"),
+                "the first peak must come before the second, and that before the pulse ends",
+            )
         elif scene.striker_ratio is not None:
             place = ("striker", "")
             why = f"{why}; or the striker's impedance, {scene.striker_ratio[0]:.3g} times that of the bars, exceeds 9"
@@ -283,13 +402,17 @@ def _scene(draft: Draft) -> Faults:
         raise Fault(
             f"the whole pulse lasts {said}, longer than the round trip of {back} in the incident bar, whose far end "
             "cannot reflect before the striker has left it: shorten the pulse, lengthen the bar, or set "
-            'incident_end = "absorbing"', *place)  # fmt: skip
+            'incident_end = "absorbing"',
+            *place,
+        )
 
 
 def _gauges(draft: Draft) -> Faults:
     rod = draft.document.rod.gauge
     places: list[tuple[Place, str, float]] = [] if rod is None else [(("rod", "gauge"), "rod", rod)]
-    places += [(("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)]
+    places += [
+        (("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)
+    ]
     for place, bar, position in places:
         path, what = ("rod.length", "rod") if bar == "rod" else (f"bars.{bar}_length", f"{bar} bar")
         if (bar == "rod") != (draft.rig == "load_cell"):
@@ -322,7 +445,11 @@ def _analysis(draft: Draft) -> Faults:
 def _dependence(draft: Draft) -> Faults:
     """The names of each dependence, then all together."""
     ties = [Dependence(**dict(table)) for table in draft.document.dependence]
-    random = {name: number.value for name, number in draft.numbers.items() if isinstance(number.value, Law)}
+    random = {
+        name: number.value
+        for name, number in draft.numbers.items()
+        if isinstance(number.value, Law)
+    }
     for index, tie in enumerate(ties):
         for at, name in enumerate(tie.of):
             if name not in random:
@@ -366,7 +493,9 @@ def _margins(draft: Draft) -> Faults:
                 radii = (0.5 * limit.tested.diameter, *ends)
                 compare_sizes(limit, radii, draft, ("margins", "between"))
     wanted = tuple(sorted(table.for_probability))
-    draft.margins = table.model_copy(update={"solve": solve, "between": tuple(ends), "for_probability": wanted})
+    draft.margins = table.model_copy(
+        update={"solve": solve, "between": tuple(ends), "for_probability": wanted}
+    )
     if not isinstance(number.value, Law) or solve in strengths:
         return
     for index, value in enumerate(ends):
@@ -375,11 +504,18 @@ def _margins(draft: Draft) -> Faults:
         except LawError as error:
             place = ("between", index) if "mean" in number.value.given else ("solve",)
             said = f"with this mean {solve} has no law: {error.message} (SI)"
-            yield Fault(f"{said}; give it by mean and sd or cov, or as a fixed number", "margins", *place)
+            yield Fault(
+                f"{said}; give it by mean and sd or cov, or as a fixed number", "margins", *place
+            )
 
 
 #: what is looked at together, of a scene and of a black box
 STAGES: Final = (
-    (tables,), (_rig, _library), (_forms,), (_model, _scene, _gauges), (_limits, _analysis), (_dependence, _margins),
-)  # fmt: skip
+    (tables,),
+    (_rig, _library),
+    (_forms,),
+    (_model, _scene, _gauges),
+    (_limits, _analysis),
+    (_dependence, _margins),
+)
 BOX_STAGES: Final = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))

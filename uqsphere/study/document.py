@@ -13,7 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, WithJsonSchema, create_model
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    WithJsonSchema,
+    create_model,
+)
 from pydantic import model_validator as checked
 
 from uqsphere.documents import Fault, Place, Table, one_of, path_of, shown, table_in
@@ -21,7 +28,16 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.study.values import Number, Observations, Positive, keyed, number_of, numbers_of, percent, value_of
+from uqsphere.study.values import (
+    Number,
+    Observations,
+    Positive,
+    keyed,
+    number_of,
+    numbers_of,
+    percent,
+    value_of,
+)
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 
@@ -32,10 +48,16 @@ if TYPE_CHECKING:
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
-    name: (*rig.tables, *("striker", "pulse", "insert") * (name == "bars")) for name, rig in RIGS.items()
+    name: (*rig.tables, *("striker", "pulse", "insert") * (name == "bars"))
+    for name, rig in RIGS.items()
 }
 #: tables that have numbers of `uqsphere.quantities.INPUTS`
-SCENE: Final = ("sphere", "contact", "rig", *dict.fromkeys(t for tables in RIG_TABLES.values() for t in tables))
+SCENE: Final = (
+    "sphere",
+    "contact",
+    "rig",
+    *dict.fromkeys(t for tables in RIG_TABLES.values() for t in tables),
+)
 
 
 # --- what a key can hold -------------------------------------------------------------------------------------------
@@ -52,13 +74,23 @@ def _fixed_schema(dimension: str) -> dict[str, Any]:
 def _fixed(name: str) -> Any:
     """The mark of a fixed number with its unit: a parameter of a criterion, or any number of a dimension."""
     part = PARAMETERS.get(name) or Parameter(name=name, dimension=name, meaning=name)
-    quantity = Quantity(name=name, symbol="", dimension=part.dimension, meaning=f"the {part.meaning}", lower=part.lower,
-                        upper=part.upper)  # fmt: skip
-    return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(_fixed_schema(part.dimension))
+    quantity = Quantity(
+        name=name,
+        symbol="",
+        dimension=part.dimension,
+        meaning=f"the {part.meaning}",
+        lower=part.lower,
+        upper=part.upper,
+    )
+    return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(
+        _fixed_schema(part.dimension)
+    )
 
 
 def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    if (twice := next((k for k, value in enumerate(values) if value in values[:k]), None)) is not None:
+    if (
+        twice := next((k for k, value in enumerate(values) if value in values[:k]), None)
+    ) is not None:
         raise Fault(f"{shown(values[twice])} is named twice", twice)
     return values
 
@@ -78,12 +110,18 @@ Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
-_Method = Literal["auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"]
+_Method = Literal[
+    "auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"
+]
 Methods = Annotated[
-    tuple[_Method, ...], *_several(),
-    BeforeValidator(lambda raw: [raw] if raw == "auto" else raw,
-                    json_schema_input_type=Literal["auto"] | Annotated[tuple[_Method, ...], Field(min_length=1)])
-]  # fmt: skip
+    tuple[_Method, ...],
+    *_several(),
+    BeforeValidator(
+        lambda raw: [raw] if raw == "auto" else raw,
+        json_schema_input_type=Literal["auto"]
+        | Annotated[tuple[_Method, ...], Field(min_length=1)],
+    ),
+]
 
 
 # --- the scene -----------------------------------------------------------------------------------------------------
@@ -92,14 +130,18 @@ Methods = Annotated[
 class Body(Table):
     """What touches the sphere, or the sphere itself."""
 
-    material: str | None = keyed("name of `uqsphere list materials`, for the numbers that are not given")
+    material: str | None = keyed(
+        "name of `uqsphere list materials`, for the numbers that are not given"
+    )
 
 
 class Bars(Body):
     """Both bars, alike in material and diameter."""
 
     infinite: bool = keyed("no reflections", False)
-    rigid_contact: bool = keyed("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
+    rigid_contact: bool = keyed(
+        "leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False
+    )
 
 
 class Pulse(Table):
@@ -107,16 +149,22 @@ class Pulse(Table):
 
     preset: Literal[*PRESETS] | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
     shape: Literal[*SHAPES, "measured"] = keyed("shape of the pulse", "rectangular")  # type: ignore[valid-type]
-    file: str | None = keyed("`measured`: table of time and strain (compression positive), a file beside the study")
+    file: str | None = keyed(
+        "`measured`: table of time and strain (compression positive), a file beside the study"
+    )
     columns: Pair | None = keyed("`measured`: names of both columns; without it the first two")
-    units: Pair | None = keyed("`measured`: units of time, and of strain or volts; without it those of the headings")
+    units: Pair | None = keyed(
+        "`measured`: units of time, and of strain or volts; without it those of the headings"
+    )
     factor: Positive | None = keyed("`measured`: strain of one volt")
 
 
 class Contact(Table):
     """The law of the contacts."""
 
-    law: Literal["hertz", "plastic"] = keyed('`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz")
+    law: Literal["hertz", "plastic"] = keyed(
+        '`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz"
+    )
 
 
 class Rig(Table):
@@ -128,13 +176,17 @@ class Rig(Table):
 class Struck(Body):
     """A target or an anvil."""
 
-    kind: Literal["thick", "plate", "bar", "mass"] = keyed("a plate bends, a bar is struck at its end", "thick")
+    kind: Literal["thick", "plate", "bar", "mass"] = keyed(
+        "a plate bends, a bar is struck at its end", "thick"
+    )
 
 
 class Hammer(Body):
     """A weight that falls."""
 
-    shape: Literal["ball"] | None = keyed('hammer: `"ball"`: mass and `face_radius` follow from the `diameter`')
+    shape: Literal["ball"] | None = keyed(
+        'hammer: `"ball"`: mass and `face_radius` follow from the `diameter`'
+    )
 
 
 class Rod(Body):
@@ -146,19 +198,31 @@ class Rod(Body):
 class Gauge(Table):
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Literal["incident", "receiving", "rod"] = keyed('`"incident"`, `"receiving"`, or `"rod"` of a load cell', ...)
+    bar: Literal["incident", "receiving", "rod"] = keyed(
+        '`"incident"`, `"receiving"`, or `"rod"` of a load cell', ...
+    )
     position: Length = keyed("distance from the sphere", ...)
 
 
 class ModelChoice(Table):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
-    fidelity: Literal["full", "massless", "linear"] = keyed('`"full"`; of the paper: `"massless"`, `"linear"`', "full")
-    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = keyed("relative error of the integration", 1e-6)
+    fidelity: Literal["full", "massless", "linear"] = keyed(
+        '`"full"`; of the paper: `"massless"`, `"linear"`', "full"
+    )
+    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = keyed(
+        "relative error of the integration", 1e-6
+    )
     first_loading_only: bool = keyed("end the record when the first reflected wave is back", False)
-    whole_record: bool = keyed("go on after the first loss of contact, to the horizon (bars)", False)
-    horizon: Seconds | None = keyed("latest end of the record; without it eight round trips of the longer bar")
-    compare_with_paper: bool = keyed("adds the paper's printed massless formulas and the corrected ones", False)
+    whole_record: bool = keyed(
+        "go on after the first loss of contact, to the horizon (bars)", False
+    )
+    horizon: Seconds | None = keyed(
+        "latest end of the record; without it eight round trips of the longer bar"
+    )
+    compare_with_paper: bool = keyed(
+        "adds the paper's printed massless formulas and the corrected ones", False
+    )
 
 
 # --- limits and what is asked --------------------------------------------------------------------------------------
@@ -171,25 +235,47 @@ class LimitTable(Table):
     criterion: Literal[*CRITERIA] | None = keyed("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
     strength: Num = keyed("value, distribution, or a file with tests or draws", ...)
     strength_is: Literal["hertz", "pressure"] | None = keyed(
-        'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the true one')  # fmt: skip
-    aim: Literal["survive", "break"] = keyed("the quantity must stay below the strength, or exceed it", "survive")
+        'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the true one'
+    )
+    aim: Literal["survive", "break"] = keyed(
+        "the quantity must stay below the strength, or exceed it", "survive"
+    )
     target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Num = keyed("factor on the quantity for what the model leaves out; may scatter", 1.0)
-    fracture: bool | None = keyed("whether exceeding it breaks the sphere; without it the quantity decides")
+    model_factor: Num = keyed(
+        "factor on the quantity for what the model leaves out; may scatter", 1.0
+    )
+    fracture: bool | None = keyed(
+        "whether exceeding it breaks the sphere; without it the quantity decides"
+    )
     energy_is: Literal["contact", "sphere", "input"] | None = keyed(
-        "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered")  # fmt: skip
-    modulus: Annotated[float, *_fixed("modulus")] | None = keyed("of a weakest link, unless the strength has it")
-    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = keyed("volume of a volume strength")
-    reference_area: Annotated[float, *_fixed("reference_area")] | None = keyed("area of a surface strength")
-    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = keyed("upper bound of a fracture energy")
-    rate_0: Annotated[float, *_fixed("rate_0")] | None = keyed("strain rate at which a slow strength is doubled")
+        "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered"
+    )
+    modulus: Annotated[float, *_fixed("modulus")] | None = keyed(
+        "of a weakest link, unless the strength has it"
+    )
+    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = keyed(
+        "volume of a volume strength"
+    )
+    reference_area: Annotated[float, *_fixed("reference_area")] | None = keyed(
+        "area of a surface strength"
+    )
+    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = keyed(
+        "upper bound of a fracture energy"
+    )
+    rate_0: Annotated[float, *_fixed("rate_0")] | None = keyed(
+        "strain rate at which a slow strength is doubled"
+    )
 
     @checked(mode="after")
     def _one_demand(self) -> LimitTable:
         if (self.quantity is None) == (self.criterion is None):
-            raise Fault('one of both is required, quantity = "p_max", say, or a criterion', "quantity")
+            raise Fault(
+                'one of both is required, quantity = "p_max", say, or a criterion', "quantity"
+            )
         if self.energy_is is not None and self.criterion != "specific_energy":
-            raise Fault("energy_is belongs to the criterion specific_energy: leave it out", "energy_is")
+            raise Fault(
+                "energy_is belongs to the criterion specific_energy: leave it out", "energy_is"
+            )
         return self
 
 
@@ -200,7 +286,9 @@ _of_laws: dict[str, Any] = {
     **dict.fromkeys(sorted(_KEYS), (float | str, None)),
 }
 #: what the schema says of a distribution in a table
-Distribution: Any = create_model("Distribution", __base__=Observations, __cls_kwargs__={"extra": "allow"}, **_of_laws)
+Distribution: Any = create_model(
+    "Distribution", __base__=Observations, __cls_kwargs__={"extra": "allow"}, **_of_laws
+)
 
 
 def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -> Number | None:
@@ -216,7 +304,9 @@ def _with_numbers(table: str, words: type[Table]) -> type[Table]:
         known = [*END_COEFFICIENTS] * name.endswith("end") + ["flat"] * name.endswith("face_radius")
         fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
         kinds = Distribution | fixed | Literal[*known] if known else Distribution | fixed
-        mark = BeforeValidator(partial(_read, quantity=quantity, place=(table, name)), json_schema_input_type=kinds)
+        mark = BeforeValidator(
+            partial(_read, quantity=quantity, place=(table, name)), json_schema_input_type=kinds
+        )
         numbers[name] = Annotated[Any, mark], keyed(quantity.meaning)
     return create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
 
@@ -227,8 +317,12 @@ class Dependence(Table):
     of: Annotated[tuple[str, ...], *_several(2, 1_000)] = keyed("random numbers, two or more", ...)
     spearman: Correlation | None = keyed("Spearman's rank correlation; required, or `kendall`")
     kendall: Correlation | None = keyed("Kendall's rank correlation, in its place")
-    copula: Literal["gaussian", "student_t"] = keyed('`"gaussian"`, or `"student_t"` with `dof`', "gaussian")
-    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = keyed("degrees of freedom of a `student_t`")
+    copula: Literal["gaussian", "student_t"] = keyed(
+        '`"gaussian"`, or `"student_t"` with `dof`', "gaussian"
+    )
+    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = keyed(
+        "degrees of freedom of a `student_t`"
+    )
 
 
 class Accuracy(Table):
@@ -251,21 +345,34 @@ class Analysis(Table):
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
 
     quantities: Annotated[tuple[str, ...], *_several()] = keyed(
-        "answered to this accuracy; without it `p_max` and `contact_duration`, or all outputs of a black box", ()
+        "answered to this accuracy; without it `p_max` and `contact_duration`, or all outputs of a black box",
+        (),
     )
     accuracy: Accuracy = keyed(
         "half-widths of 95 % intervals, mean and quantile over the standard deviation, probability relative; `{ mean = "
-        "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`", Accuracy.model_construct())  # fmt: skip
-    budget: Budget = keyed('at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct())
+        "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`",
+        Accuracy.model_construct(),
+    )
+    budget: Budget = keyed(
+        'at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct()
+    )
     quantiles: Shares = keyed("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Methods = keyed(f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",))
+    methods: Methods = keyed(
+        f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",)
+    )
     second_order: bool = keyed("Sobol' indices of all pairs of inputs as well", False)
-    failure_modes: Literal["all", "given"] = keyed("`all`: those of a rock that have no limit, too", "all")
+    failure_modes: Literal["all", "given"] = keyed(
+        "`all`: those of a rock that have no limit, too", "all"
+    )
     on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %, '
-        'a share such as `"5 %"` up to that', "abort")  # fmt: skip
+        'a share such as `"5 %"` up to that',
+        "abort",
+    )
     cost: Seconds | None = keyed("time of one evaluation of a black box; without it measured")
-    time_limit: Seconds | None = keyed("longest time of one evaluation of a black box; a longer one has failed")
+    time_limit: Seconds | None = keyed(
+        "longest time of one evaluation of a black box; a longer one has failed"
+    )
 
     @property
     def policy(self) -> str:
@@ -291,7 +398,9 @@ class Margins(Table):
 
     solve: str = keyed('the free number: `"striker.speed"`, `"limits.NAME.strength"`', ...)
     between: Annotated[tuple[Any, ...], *_several(2, 2)] = keyed("lowest and highest value", ...)
-    for_probability: Shares = keyed("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
+    for_probability: Shares = keyed(
+        "probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99)
+    )
 
     @property
     def limit(self) -> str | None:
@@ -302,13 +411,17 @@ class Margins(Table):
 class Outputs(Table):
     """What a black box answers."""
 
-    names: Annotated[tuple[Name, ...], *_several()] = keyed('names of the outputs, `["y"]`; required', ())
+    names: Annotated[tuple[Name, ...], *_several()] = keyed(
+        'names of the outputs, `["y"]`; required', ()
+    )
 
 
 class Words(Table):
     """A study file, without the numbers of the scene."""
 
-    title: str = keyed("heading of the report, without it the file's name; not part of the study's hash", "")
+    title: str = keyed(
+        "heading of the report, without it the file's name; not part of the study's hash", ""
+    )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = keyed("the same seed gives the same answers", 0)
     sphere: Body = Body.model_construct()
     bars: Bars = Bars.model_construct()
@@ -387,7 +500,9 @@ class Draft:
 
     def elastic(self, table: str) -> tuple[float, float]:
         """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a table."""
-        E, nu = (self.mean(f"{table}.insert_{key}", self.mean(f"{table}.{key}")) for key in ("E", "nu"))
+        E, nu = (
+            self.mean(f"{table}.insert_{key}", self.mean(f"{table}.{key}")) for key in ("E", "nu")
+        )
         return E, nu
 
 

@@ -27,8 +27,10 @@ from uqsphere.uq.fitting import modulus_of
 
 #: which energy a strength in J/kg means, and the quantity that is held against it
 _ENERGIES: Final = {
-    "contact": "specific_energy", "sphere": "specific_energy_sphere", "input": "specific_impact_energy",
-}  # fmt: skip
+    "contact": "specific_energy",
+    "sphere": "specific_energy_sphere",
+    "input": "specific_impact_energy",
+}
 _PRESSURES: Final = (
     'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly all '
     'tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the hardness: the '
@@ -39,14 +41,22 @@ _SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
 #: a criterion rises at least with this power of the force
 _RISES: Final = 0.05
 #: at equal strength a force goes with this power of the diameter, but for flaws; with its square where nothing is said
-_POWERS: Final = {"ring_crack": 1.0, "ring_crack_toughness": 1.0, "energy": 0.2, "energy_sphere": 0.2, "P_max": 0.0}
+_POWERS: Final = {
+    "ring_crack": 1.0,
+    "ring_crack_toughness": 1.0,
+    "energy": 0.2,
+    "energy_sphere": 0.2,
+    "P_max": 0.0,
+}
 #: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
 _USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT: Final = (3e7, 1e11)
 #: usual 0.9 P/D² of brittle spheres [Pa], and units that a file of tests may have been in
 _TENSION: Final = (2e5, 5e8)
 _UNITS: Final = ("um", "mm", "cm", "m", "N", "kN", "MN")
-_FACTOR: Final = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
+_FACTOR: Final = replace(
+    plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0)
+)
 
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
@@ -64,15 +74,26 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     if limit.needs_modulus:
         own, modulus = modulus_of(strength.value), limit.parameters.get("modulus")
         if own is None and modulus is None:
-            raise Fault("modulus is missing: give it here or by a strength that is a Weibull distribution", "modulus")
+            raise Fault(
+                "modulus is missing: give it here or by a strength that is a Weibull distribution",
+                "modulus",
+            )
         if own is None:
-            draft.warn(place, "the strength of a weakest link is a Weibull distribution of its modulus; with another "
-                              "the probability is not that of the flaws")  # fmt: skip
+            draft.warn(
+                place,
+                "the strength of a weakest link is a Weibull distribution of its modulus; with another "
+                "the probability is not that of the flaws",
+            )
         elif modulus is not None and abs(own - modulus) > 1e-9 * modulus:
-            raise Fault(f"found {modulus:g}, but the strength has the modulus {own:g}: leave modulus out", "modulus")
+            raise Fault(
+                f"found {modulus:g}, but the strength has the modulus {own:g}: leave modulus out",
+                "modulus",
+            )
         limit = replace(limit, parameters={"modulus": own or modulus or 0.0, **limit.parameters})
     draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
-    draft.limits[name] = replace(limit, strength=strength.value, model_factor=factor.value, tested=strength.tested)
+    draft.limits[name] = replace(
+        limit, strength=strength.value, model_factor=factor.value, tested=strength.tested
+    )
 
 
 def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
@@ -84,36 +105,62 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         raise Fault("a criterion belongs to the impact model: name a quantity instead", "criterion")
     if criterion == "specific_energy":
         if table.energy_is is None and draft.rig != "bars":
-            raise Fault(f"energy_is is missing: write what the strength means, {one_of(_ENERGIES)}", "energy_is")
+            raise Fault(
+                f"energy_is is missing: write what the strength means, {one_of(_ENERGIES)}",
+                "energy_is",
+            )
         criterion = _ENERGIES[table.energy_is or "contact"]
     given = {part: value for part in PARAMETERS if (value := getattr(table, part)) is not None}
     entry = CRITERIA.get(str(criterion))
     needs, takes = (entry.parameters, (*entry.parameters, *entry.optional)) if entry else ((), ())
     if strange := next((part for part in given if part not in takes), ""):
-        what = f"the criterion {criterion} takes {one_of(takes)}" if criterion else "add criterion = …"
-        raise Fault(f"{strange} belongs to another criterion (uqsphere list criteria): {what}", strange)
+        what = (
+            f"the criterion {criterion} takes {one_of(takes)}" if criterion else "add criterion = …"
+        )
+        raise Fault(
+            f"{strange} belongs to another criterion (uqsphere list criteria): {what}", strange
+        )
     # the modulus may stand in the strength, which is read later
     if missing := next((part for part in needs if part not in (*given, "modulus")), ""):
-        raise Fault(f"{missing} is missing: the criterion {criterion} needs the {PARAMETERS[missing].meaning}", missing)
+        raise Fault(
+            f"{missing} is missing: the criterion {criterion} needs the {PARAMETERS[missing].meaning}",
+            missing,
+        )
     if entry and entry.quantity and not given:
         quantity, criterion = entry.quantity, None
-    compared, pressure = str(criterion or quantity), quantity in ("p_max", "first_peak") and criterion is None
+    compared, pressure = (
+        str(criterion or quantity),
+        quantity in ("p_max", "first_peak") and criterion is None,
+    )
     for wrong, said in (
-        (meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
-         f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: leave it out"),
+        (
+            meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
+            f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: leave it out",
+        ),
         (draft.plastic and pressure and meant is None, _PRESSURES),
-        (draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength),
-         'forces at failure become pressures by Hertz: write strength_is = "hertz"'),
-        (draft.plastic and quantity == "first_peak" and meant == "hertz",
-         'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"'),
-    ):  # fmt: skip
+        (
+            draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength),
+            'forces at failure become pressures by Hertz: write strength_is = "hertz"',
+        ),
+        (
+            draft.plastic and quantity == "first_peak" and meant == "hertz",
+            'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"',
+        ),
+    ):
         if wrong:
             raise Fault(said, "strength_is")
     if draft.plastic and meant == "hertz":
         compared = "p_hertz"
-    return Limit(name=name, quantity=f"{compared}.{name}" if criterion else compared, criterion=criterion,
-                 parameters=given, strength=math.nan, aim=table.aim, target=table.target,
-                 fracture=table.fracture)  # fmt: skip
+    return Limit(
+        name=name,
+        quantity=f"{compared}.{name}" if criterion else compared,
+        criterion=criterion,
+        parameters=given,
+        strength=math.nan,
+        aim=table.aim,
+        target=table.target,
+        fracture=table.fracture,
+    )
 
 
 def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
@@ -122,7 +169,9 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
         return number_of(table.strength, plain_quantity(limit.quantity), draft, place)
     entry = lookup(limit.quantity)
     usual = _CONTACT if entry.place == "contact" else _USUAL.get(entry.dimension, (0.0, math.inf))
-    entry = replace(entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual)
+    entry = replace(
+        entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
+    )
     if values.is_tests(table.strength):
         found = _tested(draft, declared(Observations, table.strength), limit, place)
         values.warn_unusual(found.mean, entry, draft, place)
@@ -138,11 +187,14 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
 def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Number:
     """The law of the strength from forces at failure, and the tests themselves; raises Fault."""
     if limit.criterion is None and not follows_force(limit.quantity):
-        raise Fault(f"a force at failure is no measure of {limit.quantity}: name a criterion", "force")
+        raise Fault(
+            f"a force at failure is no measure of {limit.quantity}: name a criterion", "force"
+        )
     kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
     sphere = _sphere(draft, platens)
-    found, rows, columns, stopped = values.observations(table, draft, force="force", diameter="length",
-                                                        rate="loading_rate")  # fmt: skip
+    found, rows, columns, stopped = values.observations(
+        table, draft, force="force", diameter="length", rate="loading_rate"
+    )
     force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
     values.warn_of_rows(found, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
     warn_of_tests(table, force, diameter, radii[0], draft, place)
@@ -156,12 +208,22 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         return law, power - flaws / (modulus_of(law) or math.inf) if power else power
 
     law, exponent = _agreeing(by_size, power)
-    tested = Tested(diameter=mean, forces=tuple(force.tolist()), diameters=tuple(diameter.tolist()), platens=platens,
-                    sphere=sphere, law=law, exponent=exponent)  # fmt: skip
+    tested = Tested(
+        diameter=mean,
+        forces=tuple(force.tolist()),
+        diameters=tuple(diameter.tolist()),
+        platens=platens,
+        sphere=sphere,
+        law=law,
+        exponent=exponent,
+    )
     compare_sizes(replace(limit, tested=tested), radii, draft, (*place, "diameter"))
     if draft.rig != "platens" and "rate_0" not in limit.parameters:
-        draft.warn(place, "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
-                   "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)")  # fmt: skip
+        draft.warn(
+            place,
+            "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
+            "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)",
+        )
 
     def value(modulus: float, factor: float = 1.0) -> Array:
         own = {"modulus": modulus, **limit.parameters} if limit.needs_modulus else limit.parameters
@@ -170,10 +232,14 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     if not np.isfinite(value(8.0)).all():
-        raise Fault(f"some tests lie beyond what {limit.quantity} can reach: raise largest_energy, or the hardness")
+        raise Fault(
+            f"some tests lie beyond what {limit.quantity} can reach: raise largest_energy, or the hardness"
+        )
     if not (slopes > _RISES).all():
-        raise Fault(f"{limit.quantity} hardly rises with the force of such tests, so that no force tells its "
-                    "strength: take another criterion")  # fmt: skip
+        raise Fault(
+            f"{limit.quantity} hardly rises with the force of such tests, so that no force tells its "
+            "strength: take another criterion"
+        )
 
     def by_value(modulus: float) -> tuple[Law, float]:
         law = values.fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
@@ -189,10 +255,14 @@ def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tu
 
     start = fitted(number)[1]  # what is wrong with the tests themselves is said first
     try:
-        agreed = fixed_point(lambda x: fitted(float(x))[1], start, xtol=1e-11, maxiter=200, method="iteration")
+        agreed = fixed_point(
+            lambda x: fitted(float(x))[1], start, xtol=1e-11, maxiter=200, method="iteration"
+        )
         return fitted(float(agreed))
     except (Fault, RuntimeError):
-        raise Fault("no modulus agrees with itself: check the diameters, or give the key modulus") from None
+        raise Fault(
+            "no modulus agrees with itself: check the diameters, or give the key modulus"
+        ) from None
 
 
 def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: Place) -> None:
@@ -204,13 +274,24 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
     if tested is None:
         return
     linked = limit.needs_modulus or (modulus_of(tested.law) is not None and tested.exponent != 0.0)
-    ratios = [max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii]
+    ratios = [
+        max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii
+    ]
     refused = not linked and max(ratios) > _SIZES_REFUSED
-    sizes = (f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of "
-             f"{2e3 * radii[ratios.index(max(ratios)) if refused else 0]:.4g} mm")  # fmt: skip
+    sizes = (
+        f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of "
+        f"{2e3 * radii[ratios.index(max(ratios)) if refused else 0]:.4g} mm"
+    )
     if refused:
-        way = 'or take fit = "weibull"' if tested.law is not None else "or fit anew with this size as strength_at"
-        raise Fault(f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}", str(place[-1]))
+        way = (
+            'or take fit = "weibull"'
+            if tested.law is not None
+            else "or fit anew with this size as strength_at"
+        )
+        raise Fault(
+            f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}",
+            str(place[-1]),
+        )
     if ratios[0] > _SIZES_TOLD:
         by = "its size_exponent" if tested.law is None and tested.exponent else "nothing"
         draft.warn(place, f"{sizes}: {'the weakest link' if linked else by} carries the strength")
@@ -224,12 +305,24 @@ def warn_of_tests(
     far = (size > 3.0) | (size < 1.0 / 3.0)
     first = int(np.argmax(far))
     for key, typical, (low, high), units, given, said in (
-        ("diameter", size[first], (1.0 / 3.0, 3.0), UNITS["length"], table.diameter_unit,
-         f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, the first "
-         f"{1e3 * diameter[first]:.4g} mm"),
-        ("force", tension, _TENSION, UNITS["force"], table.force_unit,
-         f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to {1e-6 * _TENSION[1]:g} MPa"),
-    ):  # fmt: skip
+        (
+            "diameter",
+            size[first],
+            (1.0 / 3.0, 3.0),
+            UNITS["length"],
+            table.diameter_unit,
+            f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, the first "
+            f"{1e3 * diameter[first]:.4g} mm",
+        ),
+        (
+            "force",
+            tension,
+            _TENSION,
+            UNITS["force"],
+            table.force_unit,
+            f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to {1e-6 * _TENSION[1]:g} MPa",
+        ),
+    ):
         if not low <= typical <= high:
             scale = typical / units.get(given or "", math.nan)
             likely = [unit for unit in _UNITS if low < scale * units.get(unit, 0.0) < high]
@@ -243,24 +336,37 @@ def warn_of_tests(
 
 def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
     """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
-    known = {name: (material.properties["E"].value, material.properties["nu"].value)
-             for name, material in library()["bars"].items()}  # fmt: skip
-    choices = {"bars": (draft.mean("bars.E"), draft.mean("bars.nu")), "rigid": (math.inf, 0.3), **known}
+    known = {
+        name: (material.properties["E"].value, material.properties["nu"].value)
+        for name, material in library()["bars"].items()
+    }
+    choices = {
+        "bars": (draft.mean("bars.E"), draft.mean("bars.nu")),
+        "rigid": (math.inf, 0.3),
+        **known,
+    }
     with within("platens"):
         if isinstance(raw, Mapping) and set(raw) == {"E", "nu"}:
             return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
         if not isinstance(raw, str) or raw not in choices:
-            raise Fault(f"found {shown(raw)}, allowed: {one_of([*choices, 'a table of E and nu'])}"
-                        f"{suggestion(raw, known)}")  # fmt: skip
+            raise Fault(
+                f"found {shown(raw)}, allowed: {one_of([*choices, 'a table of E and nu'])}"
+                f"{suggestion(raw, known)}"
+            )
         if math.isnan(choices[raw][0]):
-            raise Fault('there are no bars here: write what it was measured between, platens = "rigid" or a material')
+            raise Fault(
+                'there are no bars here: write what it was measured between, platens = "rigid" or a material'
+            )
     return choices[raw]
 
 
 def _radii(draft: Draft) -> tuple[float, ...]:
     """The mean radius of the sphere [m], and the 1 % and 99 % quantiles of its scatter."""
     law = draft.numbers["sphere.radius"].value
-    return (draft.mean("sphere.radius"), *(law.ppf(np.array([0.01, 0.99])).tolist() if isinstance(law, Law) else ()))
+    return (
+        draft.mean("sphere.radius"),
+        *(law.ppf(np.array([0.01, 0.99])).tolist() if isinstance(law, Law) else ()),
+    )
 
 
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
@@ -271,9 +377,19 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     modulus = float(np.mean([partner.modulus[0] for partner in draft.scene.there]))
     sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / modulus - (1.0 - nu * nu) / E}
     # what yields is the same as in the rig if its partner is the platens, else the sphere
-    alike = next((p for p in draft.scene.there if np.allclose(draft.elastic(p.table), platens, rtol=1e-9)), None)
+    alike = next(
+        (p for p in draft.scene.there if np.allclose(draft.elastic(p.table), platens, rtol=1e-9)),
+        None,
+    )
     face = sphere_body(draft.scene.columns) if alike is None else alike.face
-    if not draft.plastic or face is None or not np.isfinite(face.onset + face.hardness + face.pile_up).all():
+    if (
+        not draft.plastic
+        or face is None
+        or not np.isfinite(face.onset + face.hardness + face.pile_up).all()
+    ):
         return sphere
-    law = {key: float(value[0]) for key, value in zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)}
+    law = {
+        key: float(value[0])
+        for key, value in zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
+    }
     return {**sphere, **law, "takes": 1.0 if alike is None else float(alike.takes[0])}

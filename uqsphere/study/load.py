@@ -9,7 +9,16 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from uqsphere.documents import Fault, Place, parse_text, read_text, refusal, set_value, shown, toml_text
+from uqsphere.documents import (
+    Fault,
+    Place,
+    parse_text,
+    read_text,
+    refusal,
+    set_value,
+    shown,
+    toml_text,
+)
 from uqsphere.study.check import BOX_STAGES, STAGES, Faults, resolve
 from uqsphere.study.document import Draft
 from uqsphere.study.study import Study
@@ -17,7 +26,10 @@ from uqsphere.uq.foreign import law_table
 
 
 def load_study(
-    path: str | Path | Mapping[str, object] = "study.toml", overrides: Sequence[str] = (), *, text: str | None = None
+    path: str | Path | Mapping[str, object] = "study.toml",
+    overrides: Sequence[str] = (),
+    *,
+    text: str | None = None,
 ) -> Study:
     """The study of a TOML file, of such a text, or of the same tables as a dict, validated.
 
@@ -39,7 +51,9 @@ def load_study(
     text = read_text(path) if text is None else text
     data = parse_text(text, path)
     overridden = [set_value(data, one) for one in overrides]
-    draft = Draft(folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs")))
+    draft = Draft(
+        folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs"))
+    )
     for stage in BOX_STAGES if draft.box else STAGES:
         faults: list[Fault] = []
         for check in stage:
@@ -59,10 +73,17 @@ def _removed(node: Any, ways: Mapping[str, str], above: Place = ()) -> Faults:
     """Every key and value of an earlier study that is renamed or dropped, with the way out; a table by its keys."""
     for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
         place: Place = (*above, key)
-        path, held = ".".join(map(str, place)), "+".join(value) if isinstance(value, dict) else value
+        path, held = (
+            ".".join(map(str, place)),
+            "+".join(value) if isinstance(value, dict) else value,
+        )
         for pattern, way in ways.items():
             if fnmatchcase(path, pattern) or fnmatchcase(f"{path}={held}", pattern):
-                found = f"{shown(value)} is no longer allowed" if "=" in pattern else f"{key} is no longer a key"
+                found = (
+                    f"{shown(value)} is no longer allowed"
+                    if "=" in pattern
+                    else f"{key} is no longer a key"
+                )
                 yield Fault(f"{found}: {way}", *place)
                 break
         else:

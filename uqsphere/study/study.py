@@ -116,7 +116,9 @@ class Study:
             given = {key: table for key, table in given.items() if table is not None}
             outputs, inputs = given.get("outputs"), given.get("inputs")
             if isinstance(outputs, str | list | tuple):
-                given["outputs"] = {"names": [outputs] if isinstance(outputs, str) else list(outputs)}
+                given["outputs"] = {
+                    "names": [outputs] if isinstance(outputs, str) else list(outputs)
+                }
             if isinstance(inputs, Mapping):
                 given["inputs"] = of_salib(inputs)
             given = {**vars(load_study(given))}
@@ -138,7 +140,13 @@ class Study:
     @property
     def hash(self) -> str:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments or layout."""
-        text = json.dumps(self._meaning(), sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+        text = json.dumps(
+            self._meaning(),
+            sort_keys=True,
+            separators=(",", ":"),
+            allow_nan=False,
+            ensure_ascii=True,
+        )
         return hashlib.sha256(text.encode()).hexdigest()
 
     def changed_keys(self, other: Study) -> list[str]:
@@ -149,17 +157,25 @@ class Study:
         ['x']
         """
         before, after = (_keys(study._meaning()) for study in (self, other))
-        changed = [key for key in {**before, **after} if before.get(key, ...) != after.get(key, ...)]
+        changed = [
+            key for key in {**before, **after} if before.get(key, ...) != after.get(key, ...)
+        ]
         # the order of the variables follows from the variables
         return [key for key in changed if key != "order"] or changed
 
     def _meaning(self) -> dict[str, Json]:
-        return {key: value for key, value in self.resolved().items() if key not in ("title", "gauges")}
+        return {
+            key: value for key, value in self.resolved().items() if key not in ("title", "gauges")
+        }
 
     @property
     def demands(self) -> dict[str, tuple[str, Mapping[str, float]]]:
         """Quantities that a limit's criterion adds: name -> criterion and its parameters."""
-        return {limit.quantity: limit.demand for limit in self.limits if not isinstance(limit.demand, str)}
+        return {
+            limit.quantity: limit.demand
+            for limit in self.limits
+            if not isinstance(limit.demand, str)
+        }
 
     def laws(self) -> dict[str, Law]:
         """Every random variable and its law: inputs in file order, then strengths and model factors."""
@@ -186,7 +202,9 @@ class Study:
         from pandas import DataFrame
 
         joint = self.inputs()
-        normals = random_generator(seed=self.seed, task="study sample").standard_normal((count, len(joint.names)))
+        normals = random_generator(seed=self.seed, task="study sample").standard_normal(
+            (count, len(joint.names))
+        )
         return DataFrame(joint.physical(normals), columns=list(joint.names))
 
     def design(self, count: int) -> DataFrame:
@@ -200,8 +218,12 @@ class Study:
         from pandas import DataFrame
 
         joint = self.inputs().only(tuple(self.random))
-        points = sobol_points(dimension=len(joint.names), count=count, seed=self.seed, task="slow", replicate=0)
-        return DataFrame(joint.physical(np.asarray(special.ndtri(points))), columns=list(joint.names))
+        points = sobol_points(
+            dimension=len(joint.names), count=count, seed=self.seed, task="slow", replicate=0
+        )
+        return DataFrame(
+            joint.physical(np.asarray(special.ndtri(points))), columns=list(joint.names)
+        )
 
     def analyse(self, frame: DataFrame, *, out: str | Path | None = None) -> Run:
         """The run of a black-box study whose rows were answered elsewhere: every analysis, without calling a model.
@@ -219,7 +241,9 @@ class Study:
         """The study's own design of Sobol' indices as a problem and rows of SALib; `uqsphere.uq.interop.to_salib`."""
         from uqsphere.uq.interop import to_salib
 
-        return to_salib(self.inputs().only(tuple(self.random)), count, second=second, seed=self.seed)
+        return to_salib(
+            self.inputs().only(tuple(self.random)), count, second=second, seed=self.seed
+        )
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
@@ -228,7 +252,9 @@ class Study:
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
         beside = {"path", "text", "warnings", "overrides", "files"}
-        found: dict[str, Json] = {e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside}
+        found: dict[str, Json] = {
+            e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside
+        }
         # the order of the random variables decides which point of a sequence goes to which of them
         return {**found, "order": list(self.laws())}
 
@@ -248,7 +274,11 @@ def _keys(meaning: Mapping[str, Json]) -> dict[str, Json]:
         elif table == "limits" and isinstance(content, list):
             for limit in content:
                 assert isinstance(limit, dict)
-                keys |= {f"limits.{limit['name']}.{key}": value for key, value in limit.items() if key != "name"}
+                keys |= {
+                    f"limits.{limit['name']}.{key}": value
+                    for key, value in limit.items()
+                    if key != "name"
+                }
         elif isinstance(content, dict):
             keys |= {f"{table}.{key}": value for key, value in content.items()}
         else:

@@ -17,7 +17,17 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from uqsphere.arrays import Array, Flags, Places
-from uqsphere.documents import Fault, Place, Table, declared, one_of, shown, suggestion, unknown, within
+from uqsphere.documents import (
+    Fault,
+    Place,
+    Table,
+    declared,
+    one_of,
+    shown,
+    suggestion,
+    unknown,
+    within,
+)
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
@@ -27,7 +37,14 @@ from uqsphere.tables import TableError, read_table, unit_in_heading
 from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value
 from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
-from uqsphere.uq.fitting import STRENGTHS, fitted_law, law_of_draws, make_tests, outliers, probability_of
+from uqsphere.uq.fitting import (
+    STRENGTHS,
+    fitted_law,
+    law_of_draws,
+    make_tests,
+    outliers,
+    probability_of,
+)
 from uqsphere.uq.observed import LOGNORMAL, WEIBULL
 
 if TYPE_CHECKING:
@@ -80,7 +97,9 @@ class Number:
 def numbers_of(table: str) -> dict[str, Quantity]:
     """The numbers that a table of a scene can have, by their keys; those of inserts stand among those of the bars."""
     start = "bars.insert_" if table == "insert" else f"{table}."
-    numbers = {name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)}
+    numbers = {
+        name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)
+    }
     return {key: entry for key, entry in numbers.items() if not key.startswith("insert_")}
 
 
@@ -88,7 +107,9 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
     if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
         if raw not in END_COEFFICIENTS:
-            raise Fault(f"{unknown('end', raw, END_COEFFICIENTS)}; a number from -1 to 1 is known too")
+            raise Fault(
+                f"{unknown('end', raw, END_COEFFICIENTS)}; a number from -1 to 1 is known too"
+            )
         return END_COEFFICIENTS[raw]
     try:
         value = parse_value(raw, quantity.dimension, likely_unit(raw, quantity))
@@ -143,7 +164,9 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     try:
         return Number(value=make_law(family.name, given, *bounds))
     except LawError as error:
-        unit = f" (numbers in {quantity.unit})" * (error.key in ("", *DIMENSIONAL) and quantity.unit != "")
+        unit = f" (numbers in {quantity.unit})" * (
+            error.key in ("", *DIMENSIONAL) and quantity.unit != ""
+        )
         raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
 
 
@@ -151,14 +174,18 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
     name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
-        raise Fault(f"the distribution has its mean at {format_value(centre, name)}: {format_bounds(quantity)}")
+        raise Fault(
+            f"the distribution has its mean at {format_value(centre, name)}: {format_bounds(quantity)}"
+        )
     for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {format_bounds(quantity)}", key)
     cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, law.given.get("cov", 0.0))
     if cov > 1.0:
         share = ' 15 % is written "15 %" or 0.15' * ("cov" in law.given)
-        draft.warn(place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}")
+        draft.warn(
+            place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}"
+        )
     if (mean := law.given.get("mean")) is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
@@ -167,15 +194,22 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     outside = float(law.cdf(np.array([low]))[0] + law.sf(np.array([quantity.upper]))[0])
     if outside > NOTABLE:
         effect = "these samples count as failed evaluations; " if name in INPUTS else ""
-        draft.warn(place, f"a share of {outside:.2g} of the distribution lies where it has no meaning "
-                          f"({format_bounds(quantity)}); {effect}truncate it with lower or upper")  # fmt: skip
+        draft.warn(
+            place,
+            f"a share of {outside:.2g} of the distribution lies where it has no meaning "
+            f"({format_bounds(quantity)}); {effect}truncate it with lower or upper",
+        )
 
 
 # --- tables of data -------------------------------------------------------------------------------------------------
 
 
 def percent(raw: Any) -> Any:
-    return value_of(raw, plain_quantity("share")) if isinstance(raw, str) and raw.rstrip().endswith("%") else raw
+    return (
+        value_of(raw, plain_quantity("share"))
+        if isinstance(raw, str) and raw.rstrip().endswith("%")
+        else raw
+    )
 
 
 def keyed(meaning: str, default: Any = None) -> Any:
@@ -185,9 +219,10 @@ def keyed(meaning: str, default: Any = None) -> Any:
 
 #: a number above zero, or a percentage of such
 Positive = Annotated[
-    float, Field(gt=0.0),
+    float,
+    Field(gt=0.0),
     BeforeValidator(percent, json_schema_input_type=Annotated[float, Field(gt=0.0)] | str),
-]  # fmt: skip
+]
 
 
 class Discrete(Table):
@@ -200,9 +235,10 @@ class Discrete(Table):
 
 #: keys that go with draws, forces of tests, and a column
 _TAKEN: Final = {
-    "draws": "unit", "column": "file unit censored count modulus fit unbiased lower upper",
+    "draws": "unit",
+    "column": "file unit censored count modulus fit unbiased lower upper",
     "force": "file force_unit diameter diameter_unit rate platens censored count modulus fit unbiased",
-}  # fmt: skip
+}
 
 
 class Observations(Table):
@@ -212,7 +248,8 @@ class Observations(Table):
     file: str | None = keyed("CSV or .xlsx beside the study")
     draws: str | None = keyed(
         "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
-        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`")  # fmt: skip
+        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`"
+    )
     decimal: Literal[".", ","] | None = keyed("decimal mark, where a column can be read both ways")
     column: str | None = keyed("column of observations, in the quantity itself")
     unit: str | None = keyed("its unit, if the heading has none")
@@ -221,17 +258,24 @@ class Observations(Table):
     diameter: str | None = keyed("required with `force`: column of their diameters, or one length")
     diameter_unit: str | None = keyed("unit of the diameters, if the heading has none")
     rate: str | None = keyed("column of loading rates, with their unit in the heading")
-    platens: Any = keyed('what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars")
-    censored: str | None = keyed("column of flags: 1 for a test stopped before a failure (right-censored)")
+    platens: Any = keyed(
+        'what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars"
+    )
+    censored: str | None = keyed(
+        "column of flags: 1 for a test stopped before a failure (right-censored)"
+    )
     count: str | None = keyed("column of numbers of equal tests; without it one a row")
     modulus: Positive | None = keyed(
         "Weibull modulus of the tests that is known; then few failures, or none, are enough"
     )
     fit: str | None = keyed(
         "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, `rayleigh`, `gamma` or "
-        "`beta`; without it `weibull` of forces, else `kde`")  # fmt: skip
+        "`beta`; without it `weibull` of forces, else `kde`"
+    )
     unbiased: bool = keyed("takes the bias of few tests out of the modulus or the scatter", False)
-    synthetic: bool = keyed("the observations are synthetic, so that no verdict is established by them", False)
+    synthetic: bool = keyed(
+        "the observations are synthetic, so that no verdict is established by them", False
+    )
     lower: Any = None
     upper: Any = None
 
@@ -239,19 +283,28 @@ class Observations(Table):
     def _one_kind(self) -> Observations:
         kind = "force" if self.column is None and (self.force or self.diameter) else "column"
         kind = "draws" if self.draws is not None else kind
-        if strange := sorted(self.model_fields_set - {"dist", "decimal", "synthetic", kind, *_TAKEN[kind].split()}):
-            raise Fault(f"{strange[0]} does not belong to {kind} = …: leave one of them out", strange[0])
+        if strange := sorted(
+            self.model_fields_set - {"dist", "decimal", "synthetic", kind, *_TAKEN[kind].split()}
+        ):
+            raise Fault(
+                f"{strange[0]} does not belong to {kind} = …: leave one of them out", strange[0]
+            )
         return self
 
 
 @contextmanager
-def opened(name: str, draft: Draft, key: str = "file", decimal: str | None = None) -> Iterator[Cells]:
+def opened(
+    name: str, draft: Draft, key: str = "file", decimal: str | None = None
+) -> Iterator[Cells]:
     """The table of a file in the study's folder; at the end all faults that were noted of it are one Fault."""
     home, given = draft.folder.resolve(), Path(name)
     try:
         path = (home / given).resolve()
         if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
-            raise Fault(f"found {shown(name)}: a study reads files of its own folder only, by a relative path", key)
+            raise Fault(
+                f"found {shown(name)}: a study reads files of its own folder only, by a relative path",
+                key,
+            )
         if not path.exists():
             near = suggestion(name, [item.name for item in home.iterdir()] if home.is_dir() else [])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
@@ -281,14 +334,21 @@ def _blamed(*keys: str, otherwise: str) -> Iterator[None]:
 
 def is_tests(raw: Any) -> bool:
     """Whether a strength is written as forces at which spheres broke."""
-    return isinstance(raw, Mapping) and ("force" in raw or "diameter" in raw) and not {"column", "draws"} & set(raw)
+    return (
+        isinstance(raw, Mapping)
+        and ("force" in raw or "diameter" in raw)
+        and not {"column", "draws"} & set(raw)
+    )
 
 
 def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place: Place) -> Number:
     """The distribution of weighted values, of a column, or of draws; raises Fault."""
     if raw.get("dist") == "discrete":
         if place[0] == "limits":
-            raise Fault("strengths and model factors have a density, or are a column: discrete is for inputs", "dist")
+            raise Fault(
+                "strengths and model factors have a density, or are a column: discrete is for inputs",
+                "dist",
+            )
         weighted = declared(Discrete, raw)
         with within("values"):
             values = [value_of(one, quantity) for one in weighted.values]
@@ -298,9 +358,14 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     if table.draws is not None:
         return _drawn(table.draws, table, quantity, draft)
     if is_tests(raw):
-        raise Fault("forces at failure belong to the strength of a limit of the impact model", "force")
+        raise Fault(
+            "forces at failure belong to the strength of a limit of the impact model", "force"
+        )
     found, rows, columns, stopped = observations(table, draft, column=quantity.dimension)
-    bounds = [None if end is None else value_of(end, quantity, bounded=False) for end in (table.lower, table.upper)]
+    bounds = [
+        None if end is None else value_of(end, quantity, bounded=False)
+        for end in (table.lower, table.upper)
+    ]
     warn_of_rows(found, rows, columns["column"], stopped, draft, place)
     law = fit(columns["column"], stopped, table, table.fit, *bounds)
     return Number(value=law, synthetic=table.synthetic)
@@ -312,21 +377,39 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
     dimensions = {"scale": quantity.dimension, "least": quantity.dimension, "diameter": "length"}
     with opened(name, draft, "draws", table.decimal) as found:
         words = found.texts("distribution", "draws")
-        found.refuse("draws", f"distribution: {one_of(kinds)} is required", np.array([w not in kinds for w in words]))
+        found.refuse(
+            "draws",
+            f"distribution: {one_of(kinds)} is required",
+            np.array([w not in kinds for w in words]),
+        )
         for key in ("least", "scale", "shape", "bound", "tests", "diameter", "size_exponent"):
             dimension = dimensions.get(key, "number")
-            needed = key in ("scale", "shape") or any(unit_in_heading(h, dimension)[0] == key for h in found.headings)
+            needed = key in ("scale", "shape") or any(
+                unit_in_heading(h, dimension)[0] == key for h in found.headings
+            )
             unit = table.unit if dimension == quantity.dimension else None
-            columns[key] = found.numbers(key, dimension, unit, key="draws") if needed else np.zeros(len(found))
+            columns[key] = (
+                found.numbers(key, dimension, unit, key="draws") if needed else np.zeros(len(found))
+            )
         least, scale, shape, bound, tests, size, exponent = columns.values()
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
-        found.refuse("draws", "scale and shape above 0, least from 0, bound from 0 to below 1 are required", wrong)
+        found.refuse(
+            "draws",
+            "scale and shape above 0, least from 0, bound from 0 to below 1 are required",
+            wrong,
+        )
     draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
-    tested = Tested(diameter=float(size[0]), exponent=float(exponent.mean())) if size[0] > 0.0 else None
-    return Number(value=law_of_draws(draws.tolist(), int(tests[0])), synthetic=table.synthetic, tested=tested)
+    tested = (
+        Tested(diameter=float(size[0]), exponent=float(exponent.mean())) if size[0] > 0.0 else None
+    )
+    return Number(
+        value=law_of_draws(draws.tolist(), int(tests[0])), synthetic=table.synthetic, tested=tested
+    )
 
 
-def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[Cells, Places, dict[str, Array], Flags]:
+def observations(
+    table: Observations, draft: Draft, **dimensions: str
+) -> tuple[Cells, Places, dict[str, Array], Flags]:
     """Tests of a file by the keys that name its columns: the table, the row of each test, columns and stops (n,).
 
     A row is as many tests as its count says; a key that the table lacks has no column.  Raises Fault.
@@ -337,7 +420,10 @@ def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[
     columns = {}
     with opened(str(table.file), draft, decimal=table.decimal) as found:
         for key, dimension in dimensions.items():
-            name, unit = getattr(table, key), getattr(table, "unit" if key == "column" else f"{key}_unit", None)
+            name, unit = (
+                getattr(table, key),
+                getattr(table, "unit" if key == "column" else f"{key}_unit", None),
+            )
             if key == "diameter" and name[:1].isdigit():
                 with within("diameter"):
                     columns[key] = np.full(len(found), value_of(name, INPUTS["bars.diameter"]))
@@ -346,8 +432,12 @@ def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[
         stopped = np.zeros(len(found), dtype=bool)
         if table.censored is not None:
             stopped = found.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
-        many = np.ones(len(found)) if table.count is None else found.numbers(table.count, key="count")
-        found.refuse("count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0))
+        many = (
+            np.ones(len(found)) if table.count is None else found.numbers(table.count, key="count")
+        )
+        found.refuse(
+            "count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0)
+        )
         found.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
         for key in columns.keys() & {"force", "diameter"}:
             found.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
@@ -355,32 +445,65 @@ def observations(table: Observations, draft: Draft, **dimensions: str) -> tuple[
     return found, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
 
 
-def fit(data: Array, stopped: Flags, table: Observations, kind: str | None, lower: float | None = None,
-        upper: float | None = None, *, slope: float = 1.0) -> Law:  # fmt: skip
+def fit(
+    data: Array,
+    stopped: Flags,
+    table: Observations,
+    kind: str | None,
+    lower: float | None = None,
+    upper: float | None = None,
+    *,
+    slope: float = 1.0,
+) -> Law:
     """The law of some observations; raises Fault.  `slope`: they are forces to this power, which have the modulus."""
     modulus = None if table.modulus is None else table.modulus / slope
     if modulus is None and (len(data) < 2 or stopped.all()):
-        said = f"all {len(data)} tests were stopped" if len(data) > 1 else f"found {len(data)} observation"
-        raise Fault(f"{said}: two failures or more are required, or a known Weibull modulus: modulus = …", "file")
+        said = (
+            f"all {len(data)} tests were stopped"
+            if len(data) > 1
+            else f"found {len(data)} observation"
+        )
+        raise Fault(
+            f"{said}: two failures or more are required, or a known Weibull modulus: modulus = …",
+            "file",
+        )
     with _blamed("fit", "lower", "upper", otherwise="file"):
-        return fitted_law(data[~stopped].tolist(), kind, lower, upper, censored=data[stopped].tolist(),
-                          unbiased=table.unbiased, modulus=modulus)  # fmt: skip
+        return fitted_law(
+            data[~stopped].tolist(),
+            kind,
+            lower,
+            upper,
+            censored=data[stopped].tolist(),
+            unbiased=table.unbiased,
+            modulus=modulus,
+        )
 
 
-def warn_of_rows(found: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place) -> None:
+def warn_of_rows(
+    found: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
+) -> None:
     """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a shape of no fit."""
     said = list(found.notes)
     if far := outliers(x, ~stopped):
-        lines = [f"line {found.lines[rows[k]]} ({ratio:.3g} times the median)" for k, ratio in [*far.items()][:5]]
-        said.append(f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal point?")
+        lines = [
+            f"line {found.lines[rows[k]]} ({ratio:.3g} times the median)"
+            for k, ratio in [*far.items()][:5]
+        ]
+        said.append(
+            f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal point?"
+        )
     if (~stopped).sum() >= 6:
         with suppress(ValueError):
             tests = make_tests(x, stopped)
             if (p := max(probability_of(tests, law) for law in STRENGTHS.values())) < _UNLIKELY:
-                said.append(f"{found.name}: neither a Weibull nor a lognormal distribution fits (p = {p:.2g}): mixed "
-                            "or faulty rows?")  # fmt: skip
+                said.append(
+                    f"{found.name}: neither a Weibull nor a lognormal distribution fits (p = {p:.2g}): mixed "
+                    "or faulty rows?"
+                )
     if len(x) < _FEW:
-        said.append(f"{len(x)} observations: what so few leave open is large; {_FEW} or more are a start")
+        said.append(
+            f"{len(x)} observations: what so few leave open is large; {_FEW} or more are a start"
+        )
     for text in said:
         draft.warn((*place, "file"), text)
 
@@ -395,16 +518,26 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
     with opened(str(table.file), draft) as found:
         columns = table.columns or tuple(found.headings[:2])
         if len(columns) != 2:
-            raise Fault(f"found {len(columns)} column: time, then strain or volts are required", "columns")
+            raise Fault(
+                f"found {len(columns)} column: time, then strain or volts are required", "columns"
+            )
         time_unit, unit = table.units or (None, None)
-        volts = unit in UNITS["voltage"] or (unit is None and found.unit_of(columns[1], "voltage") is not None)
+        volts = unit in UNITS["voltage"] or (
+            unit is None and found.unit_of(columns[1], "voltage") is not None
+        )
         time = found.numbers(columns[0], "time", time_unit)
-        strain = (table.factor or 1.0) * found.numbers(columns[1], "voltage" if volts else "strain", unit)
-        found.refuse("", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0)
+        strain = (table.factor or 1.0) * found.numbers(
+            columns[1], "voltage" if volts else "strain", unit
+        )
+        found.refuse(
+            "", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0
+        )
     if volts and table.factor is None:
         raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
     if not volts and table.factor is not None:
-        raise Fault("factor is the strain of one volt, and this is a strain: leave it out", "factor")
+        raise Fault(
+            "factor is the strain of one volt, and this is a strain: leave it out", "factor"
+        )
     notes = list(found.notes)
     if -strain.min() > strain.max():
         strain = -strain

@@ -21,12 +21,37 @@ from uqsphere.uq.estimate import Estimate, absent, exact, from_replicates, stude
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, discrete_law, make_law
-from uqsphere.uq.limit_state import LimitState, complement, failure_of_aim, score_of, tails, target_met
+from uqsphere.uq.limit_state import (
+    LimitState,
+    complement,
+    failure_of_aim,
+    score_of,
+    tails,
+    target_met,
+)
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample
 
 __all__ = [
-    "Dependence", "Estimate", "Joint", "Law", "LawError", "LimitState", "Sample", "absent", "complement",
-    "discrete_law", "exact", "failure_of_aim", "from_replicates", "make_joint", "make_law", "random_generator",
-    "score_of", "sobol_points", "student", "tails", "target_met",
-]  # fmt: skip
+    "Dependence",
+    "Estimate",
+    "Joint",
+    "Law",
+    "LawError",
+    "LimitState",
+    "Sample",
+    "absent",
+    "complement",
+    "discrete_law",
+    "exact",
+    "failure_of_aim",
+    "from_replicates",
+    "make_joint",
+    "make_law",
+    "random_generator",
+    "score_of",
+    "sobol_points",
+    "student",
+    "tails",
+    "target_met",
+]

@@ -38,8 +38,14 @@ def fragility(
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
         raise ValueError("the grid must hold at least two increasing values")
     if probabilities.ndim != 2 or probabilities.shape[0] != grid.size or probabilities.shape[1] < 2:
-        raise ValueError(f"probabilities must be ({grid.size}, R) with R >= 2, found {probabilities.shape}")
-    if not (np.isfinite(probabilities).all() and probabilities.min() >= 0.0 and probabilities.max() <= 1.0):
+        raise ValueError(
+            f"probabilities must be ({grid.size}, R) with R >= 2, found {probabilities.shape}"
+        )
+    if not (
+        np.isfinite(probabilities).all()
+        and probabilities.min() >= 0.0
+        and probabilities.max() <= 1.0
+    ):
         raise ValueError("probabilities must lie in [0, 1]")
     least = 0.5 / (samples * probabilities.shape[1])
     curve = _curve(grid, probabilities, samples)
@@ -70,7 +76,10 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
 
 def _passes_once(probabilities: Array, target: float) -> bool:
     """Whether curves (K, R) are surely on one side of a probability at first and on the other from some value on."""
-    mean, error = probabilities.mean(axis=1), probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1])
+    mean, error = (
+        probabilities.mean(axis=1),
+        probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1]),
+    )
     sides = np.sign(mean - target)[np.abs(mean - target) > SURE * error + 1e-9]
     return int(np.count_nonzero(np.diff(sides))) == 1
 
@@ -91,7 +100,9 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
     from scipy.interpolate import PchipInterpolator
     from scipy.special import ndtri
 
-    above, below = (0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities))
+    above, below = (
+        0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities)
+    )
     bounded = np.clip(probabilities, np.minimum(least, above), 1.0 - np.clip(below, 1e-16, least))
     direction = np.where(bounded[-1] >= bounded[0], 1.0, -1.0)
     scores = direction * (np.asarray(ndtri(bounded)) - float(ndtri(target)))
@@ -106,7 +117,9 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
     return found
 
 
-def _value(grid: Array, probabilities: Array, target: float, least: float, evaluations: int) -> Estimate:
+def _value(
+    grid: Array, probabilities: Array, target: float, least: float, evaluations: int
+) -> Estimate:
     """Value at the target with the spread of the replicates' own answers and the error of interpolation."""
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
@@ -121,11 +134,17 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
     replicates = probabilities.shape[1]
     own = _crossings(places, probabilities, target, least)
     if np.isnan(own).any():
-        return absent("too close to an end of the range: some replicates do not reach it", METHOD, evaluations)
+        return absent(
+            "too close to an end of the range: some replicates do not reach it", METHOD, evaluations
+        )
     # What the curve through every other point answers differently bounds what is lost between the points:
     # halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
-    other = float(_crossings(places[coarse], pooled[coarse], target, least)[0]) if coarse.size > 1 else math.nan
+    other = (
+        float(_crossings(places[coarse], pooled[coarse], target, least)[0])
+        if coarse.size > 1
+        else math.nan
+    )
     lost = 0.0 if math.isnan(other) else abs(other - centre) / 4.0
     half = student(replicates) * spread(own) + lost
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))

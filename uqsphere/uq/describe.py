@@ -66,9 +66,14 @@ def hill(outputs: Array) -> float:
 
 
 def describe(
-    samples: Array, *, censored: Flags | None = None, failed: Flags | None = None, on_failure: str = "drop",
-    quantiles: Sequence[float] = (0.01, 0.05, 0.5, 0.95, 0.99), method: str = "randomised quasi-Monte Carlo",
-) -> Description:  # fmt: skip
+    samples: Array,
+    *,
+    censored: Flags | None = None,
+    failed: Flags | None = None,
+    on_failure: str = "drop",
+    quantiles: Sequence[float] = (0.01, 0.05, 0.5, 0.95, 0.99),
+    method: str = "randomised quasi-Monte Carlo",
+) -> Description:
     """Mean, standard deviation, quantiles and censored share of samples (R, n).
 
     Censored samples are known only to exceed their own value: quantiles that they could move beyond the record are
@@ -84,13 +89,24 @@ def describe(
     if len(samples) < 2 or counts.min() < 2:
         nothing = absent("too few successful samples in a replicate", method, total)
         none = dict.fromkeys(quantiles, nothing)
-        return Description(mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan)
-    shown = method + ", restricted to the record" * bool(late.any()) + ", without failed rows" * bool(broken.any())
+        return Description(
+            mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan
+        )
+    shown = (
+        method
+        + ", restricted to the record" * bool(late.any())
+        + ", without failed rows" * bool(broken.any())
+    )
     mean, sd, scale = _moments(samples, kept, shown)
     if (late | broken).all():
         mean = sd = absent("every sample outlasts the record", method, total)
     estimates = quantile_estimates(
-        samples, censored=late, failed=broken, on_failure=on_failure, quantiles=quantiles, method=method
+        samples,
+        censored=late,
+        failed=broken,
+        on_failure=on_failure,
+        quantiles=quantiles,
+        method=method,
     )
     beyond = share(late, "share of the samples")
     if late.any() and broken.any():
@@ -116,12 +132,21 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         two, three = (float((parts**k).sum()) / total for k in (2, 3))
     mean = from_replicates(means, method, evaluations, centre)
     sd = from_replicates(deviations, method, evaluations, deviation)
-    if sd.low is not None and sd.high is not None and sd.std_error is not None and two > 1.0 + 1e-12:
+    if (
+        sd.low is not None
+        and sd.high is not None
+        and sd.std_error is not None
+        and two > 1.0 + 1e-12
+    ):
         # A sample that lacks the rare large values has too small a deviation and too narrow an interval at once.  The
         # upper end is moved up by the term of the third moment in Johnson's t (J. Am. Stat. Assoc. 73, 1978, 536),
         # g (1 + 2 t²)/(6 sqrt(R)), g the skewness of the squares of a replicate.
         skewness = (three - 3.0 * two + 2.0) / (two - 1.0) ** 1.5 / math.sqrt(total / len(samples))
-        moved = max(skewness, 0.0) * (1.0 + 2.0 * student(len(samples)) ** 2) / (6.0 * math.sqrt(len(samples)))
+        moved = (
+            max(skewness, 0.0)
+            * (1.0 + 2.0 * student(len(samples)) ** 2)
+            / (6.0 * math.sqrt(len(samples)))
+        )
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + moved * sd.std_error)
     largest = float(parts.max()) / total
     if largest > DOMINANT and total >= CONVERGES:
@@ -132,7 +157,13 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
 
 
 def quantile_estimates(
-    samples: Array, *, censored: Flags, failed: Flags, on_failure: str, quantiles: Sequence[float], method: str
+    samples: Array,
+    *,
+    censored: Flags,
+    failed: Flags,
+    on_failure: str,
+    quantiles: Sequence[float],
+    method: str,
 ) -> dict[float, Estimate]:
     """Quantiles of (R, n) samples; those that censoring or failures leave unanswered are absent.
 
@@ -155,7 +186,9 @@ def quantile_estimates(
         answers[p] = quantile(read, p, error, len(samples), method, total, upper=upper)
         if answers[p].value is None:
             shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
-            parts = [f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares.items() if part]
+            parts = [
+                f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares.items() if part
+            ]
             answers[p] = absent("beyond " + " and ".join(parts), method, total)
     return answers
 
@@ -186,9 +219,13 @@ def describe_controlled(
     method : text of every estimate
     """
     total = expensive.size
-    mean = from_replicates((expensive - cheap).mean(axis=1) + cheap_many.mean(axis=1), method, total)
+    mean = from_replicates(
+        (expensive - cheap).mean(axis=1) + cheap_many.mean(axis=1), method, total
+    )
     # about one centre for all replicates, so that their means are not taken for scatter of the quantity
-    squares = [((rows - (mean.value or 0.0)) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)]
+    squares = [
+        ((rows - (mean.value or 0.0)) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)
+    ]
     variances = squares[0] - squares[1] + squares[2]
     scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
     # the standard deviation moves by half of what the variance does, over itself
@@ -198,15 +235,20 @@ def describe_controlled(
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
             found[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        own, other, more = ((rows <= read(p)).mean(axis=1) for rows in (expensive, cheap, cheap_many))
+        own, other, more = (
+            (rows <= read(p)).mean(axis=1) for rows in (expensive, cheap, cheap_many)
+        )
         # a cell of the many, and one row in which the models may disagree
         cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
         error = math.hypot(spread(own - other + more), cell, CELL / total)
         found[p] = quantile(read, p, error, len(expensive), method, total)
     return Description(
-        mean=mean, sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)), quantiles=found,
-        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"), scale=scale,
-    )  # fmt: skip
+        mean=mean,
+        sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
+        quantiles=found,
+        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
+        scale=scale,
+    )
 
 
 def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[float], float]:

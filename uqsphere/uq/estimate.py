@@ -73,8 +73,15 @@ def exact(value: float, method: str = "one evaluation, nothing random") -> Estim
 
 def absent(reason: str, method: str, evaluations: int) -> Estimate:
     """An answer that cannot be given, and why."""
-    return Estimate(value=None, low=None, high=None, std_error=None, method=method, evaluations=evaluations,
-                    reason=reason)  # fmt: skip
+    return Estimate(
+        value=None,
+        low=None,
+        high=None,
+        std_error=None,
+        method=method,
+        evaluations=evaluations,
+        reason=reason,
+    )
 
 
 def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:
@@ -82,16 +89,26 @@ def around(value: float, half: float, error: float, method: str, evaluations: in
     low, high = value - half, value + half
     if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(error)):
         return absent("the answer is beyond floating point", method, evaluations)
-    return Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+    return Estimate(
+        value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations
+    )
 
 
-def between(value: float, low: float, high: float, replicates: int, method: str, evaluations: int) -> Estimate:
+def between(
+    value: float, low: float, high: float, replicates: int, method: str, evaluations: int
+) -> Estimate:
     """A value between ends that were read off at so many replicates: the standard error is that of Student's half."""
     if not all(map(math.isfinite, (value, low, high, high - low))):
         return absent("the answer is beyond floating point", method, evaluations)
     error = 0.5 * (high - low) / student(replicates)
-    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error, method=method,
-                    evaluations=evaluations)  # fmt: skip
+    return Estimate(
+        value=value,
+        low=min(low, value),
+        high=max(high, value),
+        std_error=error,
+        method=method,
+        evaluations=evaluations,
+    )
 
 
 def student(replicates: float) -> float:
@@ -134,7 +151,9 @@ def spread(rows: Array, cell: float = 0.0) -> float:
     return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
 
 
-def from_replicates(values: Array, method: str, evaluations: int, pooled: float | None = None) -> Estimate:
+def from_replicates(
+    values: Array, method: str, evaluations: int, pooled: float | None = None
+) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
     The value is `pooled` if given (the answer of all samples together), else the mean of the replicates; the interval
@@ -177,7 +196,9 @@ def count_bound(total: float) -> float:
     return -math.expm1(math.log(0.05) / total)
 
 
-def probability_ends(p: float, q: float, error: float, replicates: int, total: float) -> tuple[float, float, float]:
+def probability_ends(
+    p: float, q: float, error: float, replicates: int, total: float
+) -> tuple[float, float, float]:
     """Ends and standard error of a probability p with its complement q, in logits, which stay inside 0 and 1.
 
     None or all of `total` has the one-sided 95 % bound of a count of none.
@@ -190,7 +211,9 @@ def probability_ends(p: float, q: float, error: float, replicates: int, total: f
     return p * factor / (q + p * factor), p / (q * factor + p), error
 
 
-def share(flags: Flags, method: str = "share of the samples", *, weights: Array | None = None) -> Estimate:
+def share(
+    flags: Flags, method: str = "share of the samples", *, weights: Array | None = None
+) -> Estimate:
     """Share of True in (R, n), where a replicate stands for its weight (R,), mean 1; interval in logits.
 
     None or all True gets the one-sided 95 % bound on the count.
@@ -206,16 +229,24 @@ def share(flags: Flags, method: str = "share of the samples", *, weights: Array 
         p = float((weights * rows).mean())
         error = spread(weights * (rows - p), 1.0 / n)
     low, high, error = probability_ends(p, 1.0 - p, error, replicates, flags.size)
-    return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=flags.size)
+    return Estimate(
+        value=p, low=low, high=high, std_error=error, method=method, evaluations=flags.size
+    )
 
 
 # --- quantiles ----------------------------------------------------------------------------------------
 
 
 def quantile(
-    read: Callable[[float], float], p: float, error: float, replicates: int, method: str, evaluations: int,
-    *, upper: Callable[[float], float] | None = None,
-) -> Estimate:  # fmt: skip
+    read: Callable[[float], float],
+    p: float,
+    error: float,
+    replicates: int,
+    method: str,
+    evaluations: int,
+    *,
+    upper: Callable[[float], float] | None = None,
+) -> Estimate:
     """A quantile at p off a function that reads a distribution at a probability, where that has a standard error.
 
     The ends are read off those of the interval of the probability (R. S. Woodruff, J. Amer. Statist. Assoc. 47, 1952,
@@ -223,8 +254,20 @@ def quantile(
     and `upper` at their largest: each reads the end on its side, and the value lies between the two.
     """
     half, upper = student(replicates) * error, upper or read
-    value, highest, low, high = read(p), upper(p), read(max(p - half, 0.0)), upper(min(p + half, 1.0))
-    return between(value if highest == value else 0.5 * (value + highest), low, high, replicates, method, evaluations)
+    value, highest, low, high = (
+        read(p),
+        upper(p),
+        read(max(p - half, 0.0)),
+        upper(min(p + half, 1.0)),
+    )
+    return between(
+        value if highest == value else 0.5 * (value + highest),
+        low,
+        high,
+        replicates,
+        method,
+        evaluations,
+    )
 
 
 def sample_reader(values: Array, weights: Array | None = None) -> Callable[[float], float]:

@@ -27,9 +27,22 @@ Keys: TypeAlias = dict[str, float]
 
 #: keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the SI value, rate is
 #: per SI unit)
-DIMENSIONAL: Final = frozenset({"mean", "sd", "scale", "location", "threshold", "mode", "loc", "lower", "upper"})
+DIMENSIONAL: Final = frozenset(
+    {"mean", "sd", "scale", "location", "threshold", "mode", "loc", "lower", "upper"}
+)
 #: keys that must be above zero in every family that has them
-_POSITIVE: Final = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
+_POSITIVE: Final = (
+    "sd",
+    "cov",
+    "log_sd",
+    "scale",
+    "modulus",
+    "shape",
+    "dof",
+    "rate",
+    "alpha",
+    "beta",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,9 +50,13 @@ class Family:
     """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are the law's own."""
 
     name: str
-    alternatives: tuple[tuple[str, ...], ...] = ((),)  # key sets, of which one must be given; a law keeps the first
+    alternatives: tuple[tuple[str, ...], ...] = (
+        (),
+    )  # key sets, of which one must be given; a law keeps the first
     optional: Mapping[str, float] = field(default_factory=dict)  # further keys with their defaults
-    bounded: bool = False  # the bounds are required, and are the law's own; those of other laws truncate
+    bounded: bool = (
+        False  # the bounds are required, and are the law's own; those of other laws truncate
+    )
     logarithmic: bool = False  # the standard form is that of ln x
     positive: bool = False  # only positive observations can come from it
     #: parameters, by their keys -> location, scale and standard form; raises LawError
@@ -52,7 +69,9 @@ class Family:
     @property
     def keys(self) -> tuple[str, ...]:
         """Every key of the parameters, without lower and upper, in the order of the alternatives."""
-        return tuple(dict.fromkeys((*(key for keys in self.alternatives for key in keys), *self.optional)))
+        return tuple(
+            dict.fromkeys((*(key for keys in self.alternatives for key in keys), *self.optional))
+        )
 
     @property
     def parameters_of(self) -> tuple[str, ...]:
@@ -82,19 +101,27 @@ class Family:
             raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
         for key, value in given.items():
             if key not in self.keys:
-                raise LawError(f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key)
+                raise LawError(
+                    f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key
+                )
             if not math.isfinite(value):
                 raise LawError(f"{key} must be a finite number, found {value}", key)
         own = {key: value for key, value in given.items() if key not in self.optional}
         if set(own) not in map(set, self.alternatives):
             best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
             odd = next((key for key in own if key not in best), "")
-            raise LawError(f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd)
+            raise LawError(
+                f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd
+            )
         for key in (key for key in _POSITIVE if own.get(key, 1.0) <= 0.0):
-            hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
+            hint = (
+                "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
+            )
             raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
         if self.positive and not self.optional and own.get("mean", 1.0) <= 0.0:
-            raise LawError(f"mean of a {self.name} law must be positive, found {own['mean']:g}", "mean")
+            raise LawError(
+                f"mean of a {self.name} law must be positive, found {own['mean']:g}", "mean"
+            )
         if own.get("mean") == 0.0 and "cov" in own:
             raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
         if "cov" in own:
@@ -107,7 +134,9 @@ class Family:
         except (OverflowError, ZeroDivisionError):
             found = {"": math.inf}
         if not all(map(math.isfinite, found.values())):
-            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
+            raise LawError(
+                f"these parameters of {self.name} give numbers beyond floating point", ""
+            )
         return found
 
 
@@ -117,7 +146,9 @@ class Family:
 def _share(key: str, value: float, lower: float, upper: float) -> float:
     """Where between the bounds a number lies; raises LawError."""
     if not lower <= value <= upper:
-        raise LawError(f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key)
+        raise LawError(
+            f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})", key
+        )
     return (value - lower) / (upper - lower)
 
 
@@ -156,57 +187,93 @@ def _loguniform(lower: float, upper: float) -> tuple[float, float, Form]:
 
 _MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
 
-FAMILIES: Final = {family.name: family for family in (
-    Family(name="normal", alternatives=_MOMENTS, form=lambda mean, sd: (mean, sd, forms.GAUSS)),
-    Family(
-        name="lognormal", alternatives=(("log_mean", "log_sd"), *_MOMENTS), logarithmic=True, positive=True,
-        form=lambda log_mean, log_sd: (log_mean, log_sd, forms.GAUSS), from_moments=_lognormal_keys,
-    ),
-    Family(
-        name="weibull", alternatives=(("modulus", "scale"), ("mean", "modulus")), optional={"threshold": 0.0},
-        positive=True, form=lambda modulus, scale, threshold: (threshold, scale, forms.weibull(modulus)),
-        from_moments=_weibull_keys,
-    ),
-    Family(
-        name="exponential", alternatives=(("rate",), ("mean",)), positive=True,
-        form=lambda rate: (0.0, 1.0 / rate, forms.weibull(1.0)), from_moments=lambda mean: {"rate": 1.0 / mean},
-    ),
-    Family(
-        name="rayleigh", alternatives=(("scale",), ("mean",)), positive=True,
-        form=lambda scale: (0.0, scale * math.sqrt(2.0), forms.weibull(2.0)),
-        from_moments=lambda mean: {"scale": mean * math.sqrt(2.0 / math.pi)},
-    ),
-    Family(
-        name="frechet", alternatives=(("shape", "scale"),), optional={"location": 0.0}, positive=True,
-        form=lambda shape, scale, location: (location, scale, forms.frechet(shape)),
-    ),
-    Family(
-        name="gumbel", alternatives=(("location", "scale"), *_MOMENTS),
-        form=lambda location, scale: (location, scale, forms.GUMBEL), from_moments=_gumbel_keys,
-    ),
-    Family(name="uniform", bounded=True, form=lambda lower, upper: (lower, upper - lower, forms.UNIFORM)),
-    Family(name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform),
-    Family(
-        name="triangular", alternatives=(("mode",),), bounded=True,
-        form=lambda mode, lower, upper: (lower, upper - lower, forms.triangular(_share("mode", mode, lower, upper))),
-    ),
-    Family(
-        name="beta", alternatives=(("alpha", "beta"), *_MOMENTS), bounded=True,
-        form=lambda alpha, beta, lower, upper: (lower, upper - lower, forms.beta(alpha, beta)), from_moments=_beta_keys,
-    ),
-    Family(
-        name="gamma", alternatives=(("shape", "scale"), *_MOMENTS), positive=True,
-        form=lambda shape, scale: (0.0, scale, forms.gamma(shape)),
-        from_moments=lambda mean, sd: {"shape": (mean / sd) ** 2, "scale": sd * (sd / mean)},
-    ),
-    Family(
-        name="student_t", alternatives=(("dof", "location", "scale"),),
-        form=lambda dof, location, scale: (location, scale, forms.student_t(dof)),
-    ),
-    Family(name="empirical", observed=observed.empirical),
-    # numbers that are given, each with a whole number as its weight: a step function that no test is behind
-    Family(name="discrete", observed=observed.empirical),
-)}  # fmt: skip
+FAMILIES: Final = {
+    family.name: family
+    for family in (
+        Family(name="normal", alternatives=_MOMENTS, form=lambda mean, sd: (mean, sd, forms.GAUSS)),
+        Family(
+            name="lognormal",
+            alternatives=(("log_mean", "log_sd"), *_MOMENTS),
+            logarithmic=True,
+            positive=True,
+            form=lambda log_mean, log_sd: (log_mean, log_sd, forms.GAUSS),
+            from_moments=_lognormal_keys,
+        ),
+        Family(
+            name="weibull",
+            alternatives=(("modulus", "scale"), ("mean", "modulus")),
+            optional={"threshold": 0.0},
+            positive=True,
+            form=lambda modulus, scale, threshold: (threshold, scale, forms.weibull(modulus)),
+            from_moments=_weibull_keys,
+        ),
+        Family(
+            name="exponential",
+            alternatives=(("rate",), ("mean",)),
+            positive=True,
+            form=lambda rate: (0.0, 1.0 / rate, forms.weibull(1.0)),
+            from_moments=lambda mean: {"rate": 1.0 / mean},
+        ),
+        Family(
+            name="rayleigh",
+            alternatives=(("scale",), ("mean",)),
+            positive=True,
+            form=lambda scale: (0.0, scale * math.sqrt(2.0), forms.weibull(2.0)),
+            from_moments=lambda mean: {"scale": mean * math.sqrt(2.0 / math.pi)},
+        ),
+        Family(
+            name="frechet",
+            alternatives=(("shape", "scale"),),
+            optional={"location": 0.0},
+            positive=True,
+            form=lambda shape, scale, location: (location, scale, forms.frechet(shape)),
+        ),
+        Family(
+            name="gumbel",
+            alternatives=(("location", "scale"), *_MOMENTS),
+            form=lambda location, scale: (location, scale, forms.GUMBEL),
+            from_moments=_gumbel_keys,
+        ),
+        Family(
+            name="uniform",
+            bounded=True,
+            form=lambda lower, upper: (lower, upper - lower, forms.UNIFORM),
+        ),
+        Family(name="loguniform", bounded=True, logarithmic=True, positive=True, form=_loguniform),
+        Family(
+            name="triangular",
+            alternatives=(("mode",),),
+            bounded=True,
+            form=lambda mode, lower, upper: (
+                lower,
+                upper - lower,
+                forms.triangular(_share("mode", mode, lower, upper)),
+            ),
+        ),
+        Family(
+            name="beta",
+            alternatives=(("alpha", "beta"), *_MOMENTS),
+            bounded=True,
+            form=lambda alpha, beta, lower, upper: (lower, upper - lower, forms.beta(alpha, beta)),
+            from_moments=_beta_keys,
+        ),
+        Family(
+            name="gamma",
+            alternatives=(("shape", "scale"), *_MOMENTS),
+            positive=True,
+            form=lambda shape, scale: (0.0, scale, forms.gamma(shape)),
+            from_moments=lambda mean, sd: {"shape": (mean / sd) ** 2, "scale": sd * (sd / mean)},
+        ),
+        Family(
+            name="student_t",
+            alternatives=(("dof", "location", "scale"),),
+            form=lambda dof, location, scale: (location, scale, forms.student_t(dof)),
+        ),
+        Family(name="empirical", observed=observed.empirical),
+        # numbers that are given, each with a whole number as its weight: a step function that no test is behind
+        Family(name="discrete", observed=observed.empirical),
+    )
+}
 
 #: draws of a fit, which a study reads from a file
 DRAWN: Final = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)

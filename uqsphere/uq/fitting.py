@@ -47,7 +47,9 @@ class LocationScale:
     """A family whose u(x) has a location m and a scale s."""
 
     u: Callable[[Array], Array]  # rising or falling with x
-    parameters: Callable[[Any, Any], dict[str, Any]]  # (m, s), numbers or arrays -> parameters without defaults
+    parameters: Callable[
+        [Any, Any], dict[str, Any]
+    ]  # (m, s), numbers or arrays -> parameters without defaults
     normal: bool = False  # z is standard normal, else the logarithm of an exponential variable
 
     @property
@@ -63,8 +65,14 @@ class LocationScale:
         """Log-likelihood without ln(1/s) of so many failures and stopped tests at each z, and its derivatives by z."""
         if self.normal:
             hazard = math.sqrt(2.0 / math.pi) / special.erfcx(z / math.sqrt(2.0))  # phi(z)/S(z)
-            value = stopped * special.log_ndtr(-z) - failures * (0.5 * z * z + 0.5 * math.log(2.0 * math.pi))
-            return value, -failures * z - stopped * hazard, -failures - stopped * hazard * (hazard - z)
+            value = stopped * special.log_ndtr(-z) - failures * (
+                0.5 * z * z + 0.5 * math.log(2.0 * math.pi)
+            )
+            return (
+                value,
+                -failures * z - stopped * hazard,
+                -failures - stopped * hazard * (hazard - z),
+            )
         power = (failures + stopped) * np.exp(np.minimum(z, 700.0))
         return failures * z - power, failures - power, -power
 
@@ -90,7 +98,9 @@ class LocationScale:
             slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
             hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
             gg = second.sum(axis=1)
-            newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g]) / (hh * gg - hg * hg)
+            newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g]) / (
+                hh * gg - hg * hg
+            )
             # a step that leaves h > 0 ends before it does, one that does not climb is halved
             newton *= np.minimum(1.0, 0.9 * h / np.maximum(-newton[0], 1e-300))
             step = np.where(climbs, newton, 0.5 * step)
@@ -105,13 +115,17 @@ class LocationScale:
         progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995, 229): the distribution of (m* - m)/s*
         and s*/s depends on neither m nor s, exactly without stopped tests and with tests stopped at the r-th failure.
         """
-        steps = generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
+        steps = (
+            generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
+        )
         return self._of_hazard(np.cumsum(steps, axis=1))
 
     def _of_hazard(self, hazards: Array) -> Array:
         return self.form.quantile(-np.expm1(-hazards), np.exp(-hazards))
 
-    def pivots(self, leaving: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
+    def pivots(
+        self, leaving: Array, count: int, generator: np.random.Generator
+    ) -> tuple[Array, Array]:
         """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY` failures."""
         ones, stopped = np.ones(leaving.size), leaving - 1.0
         if leaving.size > MANY:
@@ -119,25 +133,37 @@ class LocationScale:
             second = self.terms(z, ones, stopped)[2]
             mixed = (second * z).sum()
             information = [[ones.sum() - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
-            logs, places = generator.multivariate_normal([0.0, 0.0], np.linalg.inv(information), count).T
+            logs, places = generator.multivariate_normal(
+                [0.0, 0.0], np.linalg.inv(information), count
+            ).T
             return places, np.exp(logs)
         # a thousand series at a time
         blocks = [min(1000, count - done) for done in range(0, count, 1000)]
-        found = [self.maximum(self.series(leaving, block, generator), ones, stopped) for block in blocks]
+        found = [
+            self.maximum(self.series(leaving, block, generator), ones, stopped) for block in blocks
+        ]
         location, scale = (np.concatenate(part) for part in zip(*found, strict=True))
         return location / scale, 1.0 / scale
 
 
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {
-    "lognormal": LocationScale(normal=True, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}),
-    "weibull": LocationScale(u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m)}),
+    "lognormal": LocationScale(
+        normal=True, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}
+    ),
+    "weibull": LocationScale(
+        u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m)}
+    ),
 }
 LOCATION_SCALE: Final = {
     **STRENGTHS,
-    "normal": LocationScale(normal=True, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}),
+    "normal": LocationScale(
+        normal=True, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}
+    ),
     # 1/x is Weibull with the same shape
-    "frechet": LocationScale(u=lambda x: -np.log(x), parameters=lambda m, s: {"shape": 1.0 / s, "scale": np.exp(-m)}),
+    "frechet": LocationScale(
+        u=lambda x: -np.log(x), parameters=lambda m, s: {"shape": 1.0 / s, "scale": np.exp(-m)}
+    ),
     # the negative of a largest value is the logarithm of a Weibull variable
     "gumbel": LocationScale(u=np.negative, parameters=lambda m, s: {"location": -m, "scale": s}),
 }
@@ -180,8 +206,10 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
         if one.shape != found.shape:
             raise ValueError(f"values and {name} differ in number: {found.size} and {one.size}")
     if strange := [flag for flag in flags.tolist() if flag not in (0, 1)]:
-        raise ValueError(f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only to lie "
-                         "below a value, or between two, cannot be given")  # fmt: skip
+        raise ValueError(
+            f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only to lie "
+            "below a value, or between two, cannot be given"
+        )
     if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
         raise ValueError("counts must be whole numbers from 1 on")
     if not np.isfinite(found).all():
@@ -191,16 +219,23 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     tests = _gathered(found, flags.astype(bool), many)
     broke, total = tests.values[tests.failures > 0.0], tests.failures.sum()
     if broke.size == 0:
-        raise ValueError(f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength")
+        raise ValueError(
+            f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength"
+        )
     if np.isclose(broke[0], broke[-1], atol=0.0):
         what = "only one failure" if total == 1.0 else f"all {total:.0f} failures are equal"
-        raise ValueError(f"{what}: the scatter is not known, at least two different failures are needed")
+        raise ValueError(
+            f"{what}: the scatter is not known, at least two different failures are needed"
+        )
     return tests
 
 
 def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
     different, at = np.unique(values, return_inverse=True)
-    failures, ended = (np.bincount(at, counts * flags, different.size).astype(float) for flags in (~stopped, stopped))
+    failures, ended = (
+        np.bincount(at, counts * flags, different.size).astype(float)
+        for flags in (~stopped, stopped)
+    )
     return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
@@ -251,8 +286,13 @@ class StrengthFit:
         """Two rows, shape and scale: value, low, high."""
         from pandas import DataFrame
 
-        rows = {"shape": (self.shape, *self.shape_interval), "scale": (self.scale, *self.scale_interval)}
-        return DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"]).rename_axis("parameter")
+        rows = {
+            "shape": (self.shape, *self.shape_interval),
+            "scale": (self.scale, *self.scale_interval),
+        }
+        return DataFrame.from_dict(
+            rows, orient="index", columns=["value", "low", "high"]
+        ).rename_axis("parameter")
 
 
 def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
@@ -261,7 +301,9 @@ def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
     return float(location[0]), float(spread[0])
 
 
-def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"], *, draws: int = DRAWS) -> StrengthFit:
+def fit_strength(
+    tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"], *, draws: int = DRAWS
+) -> StrengthFit:
     """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated series.
 
     >>> found = fit_strength(make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1]))
@@ -276,13 +318,16 @@ def fit_strength(tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"]
     shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975]).tolist()
     places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975])).tolist()
     return StrengthFit(
-        tests=int((tests.failures + tests.stopped).sum()), failures=int(tests.failures.sum()),
-        shape=law.shape(spread), shape_interval=(shapes[0], shapes[1]),
+        tests=int((tests.failures + tests.stopped).sum()),
+        failures=int(tests.failures.sum()),
+        shape=law.shape(spread),
+        shape_interval=(shapes[0], shapes[1]),
         unbiased=law.shape(spread) * unbiasing(law, tests.leaving, inverse),
-        scale=math.exp(location), scale_interval=(places[0], places[1]),
+        scale=math.exp(location),
+        scale_interval=(places[0], places[1]),
         log_likelihood=float((terms - tests.failures * (y + math.log(spread))).sum()),
         p_value=probability_of(tests, law),
-    )  # fmt: skip
+    )
 
 
 def _distance(below: Array, leaving: Array) -> Array:
@@ -304,7 +349,9 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     drawn = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
     centres, scales = (part[:, None] for part in law.maximum(drawn, np.ones(few.size), few - 1.0))
-    others = _distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(few.size / z.size)
+    others = _distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(
+        few.size / z.size
+    )
     return float((1 + (others >= own).sum()) / (_OTHERS + 1))
 
 
@@ -317,15 +364,23 @@ def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
 
     # Pascals and micrometres meet the same optimiser
     size = float(np.mean(np.abs(data)))
-    *shapes, loc, scale = getattr(stats, name).fit(data / size, **{key: value / size for key, value in fixed.items()})
-    return {key: value for key, value in zip(keys, (*shapes, loc * size, scale * size), strict=True) if key}
+    *shapes, loc, scale = getattr(stats, name).fit(
+        data / size, **{key: value / size for key, value in fixed.items()}
+    )
+    return {
+        key: value
+        for key, value in zip(keys, (*shapes, loc * size, scale * size), strict=True)
+        if key
+    }
 
 
 #: parameters of the largest likelihood of observations (n,), and of bounds, of laws without location and scale
 OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
     "exponential": lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
-    "beta": lambda data, a, b: _scipy_fit("beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a),
+    "beta": lambda data, a, b: _scipy_fit(
+        "beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a
+    ),
     "gamma": lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
 }
 #: what a column of observations can become: a kernel density, a step function, or a member of a family
@@ -335,9 +390,15 @@ LEAST_TESTS: Final = 3
 
 
 def fitted_law(
-    data: Sequence[float], fit: str | None = None, lower: float | None = None, upper: float | None = None, *,
-    censored: Sequence[float] = (), unbiased: bool = False, modulus: float | None = None,
-) -> Law:  # fmt: skip
+    data: Sequence[float],
+    fit: str | None = None,
+    lower: float | None = None,
+    upper: float | None = None,
+    *,
+    censored: Sequence[float] = (),
+    unbiased: bool = False,
+    modulus: float | None = None,
+) -> Law:
     """The law of a column of observations (SI): "kde" (the default), "steps" or a family by its name.
 
     `censored` are observations that are known only to be larger, and `unbiased` takes the bias out of a fitted
@@ -351,7 +412,9 @@ def fitted_law(
     if modulus is not None:
         return _of_known_modulus(data, fit, censored, modulus)
     if how not in FITS:
-        raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit")
+        raise LawError(
+            f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit"
+        )
     values = np.sort(np.asarray(data, dtype=float))
     if len(censored) or unbiased:
         if how not in STRENGTHS:
@@ -363,25 +426,43 @@ def fitted_law(
         except ValueError as error:
             raise LawError(str(error), "column") from None
     elif values.ndim != 1 or values.size < 2:
-        raise LawError(f"an empirical law needs at least 2 observations, found {values.size}", "file")
+        raise LawError(
+            f"an empirical law needs at least 2 observations, found {values.size}", "file"
+        )
     elif not np.isfinite(values).all():
         raise LawError("the observations hold values that are not finite numbers", "column")
     elif values[0] == values[-1]:
         raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
     if how in ("kde", "steps"):
         if how == "kde" and values.size > MOST_KERNELS:
-            raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
+            raise LawError(
+                f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit"
+            )
         width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}
-        found = Law(family=FAMILIES["empirical"], parameters=width, lower=a, upper=b, data=tuple(values.tolist()))
+        found = Law(
+            family=FAMILIES["empirical"],
+            parameters=width,
+            lower=a,
+            upper=b,
+            data=tuple(values.tolist()),
+        )
         return checked(found)
     family, least, largest = FAMILIES[how], float(values[0]), float(values[-1])
     if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if family.bounded and not a < least <= largest < b:
-        raise LawError(f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit")
+        raise LawError(
+            f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit"
+        )
     if family.positive and least <= 0.0:
         raise LawError(f"{how} needs positive observations, the smallest is {least:g}", "fit")
-    found = Law(family=family, lower=a, upper=b, data=tuple(values.tolist()), censored=tuple(sorted(censored)))
+    found = Law(
+        family=family,
+        lower=a,
+        upper=b,
+        data=tuple(values.tolist()),
+        censored=tuple(sorted(censored)),
+    )
     try:
         fitted = _likeliest(found, unbiased)
     except ValueError as error:
@@ -393,14 +474,20 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     """The law with the parameters of the largest likelihood of its observations; raises ValueError."""
     name, ends = law.family.name, (law.lower, law.upper)
     if (kind := LOCATION_SCALE.get(name)) is None:
-        return replace(law, parameters=law.family.parameters(OTHERS[name](np.array(law.data), *ends), *ends))
+        return replace(
+            law, parameters=law.family.parameters(OTHERS[name](np.array(law.data), *ends), *ends)
+        )
     tests = series_behind(law)
     location, spread = _best(tests, kind)
     shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
-    return replace(law, parameters=law.family.parameters(kind.parameters(location, kind.shape(shape)), *ends))
+    return replace(
+        law, parameters=law.family.parameters(kind.parameters(location, kind.shape(shape)), *ends)
+    )
 
 
-def _of_known_modulus(data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float) -> Law:
+def _of_known_modulus(
+    data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float
+) -> Law:
     """Weibull laws of a known modulus m that tests allow, and their mean: scale^-m is a gamma variable of sum(x^m).
 
     Its shape is r + 1/2 for r failures, and 1 for none, which puts the scale on the safe side (W. Q. Meeker, L. A.
@@ -451,8 +538,10 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
         return (replace(law, draws=(law.draws[row],)) for row in rows.tolist())
     n, family = len(law.data), law.family
     if n < LEAST_TESTS:
-        raise LawError(f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
-                       "file")  # fmt: skip
+        raise LawError(
+            f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
+            "file",
+        )
     if (kind := LOCATION_SCALE.get(family.name)) is None:
         again = (_made_again(law, generator) for _ in range(count))
         # only laws of many observations need be made one by one; a fit that fails is known before a law is used
@@ -463,7 +552,10 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
     centre, inverse = kind.pivots(tests.leaving, count, generator)
     columns = kind.parameters(location - scale * centre, scale * inverse)
     values = np.column_stack(list(columns.values())).tolist()
-    return (replace(law, parameters={**law.parameters, **dict(zip(columns, row, strict=True))}) for row in values)
+    return (
+        replace(law, parameters={**law.parameters, **dict(zip(columns, row, strict=True))})
+        for row in values
+    )
 
 
 def _made_again(law: Law, generator: np.random.Generator) -> Law:
@@ -478,8 +570,12 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
     for _ in range(20):
         if family.observed is None:
             with contextlib.suppress(ValueError):
-                again = _likeliest(replace(law, data=tuple(law.ppf(generator.random(n)).tolist()))).parameters
-                return replace(law, parameters={key: law.parameters[key] ** 2 / again[key] for key in again})
+                again = _likeliest(
+                    replace(law, data=tuple(law.ppf(generator.random(n)).tolist()))
+                ).parameters
+                return replace(
+                    law, parameters={key: law.parameters[key] ** 2 / again[key] for key in again}
+                )
         elif np.ptp(sample := np.sort(generator.choice(law.data, n))) > 0.0:
             width = 0.0 if law.is_steps else bandwidth(sample)
             return replace(law, parameters={"bandwidth": width}, data=tuple(sample.tolist()))
@@ -503,7 +599,11 @@ def modulus_of(law: object) -> float | None:
     if not isinstance(law, Law):
         return None
     kinds = {(draw[0], draw[3]) for draw in law.draws}
-    return kinds.pop()[1] if len(kinds) == 1 and law.draws[0][0] == WEIBULL else law.parameters.get("modulus")
+    return (
+        kinds.pop()[1]
+        if len(kinds) == 1 and law.draws[0][0] == WEIBULL
+        else law.parameters.get("modulus")
+    )
 
 
 def outliers(values: Array, failed: Flags) -> dict[int, float]:

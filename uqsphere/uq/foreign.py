@@ -26,41 +26,107 @@ Table: TypeAlias = dict[str, Any]
 #: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no place there
 TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
     "norm": lambda loc, scale: {"dist": "normal", "mean": loc, "sd": scale},
-    "lognorm": lambda s, loc, scale: None if loc else {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s},
+    "lognorm": lambda s, loc, scale: (
+        None if loc else {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s}
+    ),
     "uniform": lambda loc, scale: {"dist": "uniform", "lower": loc, "upper": loc + scale},
-    "loguniform": lambda a, b, loc, scale: None if loc else {"dist": "loguniform", "lower": scale * a,
-                                                            "upper": scale * b},
-    "triang": lambda c, loc, scale: {"dist": "triangular", "mode": loc + c * scale, "lower": loc, "upper": loc + scale},
-    "beta": lambda a, b, loc, scale: {"dist": "beta", "lower": loc, "upper": loc + scale, "alpha": a, "beta": b},
+    "loguniform": lambda a, b, loc, scale: (
+        None if loc else {"dist": "loguniform", "lower": scale * a, "upper": scale * b}
+    ),
+    "triang": lambda c, loc, scale: {
+        "dist": "triangular",
+        "mode": loc + c * scale,
+        "lower": loc,
+        "upper": loc + scale,
+    },
+    "beta": lambda a, b, loc, scale: {
+        "dist": "beta",
+        "lower": loc,
+        "upper": loc + scale,
+        "alpha": a,
+        "beta": b,
+    },
     "gamma": lambda a, loc, scale: None if loc else {"dist": "gamma", "shape": a, "scale": scale},
-    "weibull_min": lambda c, loc, scale: {"dist": "weibull", "modulus": c, "scale": scale, "threshold": loc},
+    "weibull_min": lambda c, loc, scale: {
+        "dist": "weibull",
+        "modulus": c,
+        "scale": scale,
+        "threshold": loc,
+    },
     "gumbel_r": lambda loc, scale: {"dist": "gumbel", "location": loc, "scale": scale},
-    "invweibull": lambda c, loc, scale: {"dist": "frechet", "shape": c, "scale": scale, "location": loc},
+    "invweibull": lambda c, loc, scale: {
+        "dist": "frechet",
+        "shape": c,
+        "scale": scale,
+        "location": loc,
+    },
     "expon": lambda loc, scale: None if loc else {"dist": "exponential", "rate": 1.0 / scale},
     "rayleigh": lambda loc, scale: None if loc else {"dist": "rayleigh", "scale": scale},
     "t": lambda df, loc, scale: {"dist": "student_t", "dof": df, "location": loc, "scale": scale},
-    "truncnorm": lambda a, b, loc, scale: {"dist": "normal", "mean": loc, "sd": scale, "lower": loc + scale * a,
-                                           "upper": loc + scale * b},
-}  # fmt: skip
+    "truncnorm": lambda a, b, loc, scale: {
+        "dist": "normal",
+        "mean": loc,
+        "sd": scale,
+        "lower": loc + scale * a,
+        "upper": loc + scale * b,
+    },
+}
 
 #: SciPy's names of chaospy's laws in standard form, which have the same shapes
 CHAOSPY: Final = {
-    "normal": "norm", "log_normal": "lognorm", "uniform": "uniform", "beta_": "beta", "triangle": "triang",
-    "gamma": "gamma", "inverse_gamma": "invgamma", "log_gamma": "loggamma", "double_gamma": "dgamma",
-    "generalized_gamma": "gengamma", "chi": "chi", "chi_squared": "ncx2", "student_t": "t",
-    "weibull": "weibull_min", "frechet": "weibull_min", "double_weibull": "dweibull", "log_weibull": "gumbel_r",
-    "exponential_weibull": "exponweib", "generalized_extreme": "genextreme", "gompertz": "gompertz", "fisk": "fisk",
-    "burr": "burr12", "mielke": "mielke", "pareto1": "pareto", "pareto2": "lomax", "cauchy": "cauchy", "levy": "levy",
-    "folded_cauchy": "foldcauchy", "wrapped_cauchy": "wrapcauchy", "laplace": "laplace", "log_laplace": "loglaplace",
-    "logistic": "genlogistic", "generalized_half_logistic": "genhalflogistic", "folded_normal": "foldnorm",
-    "power_normal": "powernorm", "power_log_normal": "powerlognorm", "exponential_power": "exponpow",
-    "generalized_exponential": "genexpon", "truncexpon": "truncexpon", "fatigue_life": "fatiguelife",
-    "nakagami": "nakagami", "wald": "recipinvgauss", "alpha": "alpha", "anglit": "anglit", "bradford": "bradford",
-    "reciprocal": "loguniform", "tukey_lambda": "tukeylambda",
-}  # fmt: skip
+    "normal": "norm",
+    "log_normal": "lognorm",
+    "uniform": "uniform",
+    "beta_": "beta",
+    "triangle": "triang",
+    "gamma": "gamma",
+    "inverse_gamma": "invgamma",
+    "log_gamma": "loggamma",
+    "double_gamma": "dgamma",
+    "generalized_gamma": "gengamma",
+    "chi": "chi",
+    "chi_squared": "ncx2",
+    "student_t": "t",
+    "weibull": "weibull_min",
+    "frechet": "weibull_min",
+    "double_weibull": "dweibull",
+    "log_weibull": "gumbel_r",
+    "exponential_weibull": "exponweib",
+    "generalized_extreme": "genextreme",
+    "gompertz": "gompertz",
+    "fisk": "fisk",
+    "burr": "burr12",
+    "mielke": "mielke",
+    "pareto1": "pareto",
+    "pareto2": "lomax",
+    "cauchy": "cauchy",
+    "levy": "levy",
+    "folded_cauchy": "foldcauchy",
+    "wrapped_cauchy": "wrapcauchy",
+    "laplace": "laplace",
+    "log_laplace": "loglaplace",
+    "logistic": "genlogistic",
+    "generalized_half_logistic": "genhalflogistic",
+    "folded_normal": "foldnorm",
+    "power_normal": "powernorm",
+    "power_log_normal": "powerlognorm",
+    "exponential_power": "exponpow",
+    "generalized_exponential": "genexpon",
+    "truncexpon": "truncexpon",
+    "fatigue_life": "fatiguelife",
+    "nakagami": "nakagami",
+    "wald": "recipinvgauss",
+    "alpha": "alpha",
+    "anglit": "anglit",
+    "bradford": "bradford",
+    "reciprocal": "loguniform",
+    "tukey_lambda": "tukeylambda",
+}
 
 #: the way out for laws of several numbers
-EACH: Final = "give each number its own law by name, and their rank correlations by uqsphere.analysis.joint"
+EACH: Final = (
+    "give each number its own law by name, and their rank correlations by uqsphere.analysis.joint"
+)
 
 #: SALib's distributions by their names, from the two to four numbers that it calls bounds
 SALIB: Final[Mapping[str, Callable[..., Table]]] = {
@@ -69,7 +135,12 @@ SALIB: Final[Mapping[str, Callable[..., Table]]] = {
     "norm": lambda m, s: {"dist": "normal", "mean": m, "sd": s},
     "truncnorm": lambda a, b, m, s: {"dist": "normal", "mean": m, "sd": s, "lower": a, "upper": b},
     "lognorm": lambda m, s: {"dist": "lognormal", "log_mean": m, "log_sd": s},
-    "triang": lambda a, b, c: {"dist": "triangular", "lower": a, "upper": b, "mode": a + c * (b - a)},
+    "triang": lambda a, b, c: {
+        "dist": "triangular",
+        "lower": a,
+        "upper": b,
+        "mode": a + c * (b - a),
+    },
 }
 
 
@@ -84,10 +155,16 @@ def law_table(given: LawLike) -> Table:
     if law.family.name == "discrete":
         return {"dist": "discrete", "values": list(law.data)}
     if law.data or law.draws:
-        raise LawError("a study file has no table for it: write a sample or the observations to a CSV and name that, "
-                       '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis')  # fmt: skip
+        raise LawError(
+            "a study file has no table for it: write a sample or the observations to a CSV and name that, "
+            '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis'
+        )
     ends = {"lower": law.lower, "upper": law.upper}
-    return {"dist": law.family.name, **law.parameters, **{key: end for key, end in ends.items() if math.isfinite(end)}}
+    return {
+        "dist": law.family.name,
+        **law.parameters,
+        **{key: end for key, end in ends.items() if math.isfinite(end)},
+    }
 
 
 def as_law(given: LawLike) -> Law:
@@ -129,7 +206,10 @@ def _of_table(given: Mapping[str, Any]) -> Law:
         return discrete_law(given.get("values", ()), given.get("weights"))
     for key, value in numbers.items():
         if not isinstance(value, int | float | np.number):
-            raise LawError(f"{key} of a law must be a number; observations are given as an array in its place", key)
+            raise LawError(
+                f"{key} of a law must be a number; observations are given as an array in its place",
+                key,
+            )
     bounds = numbers.pop("lower", None), numbers.pop("upper", None)
     return make_law(str(given.get("dist")), numbers, *bounds)
 
@@ -145,8 +225,10 @@ def _of_scipy(given: Any, kind: str) -> Law:
         return _by_name("norm", given.mean(), given.standard_deviation())
     if kind == "Uniform":
         return _by_name("uniform", given.support()[0], np.subtract(*given.support()[::-1]))
-    raise LawError(f"{kind} of SciPy: freeze a law with its parameters, as scipy.stats.norm(1.0, 0.1), or give "
-                   f"observations; {EACH}")  # fmt: skip
+    raise LawError(
+        f"{kind} of SciPy: freeze a law with its parameters, as scipy.stats.norm(1.0, 0.1), or give "
+        f"observations; {EACH}"
+    )
 
 
 def _of_chaospy(given: Any, kind: str) -> Law:
@@ -157,12 +239,19 @@ def _of_chaospy(given: Any, kind: str) -> Law:
     if kind == "Trunc":
         law, own = as_law(given._dist), given._parameters
         if law.family.bounded:
-            raise LawError(f"{given}: give the law that is truncated by its table, with lower and upper")
+            raise LawError(
+                f"{given}: give the law that is truncated by its table, with lower and upper"
+            )
         # chaospy's own end of the law, some 8 standard deviations out, truncates nothing
-        return as_law(law_table(law) | {key: _number(own[key]) for key in own if own[key] != getattr(given._dist, key)})
+        return as_law(
+            law_table(law)
+            | {key: _number(own[key]) for key in own if own[key] != getattr(given._dist, key)}
+        )
     shift, scale, standard = 0.0, 1.0, given
     while hasattr(standard, "_dist"):
-        first, second = map(_number, standard._parameters.values())  # lower and upper, or shift and scale
+        first, second = map(
+            _number, standard._parameters.values()
+        )  # lower and upper, or shift and scale
         shift += scale * first
         scale *= second - first if "lower" in standard._parameters else second
         standard = standard._dist
@@ -182,7 +271,9 @@ def _by_name(name: str, *given: Any) -> Law:
     if name in TABLES and (table := TABLES[name](*numbers)) is not None:
         return as_law(table)
     if (family := family_named(PREFIX + name)) is None:
-        raise LawError(f"scipy.stats has no law {name!r} by this name: give it by rows of its values")
+        raise LawError(
+            f"scipy.stats has no law {name!r} by this name: give it by rows of its values"
+        )
     return as_law({"dist": family.name} | dict(zip(family.parameters_of, numbers, strict=True)))
 
 
@@ -194,7 +285,9 @@ def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Ar
         if np.ptp(shares := np.ravel(share(values))) <= 1e-9 * shares.max():
             return discrete_law(values.tolist())
     table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
-    raise LawError(f"{name} is discrete, and its values are not equally probable: give them as {table}")
+    raise LawError(
+        f"{name} is discrete, and its values are not equally probable: give them as {table}"
+    )
 
 
 def _number(value: npt.ArrayLike) -> float:
@@ -221,12 +314,23 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
     count, bounds = int(problem["num_vars"]), problem["bounds"]
     names = list(problem.get("names") or [f"x{k + 1}" for k in range(count)])
     if not count == len(set(names)) == len(names) == len(bounds):
-        raise LawError(f"num_vars is {count}: as many different names and bounds are required, found {names}", "names")
+        raise LawError(
+            f"num_vars is {count}: as many different names and bounds are required, found {names}",
+            "names",
+        )
     if len(set(problem.get("groups") or names)) < count:
-        raise LawError("groups of SALib have no place here: leave them out, and read the indices by input", "groups")
+        raise LawError(
+            "groups of SALib have no place here: leave them out, and read the indices by input",
+            "groups",
+        )
     try:
         kinds = problem.get("dists") or ["unif"] * count
-        return {str(n): SALIB[kind](*map(float, row)) for n, kind, row in zip(names, kinds, bounds, strict=True)}
+        return {
+            str(n): SALIB[kind](*map(float, row))
+            for n, kind, row in zip(names, kinds, bounds, strict=True)
+        }
     except (KeyError, TypeError) as error:
         said = f"known: {', '.join(SALIB)}, each with its two to four numbers"
-        raise LawError(f"found dists {kinds} with bounds {list(bounds)}; {said}", "bounds") from error
+        raise LawError(
+            f"found dists {kinds} with bounds {list(bounds)}; {said}", "bounds"
+        ) from error

@@ -50,15 +50,22 @@ class Form:
     tails: Callable[[Array], tuple[Array, Array]]  # y -> P(Y <= y), P(Y > y)
     quantile: Quantile  # p and q = 1 - p, each exact where it is small -> y
     pdf: Function = no_density  # nan, or anything beyond bounds of its own, off the law
-    moments: tuple[float, float] | None = None  # mean and sd, where quadrature in normal scores is slow or inexact
-    orders: tuple[float, float] = (math.inf, math.inf)  # from which on the lower, the upper tail has no moments
+    moments: tuple[float, float] | None = (
+        None  # mean and sd, where quadrature in normal scores is slow or inexact
+    )
+    orders: tuple[float, float] = (
+        math.inf,
+        math.inf,
+    )  # from which on the lower, the upper tail has no moments
     mass: float = 1.0  # probability that truncation has left
 
 
 def truncated(form: Form, a: float, b: float) -> Form:
     """The form between a and b, from whichever tail is the smaller one: no digits are lost however far out they are."""
     with np.errstate(divide="ignore", over="ignore"):
-        (below_a, below_b), (above_a, above_b) = (tail.tolist() for tail in form.tails(np.array([a, b])))
+        (below_a, below_b), (above_a, above_b) = (
+            tail.tolist() for tail in form.tails(np.array([a, b]))
+        )
     mass = above_a - above_b if above_a < 0.5 else below_b - below_a
 
     def tails(y: Array) -> tuple[Array, Array]:
@@ -73,8 +80,13 @@ def truncated(form: Form, a: float, b: float) -> Form:
         return form.quantile(lower, upper)
 
     low, high = form.orders
-    return Form(tails=tails, quantile=quantile, pdf=lambda y: form.pdf(y) / mass, mass=mass,
-                orders=(low if a == -math.inf else math.inf, high if b == math.inf else math.inf))  # fmt: skip
+    return Form(
+        tails=tails,
+        quantile=quantile,
+        pdf=lambda y: form.pdf(y) / mass,
+        mass=mass,
+        orders=(low if a == -math.inf else math.inf, high if b == math.inf else math.inf),
+    )
 
 
 def either(ppf: Function, isf: Function) -> Quantile:
@@ -91,65 +103,103 @@ def either(ppf: Function, isf: Function) -> Quantile:
 
 def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.inf) -> Form:
     """A form that is the same for -y."""
-    return Form(tails=lambda y: (cdf(y), cdf(-y)), quantile=either(ppf, lambda q: -ppf(q)), pdf=pdf,
-                orders=(order, order))  # fmt: skip
+    return Form(
+        tails=lambda y: (cdf(y), cdf(-y)),
+        quantile=either(ppf, lambda q: -ppf(q)),
+        pdf=pdf,
+        orders=(order, order),
+    )
 
 
 def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
     """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
 
-    return Form(tails=lambda y: (-np.expm1(-hazard(y)), np.exp(-hazard(y))),
-                quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))),
-                pdf=lambda y: np.exp(log_rate(y) - hazard(y)))  # fmt: skip
+    return Form(
+        tails=lambda y: (-np.expm1(-hazard(y)), np.exp(-hazard(y))),
+        quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))),
+        pdf=lambda y: np.exp(log_rate(y) - hazard(y)),
+    )
 
 
 def falling(form: Form, order: float = math.inf) -> Form:
     """The form whose tails are exchanged: that of a hazard that falls."""
-    return replace(form, tails=lambda y: form.tails(y)[::-1], quantile=lambda p, q: form.quantile(q, p),
-                   orders=(math.inf, order))  # fmt: skip
+    return replace(
+        form,
+        tails=lambda y: form.tails(y)[::-1],
+        quantile=lambda p, q: form.quantile(q, p),
+        orders=(math.inf, order),
+    )
 
 
-def between(cdf: Callable[..., Array], ppf: Callable[..., Array], pdf: Function, *shapes: float) -> Form:
+def between(
+    cdf: Callable[..., Array], ppf: Callable[..., Array], pdf: Function, *shapes: float
+) -> Form:
     """A form on [0, 1] that for 1 - y has its shapes in reverse order."""
     back = shapes[::-1]
-    return Form(tails=lambda y: (cdf(y, *shapes), cdf(1.0 - y, *back)), pdf=pdf,
-                quantile=either(lambda p: ppf(p, *shapes), lambda q: 1.0 - ppf(q, *back)))  # fmt: skip
+    return Form(
+        tails=lambda y: (cdf(y, *shapes), cdf(1.0 - y, *back)),
+        pdf=pdf,
+        quantile=either(lambda p: ppf(p, *shapes), lambda q: 1.0 - ppf(q, *back)),
+    )
 
 
 # --- the forms that families are made of ---------------------------------------------------------------------------
 
 GAUSS: Final = replace(
-    symmetric(lambda y: special.ndtr(y), lambda p: special.ndtri(p), lambda y: np.exp(-0.5 * y * y) / ROOT),
+    symmetric(
+        lambda y: special.ndtr(y), lambda p: special.ndtri(p), lambda y: np.exp(-0.5 * y * y) / ROOT
+    ),
     moments=(0.0, 1.0),
 )
 #: of the logarithm of an exponential variable, and the largest extreme value
-SMALLEST: Final = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np.log(h), lambda y: y)
+SMALLEST: Final = by_hazard(
+    lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np.log(h), lambda y: y
+)
 GUMBEL: Final = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
 UNIFORM: Final = Form(
-    tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)), quantile=lambda p, q: p,
-    pdf=np.ones_like, moments=(0.5, 12.0**-0.5),
-)  # fmt: skip
+    tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)),
+    quantile=lambda p, q: p,
+    pdf=np.ones_like,
+    moments=(0.5, 12.0**-0.5),
+)
 
 
 def weibull(m: float | Array) -> Form:
-    return by_hazard(lambda y: np.maximum(y, 0.0) ** m, lambda h: h ** (1.0 / m),
-                     lambda y: np.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)))  # fmt: skip
+    return by_hazard(
+        lambda y: np.maximum(y, 0.0) ** m,
+        lambda h: h ** (1.0 / m),
+        lambda y: np.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
+    )
 
 
 def frechet(a: float) -> Form:
-    return falling(by_hazard(lambda y: np.maximum(y, 0.0) ** -a, lambda h: h ** (-1.0 / a),
-                             lambda y: math.log(a) - (a + 1.0) * np.log(y)), order=a)  # fmt: skip
+    return falling(
+        by_hazard(
+            lambda y: np.maximum(y, 0.0) ** -a,
+            lambda h: h ** (-1.0 / a),
+            lambda y: math.log(a) - (a + 1.0) * np.log(y),
+        ),
+        order=a,
+    )
 
 
 def gamma(k: float) -> Form:
-    return Form(tails=lambda y: (special.gammainc(k, np.maximum(y, 0.0)), special.gammaincc(k, np.maximum(y, 0.0))),
-                quantile=either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q)),
-                pdf=lambda y: np.exp(special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)),
-    )  # fmt: skip
+    return Form(
+        tails=lambda y: (
+            special.gammainc(k, np.maximum(y, 0.0)),
+            special.gammaincc(k, np.maximum(y, 0.0)),
+        ),
+        quantile=either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q)),
+        pdf=lambda y: np.exp(
+            special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)
+        ),
+    )
 
 
 def student_t(dof: float) -> Form:
-    constant = math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    constant = (
+        math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    )
 
     def ppf(p: Array) -> Array:
         # stdtrit of SciPy 1.17 answers inf in far tails; below 1e-290 a square of y would overflow
@@ -167,13 +217,17 @@ def student_t(dof: float) -> Form:
 def triangular(mode: float) -> Form:
     def cdf(y: Array, a: float, b: float) -> Array:
         inside = np.clip(y, 0.0, 1.0)
-        return np.where(inside < a, inside * inside / (a or 1.0), 1.0 - (1.0 - inside) ** 2 / (b or 1.0))
+        return np.where(
+            inside < a, inside * inside / (a or 1.0), 1.0 - (1.0 - inside) ** 2 / (b or 1.0)
+        )
 
     def ppf(p: Array, a: float, b: float) -> Array:
         return np.where(p <= a, np.sqrt(p * a), 1.0 - np.sqrt((1.0 - p) * b))
 
     def pdf(y: Array) -> Array:
-        return 2.0 * np.where(y < mode, y / (mode or 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0)
+        return 2.0 * np.where(
+            y < mode, y / (mode or 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0
+        )
 
     # its quantiles have a kink, and quadrature fewer digits
     moments = (1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)
@@ -182,10 +236,17 @@ def triangular(mode: float) -> Form:
 
 def beta(a: float, b: float) -> Form:
     def pdf(y: Array) -> Array:
-        return np.exp(special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y) - special.betaln(a, b))
+        return np.exp(
+            special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y) - special.betaln(a, b)
+        )
 
-    return between(lambda y, a, b: special.betainc(a, b, np.clip(y, 0.0, 1.0)),
-                   lambda p, a, b: special.betaincinv(a, b, p), pdf, a, b)  # fmt: skip
+    return between(
+        lambda y, a, b: special.betainc(a, b, np.clip(y, 0.0, 1.0)),
+        lambda p, a, b: special.betaincinv(a, b, p),
+        pdf,
+        a,
+        b,
+    )
 
 
 def form_of(name: str, law: Any, key: str) -> Form:
@@ -204,9 +265,16 @@ def form_of(name: str, law: Any, key: str) -> Form:
         if np.isnan(places).all():
             raise LawError(f"{name} has no law with these shapes", key)
         if wrong.any():
-            raise LawError(f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
-                           "its quantile there has another probability")  # fmt: skip
+            raise LawError(
+                f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
+                "its quantile there has another probability"
+            )
         far = np.abs(quantile(np.array([1e-6, 1e-12])))
         orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
-    return Form(tails=lambda y: (law.cdf(y), law.sf(y)), quantile=either(law.ppf, law.isf), pdf=law.pdf,
-                orders=(orders[0], orders[1]), moments=(mean, math.sqrt(variance)))  # fmt: skip
+    return Form(
+        tails=lambda y: (law.cdf(y), law.sf(y)),
+        quantile=either(law.ppf, law.isf),
+        pdf=law.pdf,
+        orders=(orders[0], orders[1]),
+        moments=(mean, math.sqrt(variance)),
+    )

@@ -78,7 +78,9 @@ def base_points(
     They are the columns of one scrambled Sobol' sequence, so that both together are evenly spread.
     """
     d = blocks.inputs_count
-    points = sobol_points(dimension=2 * d, count=count, start=start, seed=seed, task=task, replicate=replicate)
+    points = sobol_points(
+        dimension=2 * d, count=count, start=start, seed=seed, task=task, replicate=replicate
+    )
     return points[:, :d], points[:, d:]
 
 
@@ -175,10 +177,14 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     """
     outputs, d = np.asarray(outputs, dtype=float), blocks.inputs_count
     if outputs.ndim != 3 or outputs.shape[2] != blocks.count or min(outputs.shape[:2]) < 2:
-        raise ValueError(f"outputs must have shape (R, N, {blocks.count}), R >= 2, N >= 2; found {outputs.shape}")
+        raise ValueError(
+            f"outputs must have shape (R, N, {blocks.count}), R >= 2, N >= 2; found {outputs.shape}"
+        )
     if not np.isfinite(outputs).all():
         bad = int((~np.isfinite(outputs)).sum())
-        raise ValueError(f"{bad} outputs are not finite: indices of them mean nothing; drop those rows first")
+        raise ValueError(
+            f"{bad} outputs are not finite: indices of them mean nothing; drop those rows first"
+        )
     pairs = list(combinations(range(d), 2)) if blocks.second else []
     base = outputs[:, :, [0, -1]]
     centre = float(base.mean())
@@ -197,12 +203,18 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     large = numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)
     found = {}
     for order, estimators in ESTIMATORS.items():
-        small, big = (_estimates(ratio, (a, b, ab), shown, outputs.size) for shown, ratio in estimators)
+        small, big = (
+            _estimates(ratio, (a, b, ab), shown, outputs.size) for shown, ratio in estimators
+        )
         found[order] = [big[j] if large[j] else small[j] for j in range(d)]
-    return SampledIndices(first=found["first"], total=found["total"], second=dict(zip(pairs, second, strict=True)))
+    return SampledIndices(
+        first=found["first"], total=found["total"], second=dict(zip(pairs, second, strict=True))
+    )
 
 
-def _estimates(ratio: Callable[..., Ratio], parts: tuple[Array, ...], shown: str, evaluations: int) -> list[Estimate]:
+def _estimates(
+    ratio: Callable[..., Ratio], parts: tuple[Array, ...], shown: str, evaluations: int
+) -> list[Estimate]:
     """Indices (m,) by one estimator, with as many degrees of freedom as replicates and carrying points allow."""
     value, off = ratio_of_means(*ratio(*parts))
     if not value.size:
@@ -211,7 +223,9 @@ def _estimates(ratio: Callable[..., Ratio], parts: tuple[Array, ...], shown: str
     each, scale = ratio(*(part.reshape(-1, 1, part.shape[2]) for part in parts))
     squares = ((each - value * scale) / scale.mean(axis=0)) ** 2
     fourth = (squares**2).sum(axis=0)
-    carriers = np.where(fourth > 0.0, squares.sum(axis=0) ** 2 / np.where(fourth > 0.0, fourth, 1.0), np.inf)
+    carriers = np.where(
+        fourth > 0.0, squares.sum(axis=0) ** 2 / np.where(fourth > 0.0, fourth, 1.0), np.inf
+    )
     found, method = [], f"{METHOD}, {shown}"
     for j in range(value.size):
         if not np.isfinite(value[j]):

@@ -37,7 +37,12 @@ def load_chaospy() -> Any:
 
 
 #: laws that chaospy has exactly, for its own three-term recurrences: they take the parameters, then bounds of their own
-CHAOSPY: Final = {"normal": "Normal", "uniform": "Uniform", "lognormal": "LogNormal", "beta": "Beta"}
+CHAOSPY: Final = {
+    "normal": "Normal",
+    "uniform": "Uniform",
+    "lognormal": "LogNormal",
+    "beta": "Beta",
+}
 
 
 def joint_to_chaospy(inputs: Joint) -> Distribution:
@@ -48,7 +53,9 @@ def joint_to_chaospy(inputs: Joint) -> Distribution:
     """
     chaospy = load_chaospy()
     if any(np.isfinite(copula.dof) for _, copula in inputs.blocks):
-        raise UsageError("chaospy has no Student t copula of this form; only a Gaussian one goes over")
+        raise UsageError(
+            "chaospy has no Student t copula of this form; only a Gaussian one goes over"
+        )
     laws = [_law_to_chaospy(chaospy, law) for law in inputs.laws]
     if inputs.correlation is None:
         return laws[0] if len(laws) == 1 else chaospy.J(*laws)
@@ -66,9 +73,12 @@ def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
         return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *own)
     low, high = _ends(law)
     return chaospy.UserDistribution(
-        cdf=law.cdf, pdf=None if law.is_steps else law.pdf, lower=lambda: low, upper=lambda: high,
+        cdf=law.cdf,
+        pdf=None if law.is_steps else law.pdf,
+        lower=lambda: low,
+        upper=lambda: high,
         ppf=lambda p: np.clip(law.ppf(np.asarray(p)), low, high),
-    )  # fmt: skip
+    )
 
 
 # --- SALib ------------------------------------------------------------------------------------------------------
@@ -95,10 +105,16 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
-    return {"num_vars": len(inputs.names), "names": list(inputs.names), "bounds": list(map(_ends, inputs.laws))}
+    return {
+        "num_vars": len(inputs.names),
+        "names": list(inputs.names),
+        "bounds": list(map(_ends, inputs.laws)),
+    }
 
 
-def to_salib(inputs: Joint, count: int = 1024, *, second: bool = False, seed: int = 0) -> SalibDesign:
+def to_salib(
+    inputs: Joint, count: int = 1024, *, second: bool = False, seed: int = 0
+) -> SalibDesign:
     """The design of this package's Sobol' indices at `count` base points of one randomisation, in SALib's row order."""
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
@@ -137,11 +153,16 @@ def salib_measures(
     shown = f"SALib {method}"
     if not np.isfinite(outputs).all():
         # SALib answers zeros, without a word, where one output is not finite
-        return [absent("outputs that are not finite: SALib would answer zeros", shown, outputs.size)] * len(names)
+        return [
+            absent("outputs that are not finite: SALib would answer zeros", shown, outputs.size)
+        ] * len(names)
     d = len(names)
     if method == "morris":
         # in each step of a trajectory (d + 1, d) one input moves
-        steps, rises = np.diff(uniforms.reshape(-1, d + 1, d), axis=1), np.diff(outputs.reshape(-1, d + 1), axis=1)
+        steps, rises = (
+            np.diff(uniforms.reshape(-1, d + 1, d), axis=1),
+            np.diff(outputs.reshape(-1, d + 1), axis=1),
+        )
         effects = np.abs((rises[:, :, None] / np.where(steps == 0.0, np.inf, steps)).sum(axis=1))
         return [from_replicates(column, f"{shown}, mu*", outputs.size) for column in effects.T]
     from SALib.analyze import delta, enhanced_hdmr, pawn
@@ -154,7 +175,17 @@ def salib_measures(
         found = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
     else:
         # one bootstrap of all rows is the sample itself
-        found = enhanced_hdmr.analyze(problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y),
-                                      seed=seed)["ST"][:d]  # fmt: skip
-    return [Estimate(value=float(value), low=None, high=None, std_error=None, method=shown, evaluations=outputs.size)
-            for value in np.asarray(found, dtype=float)]  # fmt: skip
+        found = enhanced_hdmr.analyze(
+            problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y), seed=seed
+        )["ST"][:d]
+    return [
+        Estimate(
+            value=float(value),
+            low=None,
+            high=None,
+            std_error=None,
+            method=shown,
+            evaluations=outputs.size,
+        )
+        for value in np.asarray(found, dtype=float)
+    ]

@@ -58,9 +58,13 @@ class Copula:
             return np.asarray(x @ weights), np.full(len(known), remaining)
         # scale of the conditional t law: sqrt((dof + x' R⁻¹ x)/(dof + j))
         distance = np.einsum("ni,ij,nj->n", x, inverse, x)
-        return np.asarray(x @ weights), remaining * np.sqrt((self.dof + distance) / (self.dof + known.shape[1]))
+        return np.asarray(x @ weights), remaining * np.sqrt(
+            (self.dof + distance) / (self.dof + known.shape[1])
+        )
 
-    def conditional_score(self, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
+    def conditional_score(
+        self, target: int, given: Sequence[int], known: Array, score: Array
+    ) -> Array:
         """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known` (n, j))."""
         centre, scale = self._given(target, given, known)
         return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(given))
@@ -73,7 +77,9 @@ class Copula:
     def conditional_scores(self, given: Sequence[int], known: Array, normals: Array) -> Array:
         """Scores (n, size - j) of the members not given, in their order, from independent standard normals."""
         held, scores = list(given), known
-        for member, normal in zip((k for k in range(self.size) if k not in given), normals.T, strict=True):
+        for member, normal in zip(
+            (k for k in range(self.size) if k not in given), normals.T, strict=True
+        ):
             scores = np.column_stack([scores, self.score_at(member, held, scores, normal)])
             held.append(member)
         return scores[:, len(given) :]
@@ -126,11 +132,17 @@ class Dependence:
         if self.copula not in COPULAS:
             raise LawError(f"unknown copula {self.copula!r}; known: {', '.join(COPULAS)}", "copula")
         if size < 2 or len(set(self.of)) != size:
-            raise LawError(f"a dependence needs two or more different inputs, found {list(self.of)}", "of")
-        key, value = ("kendall", self.kendall) if self.spearman is None else ("spearman", self.spearman)
+            raise LawError(
+                f"a dependence needs two or more different inputs, found {list(self.of)}", "of"
+            )
+        key, value = (
+            ("kendall", self.kendall) if self.spearman is None else ("spearman", self.spearman)
+        )
         if value is None or None not in (self.spearman, self.kendall):
             key = "kendall" if value is not None else ""
-            raise LawError("one rank correlation between -1 and 1 is required, spearman or kendall", key)
+            raise LawError(
+                "one rank correlation between -1 and 1 is required, spearman or kendall", key
+            )
         if not -1.0 < value < 1.0:
             raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
         if (self.copula == "student_t") != (dof is not None):
@@ -141,11 +153,16 @@ class Dependence:
             # for every dof (Lindskog, McNeil, Schmock 2003)
             rho = math.sin(0.5 * math.pi * value)
         else:
-            rho = 2.0 * math.sin(math.pi * value / 6.0) if dof is None else _correlation_of_t(value, dof)
+            rho = (
+                2.0 * math.sin(math.pi * value / 6.0)
+                if dof is None
+                else _correlation_of_t(value, dof)
+            )
         correlation = np.where(np.eye(size), 1.0, rho)
         if np.linalg.eigvalsh(correlation)[0] < _SMALLEST:
             raise LawError(
-                f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)", key
+                f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)",
+                key,
             )
         return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
 
@@ -251,7 +268,9 @@ class Joint:
         for columns, copula in self.blocks:
             kept = [columns.index(k) for k in at if k in columns]
             copula = copula.among(kept)
-            if len(kept) > 1 and (np.any(copula.correlation - np.eye(len(kept))) or math.isfinite(copula.dof)):
+            if len(kept) > 1 and (
+                np.any(copula.correlation - np.eye(len(kept))) or math.isfinite(copula.dof)
+            ):
                 blocks.append((tuple(at.index(columns[k]) for k in kept), copula))
         return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
@@ -282,13 +301,22 @@ class Joint:
         for block, copula in self.blocks:
             known = [k for k, column in enumerate(block) if self.names[column] in drawn]
             if at in block and known:
-                own, columns = block.index(at), tuple(list(drawn).index(self.names[block[k]]) for k in known)
+                own, columns = (
+                    block.index(at),
+                    tuple(list(drawn).index(self.names[block[k]]) for k in known),
+                )
                 if math.isfinite(copula.dof) or np.any(copula.correlation[own, known]):
-                    return Tie(copula=copula.among([*known, own]), given=scores[..., columns], columns=columns)
+                    return Tie(
+                        copula=copula.among([*known, own]),
+                        given=scores[..., columns],
+                        columns=columns,
+                    )
         return None
 
 
-def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:
+def make_joint(
+    names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]
+) -> Joint:
     """Inputs with the dependences of a study.
 
     Raises LawError (keys "of", "spearman", "kendall", "dof", "copula") where they cannot hold.
@@ -301,7 +329,10 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
     pairs, blocks = dict[tuple[int, int], float](), list[tuple[tuple[int, ...], Copula]]()
     for tie in dependences:
         if unknown := [name for name in tie.of if name not in names]:
-            raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
+            raise LawError(
+                f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}",
+                "of",
+            )
         copula, columns = tie.make_copula(), [list(names).index(name) for name in tie.of]
         if math.isfinite(copula.dof):
             blocks.append((tuple(columns), copula))
@@ -313,12 +344,20 @@ def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[
     tied = sorted({column for pair in pairs for column in pair})
     taken = [*tied, *(column for columns, _ in blocks for column in columns)]
     if twice := [names[column] for column in taken if taken.count(column) > 1]:
-        raise LawError(f"{twice[0]} is in more than one dependence, and one of them is not Gaussian: name all "
-                       "of them in one dependence, or take Gaussian copulas", "of")  # fmt: skip
+        raise LawError(
+            f"{twice[0]} is in more than one dependence, and one of them is not Gaussian: name all "
+            "of them in one dependence, or take Gaussian copulas",
+            "of",
+        )
     if tied:
-        gaussian = np.array([[pairs.get((min(i, j), max(i, j)), float(i == j)) for j in tied] for i in tied])
+        gaussian = np.array(
+            [[pairs.get((min(i, j), max(i, j)), float(i == j)) for j in tied] for i in tied]
+        )
         if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
-            raise LawError("the dependences cannot hold together: the correlation matrix is not positive definite "
-                           f"(least eigenvalue {smallest:.3g}); weaken or remove some of them", "spearman")  # fmt: skip
+            raise LawError(
+                "the dependences cannot hold together: the correlation matrix is not positive definite "
+                f"(least eigenvalue {smallest:.3g}); weaken or remove some of them",
+                "spearman",
+            )
         blocks.insert(0, (tuple(tied), Copula(correlation=gaussian)))
     return Joint(names=tuple(names), laws=tuple(laws), blocks=tuple(blocks))

@@ -49,12 +49,19 @@ class Law:
 
     def __repr__(self) -> str:
         own = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
-        ends = "" if math.isinf(self.lower) and math.isinf(self.upper) else f" on [{self.lower:.6g}, {self.upper:.6g}]"
+        ends = (
+            ""
+            if math.isinf(self.lower) and math.isinf(self.upper)
+            else f" on [{self.lower:.6g}, {self.upper:.6g}]"
+        )
         return f"<Law {self.family.name}({own}){ends}>"
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name, and is not sent along
-        return _named, (self.family.name, {one.name: getattr(self, one.name) for one in fields(self)[1:]})
+        return _named, (
+            self.family.name,
+            {one.name: getattr(self, one.name) for one in fields(self)[1:]},
+        )
 
     # --- probabilities and quantiles ------------------------------------------------------------------
 
@@ -82,7 +89,9 @@ class Law:
 
     def _standard(self, x: Array) -> Array:
         location, scale, _ = self._whole
-        return np.asarray(((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale)
+        return np.asarray(
+            ((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale
+        )
 
     def _physical(self, y: Array) -> Array:
         location, scale, _ = self._whole
@@ -140,14 +149,18 @@ class Law:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             density = self._form.pdf(self._standard(values)) / self._whole[1]
             density = density / values if self.family.logarithmic else density
-        return np.where((values >= self.lower) & (values <= self.upper) & (density > 0.0), density, 0.0)
+        return np.where(
+            (values >= self.lower) & (values <= self.upper) & (density > 0.0), density, 0.0
+        )
 
     # --- moments ------------------------------------------------------------------------------------------
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
         whole = self if self._untruncated else replace(self, lower=-math.inf, upper=math.inf)
-        return whole.mean() if min(whole.tail_orders()) > 1.0 else float(whole.ppf(np.array([0.5]))[0])
+        return (
+            whole.mean() if min(whole.tail_orders()) > 1.0 else float(whole.ppf(np.array([0.5]))[0])
+        )
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf if it has all."""
@@ -202,7 +215,9 @@ class Law:
             raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
         cut = not self.family.bounded and self.given["mean"] > 0.0 and mean > 0.0
         ratio = mean / self.given["mean"] if cut else 1.0
-        return make_law(self.family.name, {**self.given, "mean": mean}, ratio * self.lower, ratio * self.upper)
+        return make_law(
+            self.family.name, {**self.given, "mean": mean}, ratio * self.lower, ratio * self.upper
+        )
 
 
 def _named(name: str, own: Mapping[str, object]) -> Law:
@@ -210,7 +225,9 @@ def _named(name: str, own: Mapping[str, object]) -> Law:
     return Law(family=family, **own)  # type: ignore[arg-type]
 
 
-def make_law(name: str, given: Mapping[str, float], lower: float | None = None, upper: float | None = None) -> Law:
+def make_law(
+    name: str, given: Mapping[str, float], lower: float | None = None, upper: float | None = None
+) -> Law:
     """A law from the keys of a study's table (SI): one of the alternative key sets of its family.
 
     Raises LawError with the offending key, what was found and what is allowed.
@@ -225,7 +242,9 @@ def make_law(name: str, given: Mapping[str, float], lower: float | None = None, 
     if family.observed is not None:
         raise LawError(f"an {name} law is made from observations", "file")
     a, b = bounds_of(lower, upper)
-    return checked(Law(family=family, parameters=family.parameters(given, a, b), lower=a, upper=b, given=given))
+    return checked(
+        Law(family=family, parameters=family.parameters(given, a, b), lower=a, upper=b, given=given)
+    )
 
 
 def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
@@ -245,18 +264,31 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     >>> discrete_law([2.0, 1.0], [1, 3]).cdf(np.array([1.0, 1.5, 2.0])).tolist()
     [0.75, 0.75, 1.0]
     """
-    numbers, counts = np.asarray(values, dtype=float), np.asarray([1] * len(values) if weights is None else weights)
+    numbers, counts = (
+        np.asarray(values, dtype=float),
+        np.asarray([1] * len(values) if weights is None else weights),
+    )
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise LawError("values of a discrete distribution are finite numbers in a list", "values")
     if counts.shape != numbers.shape or not (np.mod(counts, 1) == 0).all() or (counts < 0).any():
-        raise LawError("weights are whole numbers, one for each value: 2, 3 and 5 for 20, 30 and 50 %", "weights")
+        raise LawError(
+            "weights are whole numbers, one for each value: 2, 3 and 5 for 20, 30 and 50 %",
+            "weights",
+        )
     if not 2 <= counts.sum() <= _MOST_STEPS:
-        raise LawError(f"the weights have the sum {counts.sum():g}: between 2 and {_MOST_STEPS} is allowed", "weights")
+        raise LawError(
+            f"the weights have the sum {counts.sum():g}: between 2 and {_MOST_STEPS} is allowed",
+            "weights",
+        )
     data = np.sort(np.repeat(numbers, counts.astype(int)))
-    return checked(Law(family=FAMILIES["discrete"], parameters={"bandwidth": 0.0}, data=tuple(data.tolist())))
+    return checked(
+        Law(family=FAMILIES["discrete"], parameters={"bandwidth": 0.0}, data=tuple(data.tolist()))
+    )
 
 
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is beyond floating point is refused
+@np.errstate(
+    over="ignore", divide="ignore", invalid="ignore"
+)  # what is beyond floating point is refused
 def checked(law: Law) -> Law:
     """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold."""
     name = law.family.name
@@ -270,5 +302,7 @@ def checked(law: Law) -> Law:
     if not np.isfinite([centre, low, high, law.isf(np.array([1e-9]))[0]]).all():
         raise LawError(f"these parameters of {name} give numbers beyond floating point", "")
     if not high > low:
-        raise LawError("the law has no scatter: give the number itself where a fixed value is meant", "dist")
+        raise LawError(
+            "the law has no scatter: give the number itself where a fixed value is meant", "dist"
+        )
     return law

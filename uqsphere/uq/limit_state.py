@@ -64,7 +64,9 @@ class LimitState:
             return score
         last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
         near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
-        found = self.tie.copula.conditional_score(last, range(last), known, near).reshape(score.shape)
+        found = self.tie.copula.conditional_score(last, range(last), known, near).reshape(
+            score.shape
+        )
         return np.where(np.isinf(score), score, found)
 
     def score_drawn(self, score: Array) -> Array:
@@ -98,7 +100,9 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
 
 
-def _interval(event: Array, other: Array, counts: Array, cell: float) -> tuple[float, float, float, float]:
+def _interval(
+    event: Array, other: Array, counts: Array, cell: float
+) -> tuple[float, float, float, float]:
     """Value, ends and standard error of the mean of `event` (R, n), interval in logits.
 
     None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
@@ -152,8 +156,14 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     largest = float(event.max()) / float(event.sum()) if event.sum() > 0.0 else 0.0
     if largest > 0.2:
         method += f", one sample carries {100.0 * largest:.0f} %"
-    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error,
-                    method=method, evaluations=broken.size)  # fmt: skip
+    return Estimate(
+        value=value,
+        low=min(low, value),
+        high=max(high, value),
+        std_error=error,
+        method=method,
+        evaluations=broken.size,
+    )
 
 
 def reliability_index(probability: float | None) -> float | None:
@@ -166,7 +176,9 @@ def reliability_index(probability: float | None) -> float | None:
 def complement(e: Estimate) -> Estimate:
     """The probability of the opposite; what is not known is bounded the other way round."""
     value, low, high = (None if end is None else 1.0 - end for end in (e.value, e.high, e.low))
-    return replace(e, value=value, low=low, high=high, reason=e.reason and f"of the opposite: {e.reason}")
+    return replace(
+        e, value=value, low=low, high=high, reason=e.reason and f"of the opposite: {e.reason}"
+    )
 
 
 def target_met(missed: Estimate, target: float) -> bool | None:
@@ -188,24 +200,46 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
 
     Absent where the strength or the demand may be zero or negative.
     """
-    strength, broken, late, total = state.strength, state.broken, state.late, int(state.demands.size)
-    doubtful = float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
+    strength, broken, late, total = (
+        state.strength,
+        state.broken,
+        state.late,
+        int(state.demands.size),
+    )
+    doubtful = (
+        float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
+    )
     if doubtful > 1e-6:
-        return absent("the strength may be zero or negative: strength over demand has no meaning", state.method, total)
+        return absent(
+            "the strength may be zero or negative: strength over demand has no meaning",
+            state.method,
+            total,
+        )
     counts = (~broken).sum(axis=1).astype(float)
     if counts.min() < 2:
         return absent("too few successful samples in a replicate", state.method, total)
     if not isinstance(strength, Law):
         # that of a fixed strength is the strength over the demand's quantile at 1 - p
         d = quantile_estimates(
-            np.where(broken, 0.0, state.demands), censored=late, failed=broken, on_failure=state.on_failure,
-            quantiles=[1.0 - p], method="randomised quasi-Monte Carlo",
-        )[1.0 - p]  # fmt: skip
+            np.where(broken, 0.0, state.demands),
+            censored=late,
+            failed=broken,
+            on_failure=state.on_failure,
+            quantiles=[1.0 - p],
+            method="randomised quasi-Monte Carlo",
+        )[1.0 - p]
         if d.value is None or d.low is None or d.high is None:
             return d
         if d.low <= 0.0:
             return absent("the demand may be zero: the margin is unbounded", d.method, total)
-        return between(strength / d.value, strength / d.high, strength / d.low, len(state.demands), d.method, total)
+        return between(
+            strength / d.value,
+            strength / d.high,
+            strength / d.low,
+            len(state.demands),
+            d.method,
+            total,
+        )
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
         return absent("the demand may be zero: the margin is unbounded", state.method, total)
@@ -231,7 +265,9 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     return between(value, low, high, counts.size, state.method, total)
 
 
-def _root(probability_at: Callable[[float], float], probability: float, near: float) -> float | None:
+def _root(
+    probability_at: Callable[[float], float], probability: float, near: float
+) -> float | None:
     """Margin at which an increasing probability takes a value, by Brent's method in ln m; None where it does nowhere.
 
     In normal scores the distribution of a margin is almost straight, and a few steps suffice.

@@ -70,13 +70,17 @@ def bandwidth(data: Array) -> float:
 Part: TypeAlias = tuple[Form, Callable[[Array], Array]]
 
 
-def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments: tuple[float, float] | None) -> Form:
+def _mean_of(
+    count: int, parts: list[Part], nodes: Callable[[], Array], moments: tuple[float, float] | None
+) -> Form:
     """The form of a mean of `count` laws: of few values by the laws themselves, of more by cubics over the nodes."""
 
     @np.errstate(all="ignore")
     def own_tails(y: Array) -> tuple[Array, Array]:
         each = [form.tails(z(y[..., None])) for form, z in parts]
-        below, above = (sum(tail.sum(axis=-1) for tail in side) / count for side in zip(*each, strict=True))
+        below, above = (
+            sum(tail.sum(axis=-1) for tail in side) / count for side in zip(*each, strict=True)
+        )
         return np.asarray(below), np.asarray(above)
 
     @cache
@@ -101,7 +105,10 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array], moments:
         scores = cubics()[0]
         return np.asarray(scores(y, 1, extrapolate=False) * GAUSS.pdf(scores(y)))
 
-    quantile = either(lambda p: inside(cubics()[1], special.ndtri(p)), lambda q: inside(cubics()[1], -special.ndtri(q)))
+    quantile = either(
+        lambda p: inside(cubics()[1], special.ndtri(p)),
+        lambda q: inside(cubics()[1], -special.ndtri(q)),
+    )
     return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
 
 
@@ -111,8 +118,12 @@ def _kernels(data: Array, width: float) -> Form:
         breaks = np.flatnonzero(np.diff(data) > 18.0 * width)
         starts = np.concatenate([data[:1] - CERTAIN * width, data[breaks + 1] - 9.0 * width])
         ends = np.concatenate([data[breaks] + 9.0 * width, data[-1:] + CERTAIN * width])
-        return np.concatenate([np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
-                               for a, b in zip(starts, ends, strict=True)])  # fmt: skip
+        return np.concatenate(
+            [
+                np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
+                for a, b in zip(starts, ends, strict=True)
+            ]
+        )
 
     moments = float(data.mean()), math.hypot(float(data.std()), width)
     return _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes, moments)
@@ -134,8 +145,12 @@ def drawn(law: Law) -> Form:
     def nodes() -> Array:
         # 4001 nodes between scores of -6 and 6, and 1000 on either side: shares are then known to 1e-8
         scores = np.array([-CERTAIN, -6.0, 6.0, CERTAIN])[:, None]
-        y = np.hstack([np.log(median) + sd * scores - np.log1p(bound * np.exp(sd * scores)),
-                       np.log(least + scale * hazard.quantile(*GAUSS.tails(scores)))])  # fmt: skip
+        y = np.hstack(
+            [
+                np.log(median) + sd * scores - np.log1p(bound * np.exp(sd * scores)),
+                np.log(least + scale * hazard.quantile(*GAUSS.tails(scores))),
+            ]
+        )
         start, low, high, end = y[0].min(), y[1].min(), y[2].max(), y[3].max()
         tails = np.linspace(max(start, -690.0), low, 1000)[:-1], np.linspace(high, end, 1000)[1:]
         return np.concatenate([tails[0], np.linspace(low, high, 4001), tails[1]])

@@ -39,7 +39,9 @@ def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
     if seed < 0 or replicate < 0:
         raise ValueError(f"seed and replicate must not be negative, found {seed} and {replicate}")
     words = np.frombuffer(hashlib.sha256(task.encode()).digest(), dtype="<u4")
-    return np.random.SeedSequence(entropy=[seed, *(int(word) for word in words)], spawn_key=(replicate,))
+    return np.random.SeedSequence(
+        entropy=[seed, *(int(word) for word in words)], spawn_key=(replicate,)
+    )
 
 
 def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.Generator:
@@ -47,7 +49,9 @@ def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.G
     return np.random.default_rng(_seed(seed, task, replicate))
 
 
-def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int) -> Array:
+def sobol_points(
+    *, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int
+) -> Array:
     """Points `start` to `start + count` of one randomised Sobol' sequence: (count, dimension) in (0, 1).
 
     The ends 0 and 1 never occur: points lie in the middle of the cells of 2^-52 (2^-30 from 1000
@@ -72,7 +76,9 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
     directions, shift = _scrambled(dimension, bits, seed, task, replicate)
     size = min(4096, 1 << (count - 1).bit_length())
     block = np.zeros((size, dimension), dtype=np.uint64)
-    for k in range(size.bit_length() - 1):  # the Gray code of 2^k to 2^(k+1) is that below it, mirrored, with one bit
+    for k in range(
+        size.bit_length() - 1
+    ):  # the Gray code of 2^k to 2^(k+1) is that below it, mirrored, with one bit
         block[1 << k : 2 << k] = block[: 1 << k][::-1] ^ directions[k]
     begins = range(start - start % size, start + count, size)
     points = np.concatenate([block ^ _at(directions, shift, begin) for begin in begins])
@@ -88,14 +94,20 @@ def _at(directions: _Words, shift: _Words, number: int) -> _Words:
 
 
 @lru_cache(maxsize=64)
-def _scrambled(dimension: int, bits: int, seed: int, task: str, replicate: int) -> tuple[_Words, _Words]:
+def _scrambled(
+    dimension: int, bits: int, seed: int, task: str, replicate: int
+) -> tuple[_Words, _Words]:
     """Directions (bits, d) of one randomisation and its shift (d,); the draws are those of `scipy.stats.qmc.Sobol`,
     whose package takes half a second to load."""
     generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
     kind = np.uint32 if bits <= 32 else np.uint64
     places = np.arange(bits, dtype=np.uint64)
-    shift = generator.integers(2, size=(dimension, bits), dtype=kind).astype(np.uint64) @ (np.uint64(1) << places)
-    lower = np.tril(generator.integers(2, size=(dimension, bits, bits), dtype=kind)).astype(np.float64)
+    shift = generator.integers(2, size=(dimension, bits), dtype=kind).astype(np.uint64) @ (
+        np.uint64(1) << places
+    )
+    lower = np.tril(generator.integers(2, size=(dimension, bits, bits), dtype=kind)).astype(
+        np.float64
+    )
     lower[:, np.arange(bits), np.arange(bits)] = 1.0
     # the bits of the directions, the highest first, times the matrices, modulo two
     digits = (_directions(dimension, bits)[:, None, :] >> places[::-1, None]) & np.uint64(1)

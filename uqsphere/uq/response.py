@@ -113,7 +113,9 @@ class Response:
     def reason(self) -> str:
         """Why it may, or may not, be used."""
         largest = max(self.fits, key=lambda fit: fit.coefficients.size)
-        terms = f"{largest.coefficients.size} terms of degree {largest.degree} from {self.count} runs"
+        terms = (
+            f"{largest.coefficients.size} terms of degree {largest.degree} from {self.count} runs"
+        )
         if self.usable:
             return f"it leaves {self.error:.2g} of the variance ({terms}); {unseen(self.count)}"
         return f"refused: it leaves {self.error:.2g} of the variance unexplained, more than {MOST:g} ({terms})"
@@ -128,7 +130,9 @@ class Response:
         return np.stack([own + rng.choice(self.residuals, own.shape) for own in values])
 
 
-def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> list[Response]:
+def cross_fit(
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False
+) -> list[Response]:
     """Responses of every column of outputs (n, q) at the same germ points (n, d); ValueError for fewer than 8 rows.
 
     `plain`: expansions of the outputs themselves, in the germs as given.
@@ -140,21 +144,36 @@ def cross_fit(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
         raise ValueError(f"cross-fitting takes at least 8 rows, found {n}")
     folds, made = folds_of(n, FOLDS), []
     for y in outputs.T:
-        fits = tuple(fit_chaos(points[folds != k], y[folds != k], germs, plain=plain) for k in range(FOLDS))
+        fits = tuple(
+            fit_chaos(points[folds != k], y[folds != k], germs, plain=plain) for k in range(FOLDS)
+        )
         levels = np.empty(n)
         for k, fit in enumerate(fits):
             levels[folds == k] = predict(fit, points[folds == k])
         mean, sd = mean_and_sd(y)
-        error = 0.0 if sd <= 1e-14 * abs(mean) else min(float(np.mean(((y - levels) / sd) ** 2)), 1.0)
-        made.append(Response(fits=fits, folds=folds, points=np.asarray(points), outputs=y, levels=levels,
-                             residuals=y - levels, error=error))  # fmt: skip
+        error = (
+            0.0 if sd <= 1e-14 * abs(mean) else min(float(np.mean(((y - levels) / sd) ** 2)), 1.0)
+        )
+        made.append(
+            Response(
+                fits=fits,
+                folds=folds,
+                points=np.asarray(points),
+                outputs=y,
+                levels=levels,
+                residuals=y - levels,
+                error=error,
+            )
+        )
     return made
 
 
 # --- the output and its parts --------------------------------------------------------------------------
 
 
-def describe_corrected(table: Array, rows: Array, levels: Array, quantiles: Sequence[float]) -> Description:
+def describe_corrected(
+    table: Array, rows: Array, levels: Array, quantiles: Sequence[float]
+) -> Description:
     """The description of an output on a table (R, m) of `Response.table`, corrected by n rows and their levels.
 
     A row's influence on the mean is its residual, on the standard deviation s about the mean c
@@ -174,9 +193,13 @@ def describe_corrected(table: Array, rows: Array, levels: Array, quantiles: Sequ
         whole = math.hypot(half, estimate.half_width if math.isfinite(estimate.half_width) else 0.0)
         found.append(around(value, whole, 0.5 * whole, note, n))
     read = sample_reader(np.sort(table, axis=None))
-    return Description(mean=found[0], sd=found[1], censored_share=base.censored_share, scale=sd,
-                       quantiles={p: _quantile(p, e, read, rows, levels, note)
-                                  for p, e in base.quantiles.items()})  # fmt: skip
+    return Description(
+        mean=found[0],
+        sd=found[1],
+        censored_share=base.censored_share,
+        scale=sd,
+        quantiles={p: _quantile(p, e, read, rows, levels, note) for p, e in base.quantiles.items()},
+    )
 
 
 def _quantile(
@@ -205,7 +228,13 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
     """
     n, d = response.count, len(response.germs)
     if response.constant:
-        nothing = [absent("the output does not vary with the inputs, or the expansion is a constant", METHOD, n)] * d
+        nothing = [
+            absent(
+                "the output does not vary with the inputs, or the expansion is a constant",
+                METHOD,
+                n,
+            )
+        ] * d
         return {"first": nothing, "total": list(nothing)}
     folds = [integrals(fit) for fit in response.fits]
     unit = max(one.sd for one in folds)
@@ -228,9 +257,15 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
         between_folds = student(FOLDS) * np.std(tops / whole, axis=0, ddof=1) / math.sqrt(FOLDS)
         found[order] = []
         for j, value in enumerate(np.clip(values, 0.0, 1.0).tolist()):
-            half = math.hypot(half_width((moved[j] - values[j] * changed) / whole), float(between_folds[j]))
+            half = math.hypot(
+                half_width((moved[j] - values[j] * changed) / whole), float(between_folds[j])
+            )
             half += max(one.error for one in folds) + 1e-15
             best = min(value / max(1.0 - response.error, 1e-300), 1.0)
-            estimate = Estimate(value=best, low=best, high=best, std_error=0.0, evaluations=n, method=note)
-            found[order].append(estimate.spanning(max(0.0, value - half), min(1.0, value + half + response.error)))
+            estimate = Estimate(
+                value=best, low=best, high=best, std_error=0.0, evaluations=n, method=note
+            )
+            found[order].append(
+                estimate.spanning(max(0.0, value - half), min(1.0, value + half + response.error))
+            )
     return found

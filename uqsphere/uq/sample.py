@@ -41,9 +41,16 @@ class Sample:
         """Points that are not evaluated yet."""
         shape = scores.shape[:2]
         none = np.empty((*shape, 0))
-        return cls(names=tuple(names), scores=scores, inputs=inputs, quantities=(), answers=none,
-                   censored=none.astype(bool), status=np.zeros(shape, dtype=np.int64),
-                   failed=np.zeros(shape, dtype=bool))  # fmt: skip
+        return cls(
+            names=tuple(names),
+            scores=scores,
+            inputs=inputs,
+            quantities=(),
+            answers=none,
+            censored=none.astype(bool),
+            status=np.zeros(shape, dtype=np.int64),
+            failed=np.zeros(shape, dtype=bool),
+        )
 
     @property
     def replicates(self) -> int:

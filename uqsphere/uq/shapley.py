@@ -22,7 +22,14 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.chaos import germ_points, predict
-from uqsphere.uq.estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
+from uqsphere.uq.estimate import (
+    REPLICATES,
+    Estimate,
+    absent,
+    from_replicates,
+    ratio_of_means,
+    student,
+)
 from uqsphere.uq.indices import LARGE
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
@@ -39,7 +46,9 @@ def closed_effects(
     value and deviations (R,) of the replicates from it."""
     d, designs = len(joint.names), []
     for r in range(REPLICATES):
-        normals = special.ndtri(sobol_points(dimension=3 * d, count=points, seed=seed, task="shapley", replicate=r))
+        normals = special.ndtri(
+            sobol_points(dimension=3 * d, count=points, seed=seed, task="shapley", replicate=r)
+        )
         base = joint.scores(normals[:, :d])
         y, apart = function(base, r), function(joint.scores(normals[:, 2 * d :]), r)
         designs.append((base, normals[:, d : 2 * d], y, apart))
@@ -57,7 +66,9 @@ def closed_effects(
             rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
         plain, small, square = np.array(rows).T
         # a small effect by differences, whose noise is small with it
-        value, off = ratio_of_means(plain if plain.mean() > LARGE * square.mean() else small, square)
+        value, off = ratio_of_means(
+            plain if plain.mean() > LARGE * square.mean() else small, square
+        )
         return float(value), off
 
     return closed
@@ -74,7 +85,9 @@ def dependent_shares(
     d, n = len(joint.names), response.count
 
     def function(scores: Array, replicate: int) -> Array:
-        return predict(response.fits[replicate % len(response.fits)], germ_points(scores, response.germs))
+        return predict(
+            response.fits[replicate % len(response.fits)], germ_points(scores, response.germs)
+        )
 
     if response.constant:
         nothing = [absent("the output does not vary", METHOD, n)] * d
@@ -88,7 +101,10 @@ def dependent_shares(
             more = tuple(sorted((*held, i)))
             (after, after_off), (before, before_off) = closed(more), closed(held)
             value, off = effects[i]
-            effects[i] = value + (after - before) / len(orders), off + (after_off - before_off) / len(orders)
+            effects[i] = (
+                value + (after - before) / len(orders),
+                off + (after_off - before_off) / len(orders),
+            )
             held = more
     first = [closed((i,)) for i in range(d)]
     rest = [closed(tuple(j for j in range(d) if j != i)) for i in range(d)]
@@ -102,8 +118,11 @@ def dependent_shares(
             found.append(own.spanning(value - half, value + half))
         return found
 
-    return {"shapley": answers(effects), "first": answers(first),
-            "total": answers([(1.0 - value, -off) for value, off in rest])}  # fmt: skip
+    return {
+        "shapley": answers(effects),
+        "first": answers(first),
+        "total": answers([(1.0 - value, -off) for value, off in rest]),
+    }
 
 
 def _orders(d: int, seed: int) -> list[tuple[int, ...]]:

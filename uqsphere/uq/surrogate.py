@@ -33,7 +33,7 @@ from uqsphere.uq.chaos import (
     integrals,
     predict,
     rows_of,
-)  # fmt: skip
+)
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator
@@ -59,9 +59,11 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
     """
     if hasattr(rows, "columns") or isinstance(rows, Mapping):
         given = [str(name) for name in (rows.columns if hasattr(rows, "columns") else rows)]
-        for what, wrong in (("is missing", [n for n in names if n not in given]),
-                            ("is no input", [n for n in given if n not in names]),
-                            ("is there twice", [n for n in given if given.count(n) > 1])):  # fmt: skip
+        for what, wrong in (
+            ("is missing", [n for n in names if n not in given]),
+            ("is no input", [n for n in given if n not in names]),
+            ("is there twice", [n for n in given if given.count(n) > 1]),
+        ):
             if wrong:
                 raise UsageError(f"column {wrong[0]!r} {what}; the inputs are {', '.join(names)}")
         columns = [rows[n] for n in names]
@@ -70,10 +72,16 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
             if index is not None and hasattr(column, "reindex") and not column.index.equals(index):
                 columns[k] = in_order_of(column, index, f"the column {names[k]!r}")
         try:
-            rows = np.stack(np.broadcast_arrays(*(np.atleast_1d(np.asarray(c)) for c in columns)), axis=-1)
+            rows = np.stack(
+                np.broadcast_arrays(*(np.atleast_1d(np.asarray(c)) for c in columns)), axis=-1
+            )
         except ValueError as error:
-            raise UsageError(f"the columns differ in length: {', '.join(str(np.size(c)) for c in columns)}") from error
-    elif hasattr(rows, "index") and hasattr(rows, "to_frame"):  # a Series: one row, its index the names
+            raise UsageError(
+                f"the columns differ in length: {', '.join(str(np.size(c)) for c in columns)}"
+            ) from error
+    elif hasattr(rows, "index") and hasattr(
+        rows, "to_frame"
+    ):  # a Series: one row, its index the names
         return columns_of(rows.to_frame().T, names)
     try:
         if np.iscomplexobj(x := np.asarray(rows)):
@@ -94,7 +102,9 @@ def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
     if len(different) == len(rows):
         return rows, values
     text = f"each of the {len(different)} different rows counts once, with the mean of its answers"
-    warnings.warn(f"{len(rows) - len(different)} of {len(rows)} rows repeat another: {text}", stacklevel=4)
+    warnings.warn(
+        f"{len(rows) - len(different)} of {len(rows)} rows repeat another: {text}", stacklevel=4
+    )
     sums = np.zeros((len(different), *values.shape[1:]))
     np.add.at(sums, place.ravel(), values)
     order = np.argsort(first)
@@ -110,16 +120,23 @@ def index_of(rows: Any) -> Any:
 def in_order_of(column: Any, index: Any, name: str) -> Any:
     """A Series in the order of an index that has the same labels, each once.  Raises UsageError for any other."""
     if not (
-        column.index.is_unique and index.is_unique and len(index) == len(column) and set(index) == set(column.index)
+        column.index.is_unique
+        and index.is_unique
+        and len(index) == len(column)
+        and set(index) == set(column.index)
     ):
-        raise UsageError(f"the index of {name} is not that of the rows: give it by to_numpy() where the order is right")
+        raise UsageError(
+            f"the index of {name} is not that of the rows: give it by to_numpy() where the order is right"
+        )
     return column.reindex(index)
 
 
 def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
     """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not known."""
     if steps := [name for name, law in zip(joint.names, joint.laws, strict=True) if law.is_steps]:
-        raise UsageError(f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the model")
+        raise UsageError(
+            f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the model"
+        )
     return germ_points(joint.marginal_scores(x), germs)
 
 
@@ -139,7 +156,9 @@ class Expansion:
     response: Response | None = None
 
     def __repr__(self) -> str:
-        error = "" if self.response is None else f", leaves {self.response.error:.2g} of the variance"
+        error = (
+            "" if self.response is None else f", leaves {self.response.error:.2g} of the variance"
+        )
         return f"<Expansion in {', '.join(self.joint.names)}: {len(self.fit.coefficients)} terms{error}>"
 
     @property
@@ -164,14 +183,25 @@ class Expansion:
     def inside(self, rows: Any) -> Flags:
         """Which rows (n,) lie where the laws of the inputs do."""
         x = columns_of(rows, self.names)
-        return np.asarray(np.all([(law.cdf(c) > 0.0) & (law.sf(c) > 0.0)
-                                  for law, c in zip(self.joint.laws, x.T, strict=True)], axis=0))  # fmt: skip
+        return np.asarray(
+            np.all(
+                [
+                    (law.cdf(c) > 0.0) & (law.sf(c) > 0.0)
+                    for law, c in zip(self.joint.laws, x.T, strict=True)
+                ],
+                axis=0,
+            )
+        )
 
     def germs_at(self, rows: Any) -> Array:
         """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output (or ln of it)."""
         points = _points(self.joint, self.fit.germs, columns_of(rows, self.names))
-        return np.column_stack([germ.values(p) if isinstance(germ, Germ) else p
-                                for germ, p in zip(self.fit.germs, points.T, strict=True)])  # fmt: skip
+        return np.column_stack(
+            [
+                germ.values(p) if isinstance(germ, Germ) else p
+                for germ, p in zip(self.fit.germs, points.T, strict=True)
+            ]
+        )
 
     def predict(self, rows: Any, level: float = 0.95, *, outside: str = "raise") -> Prediction:
         """What the model would answer to rows, with the interval that holds the answer at this level.
@@ -185,12 +215,16 @@ class Expansion:
         Ends are infinite where there are too few rows for the level, or no response.
         """
         if not 0.0 < level < 1.0 or outside not in ("raise", "nan"):
-            raise UsageError(f"level must lie in (0, 1) and outside be raise or nan; found {level}, {outside!r}")
+            raise UsageError(
+                f"level must lie in (0, 1) and outside be raise or nan; found {level}, {outside!r}"
+            )
         x = columns_of(rows, self.names)
         inside = self.inside(x)
         if outside == "raise" and not inside.all():
             beyond = int((~inside).sum())
-            raise UsageError(f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'")
+            raise UsageError(
+                f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'"
+            )
         points = _points(self.joint, self.fit.germs, x)
         value = predict(self.fit, points)
         half = np.full(len(x), math.inf)
@@ -222,7 +256,9 @@ class Expansion:
         assert self.response is not None
         own = np.minimum(self._leverage(self.response.points), 1.0 - 1e-9)
         slope = np.abs(self.response.levels) if self.fit.log else 1.0
-        return np.asarray(np.abs(self.response.residuals) / np.maximum(slope * np.sqrt(1.0 / (1.0 - own)), 1e-300))
+        return np.asarray(
+            np.abs(self.response.residuals) / np.maximum(slope * np.sqrt(1.0 / (1.0 - own)), 1e-300)
+        )
 
     # --- what it says of the output -----------------------------------------------------------------------
 
@@ -234,7 +270,9 @@ class Expansion:
     def indices(self) -> dict[str, dict[str, Estimate]]:
         """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs are tied."""
         if self.response is None:
-            raise UsageError("this expansion has no rows of its own: its indices are in the answers of the run")
+            raise UsageError(
+                "this expansion has no rows of its own: its indices are in the answers of the run"
+            )
         tied = self.joint.dependent
         found = dependent_shares(self.response, self.joint) if tied else index_shares(self.response)
         return {order: dict(zip(self.names, row, strict=True)) for order, row in found.items()}
@@ -248,7 +286,9 @@ class Expansion:
         return self.fit.chaospy()
 
 
-def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int = 0) -> Expansion:
+def fit_expansion(
+    x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int = 0
+) -> Expansion:
     """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which rows are dealt."""
     from threadpoolctl import threadpool_limits
 
@@ -257,5 +297,8 @@ def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed
     points = _points(joint, germs, x)
     # many small products: threads of linear algebra that wait for each other cost 20 times as much
     with threadpool_limits(limits=1, user_api="blas"):
-        return Expansion(joint=joint, fit=fit_chaos(points, y, germs, plain=plain),
-                         response=cross_fit(points, y, germs, plain=plain)[0])  # fmt: skip
+        return Expansion(
+            joint=joint,
+            fit=fit_chaos(points, y, germs, plain=plain),
+            response=cross_fit(points, y, germs, plain=plain)[0],
+        )

@@ -73,17 +73,26 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     """
     shapes = {state.demands.shape for state in states}
     if len(shapes) != 1:
-        raise ValueError(f"the limits of a union need the same samples, found shapes {sorted(shapes)}")
+        raise ValueError(
+            f"the limits of a union need the same samples, found shapes {sorted(shapes)}"
+        )
     shape = (len(states), *next(iter(shapes)))
     failure_given_inputs, holding = np.zeros(shape), np.zeros(shape)
     for j, state in enumerate(states):
         below, above = tails(state)
         if np.any(factor[j, :j]):
-            score = (score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
+            score = (
+                score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)
+            ) / factor[j, j]
             below, above = special.ndtr(score), special.ndtr(-score)
         failure_given_inputs[j] = np.where(state.broken, 0.0, below)
         holding[j] = -_drawn_below(above, rng)
-    return Union(states=tuple(states), failure_given_inputs=failure_given_inputs, holding=holding, factor=factor)
+    return Union(
+        states=tuple(states),
+        failure_given_inputs=failure_given_inputs,
+        holding=holding,
+        factor=factor,
+    )
 
 
 def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
@@ -99,14 +108,21 @@ def union_state(union: Union) -> LimitState:
     """
     policy, p = union.states[0].on_failure, union.any
     if not any(isinstance(state.strength, Law) for state in union.states):
-        return LimitState(demands=np.where(p > 0.5, 2.0, 0.5), strength=1.0, failed=union.broken, on_failure=policy)
+        return LimitState(
+            demands=np.where(p > 0.5, 2.0, 0.5),
+            strength=1.0,
+            failed=union.broken,
+            on_failure=policy,
+        )
     with np.errstate(divide="ignore"):
         held = np.log1p(-union.failure_given_inputs).sum(axis=0)
     return LimitState(
-        demands=np.clip(score_of(p, np.exp(held)), -CERTAIN, CERTAIN), failed=union.broken, on_failure=policy,
+        demands=np.clip(score_of(p, np.exp(held)), -CERTAIN, CERTAIN),
+        failed=union.broken,
+        on_failure=policy,
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
         method="randomised quasi-Monte Carlo, strengths integrated",
-    )  # fmt: skip
+    )
 
 
 # --- samples in which something breaks ----------------------------------------------------------------
@@ -147,7 +163,9 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     for j, state in enumerate(union.states):
         strengths, demands = _strengths(state, scores[j], pick), state.demands[pick]
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf))
+            share = np.where(
+                demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf)
+            )
         # rounding must not let the limit that has been drawn as exceeded hold
         shares[j] = np.where(first == j, np.minimum(share, 1.0 - 1e-12), share)
     return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
@@ -162,7 +180,9 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
     return state.strength.from_normal(there.score_drawn(score))
 
 
-def weighted_quantile(values: Array, weights: Array, p: float, method: str, evaluations: int) -> Estimate:
+def weighted_quantile(
+    values: Array, weights: Array, p: float, method: str, evaluations: int
+) -> Estimate:
     """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after Woodruff (1952)."""
     replicates, m = values.shape
     read = sample_reader(values, np.repeat(weights, m).reshape(values.shape))

@@ -20,12 +20,17 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="uqsphere comminution", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
-        ("fit", "posterior of the fracture energy from tests of single particles; draws.csv is a strength"),
+        (
+            "fit",
+            "posterior of the fracture energy from tests of single particles; draws.csv is a strength",
+        ),
         ("feed", "what becomes of a feed under blows"),
     ):
         one = commands.add_parser(name, help=text, description=text)
         one.add_argument("file", type=Path, help="input file (TOML)")
-        one.add_argument("--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)")
+        one.add_argument(
+            "--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)"
+        )
         one.add_argument("--json", action="store_true", help="one JSON document on stdout")
     _run(parser.parse_args(argv))
     return 0
@@ -46,9 +51,15 @@ def _run(chosen: argparse.Namespace) -> None:
     text, warnings = _fit_text(content), fitted.content["warnings"]
     if chosen.command == "feed":
         answer = answer_feed(fitted.posterior, asked, folder)
-        classes = [(c["upper"], c["size"], c["mass"], *c["broken"].values()) for c in answer.content["classes"]]
+        classes = [
+            (c["upper"], c["size"], c["mass"], *c["broken"].values())
+            for c in answer.content["classes"]
+        ]
         head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
-        files |= {"feed.json": _json(answer.content), "classes.csv": csv_text(head, [*zip(*classes, strict=True)])}
+        files |= {
+            "feed.json": _json(answer.content),
+            "classes.csv": csv_text(head, [*zip(*classes, strict=True)]),
+        }
         if product := [tuple(one.values()) for one in answer.content["product"]]:
             head = ["sieve [m]", "feed", "passing", "low", "high"]
             files["product.csv"] = csv_text(head, [*zip(*product, strict=True)])
@@ -71,13 +82,19 @@ def _interval(one: dict[str, float], factor: float = 1.0, unit: str = "") -> tup
 def _fit_text(content: dict[str, Any]) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
-    rows = [("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")]
+    rows = [
+        ("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")
+    ]
     for one in content["sizes"]:
-        energies = [_interval(one[key], 1.0, "J/kg") for key in ("E50", "breaks_half", "breaks_1_percent")]
+        energies = [
+            _interval(one[key], 1.0, "J/kg") for key in ("E50", "breaks_half", "breaks_1_percent")
+        ]
         rows.append((f"{one['diameter'] * 1e3:.4g} mm", str(one["tests"]), *sum(energies, ())))
     laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
-    laws += [(law, f"{one['weight']:.0%}", f"{one['log_likelihood']:.2f}", f"{one['loo']:.2f}")
-             for law, one in content["laws"].items()]  # fmt: skip
+    laws += [
+        (law, f"{one['weight']:.0%}", f"{one['log_likelihood']:.2f}", f"{one['loo']:.2f}")
+        for law, one in content["laws"].items()
+    ]
     names = [("parameter", "value", "95 %", "sd of the logarithm: prior, posterior")]
     for name, one in content["parameters"].items():
         prior = "flat" if one["prior_sd"] is None else f"{one['prior_sd']:.2g}"
@@ -87,8 +104,11 @@ def _fit_text(content: dict[str, Any]) -> str:
 
 
 def _feed_text(content: dict[str, Any]) -> str:
-    scale = {"energy [J/kg]": ("energy of the particles", 1.0 / 3600.0, "kWh/t"), "P80 [m]": ("P80", 1e3, "mm"),
-             "P50 [m]": ("P50", 1e3, "mm")}  # fmt: skip
+    scale = {
+        "energy [J/kg]": ("energy of the particles", 1.0 / 3600.0, "kWh/t"),
+        "P80 [m]": ("P80", 1e3, "mm"),
+        "P50 [m]": ("P50", 1e3, "mm"),
+    }
     rows = [("answer", "value", "95 %")]
     for name, one in content["numbers"].items():
         words, factor, unit = scale.get(name, (name, 1.0, ""))

@@ -81,9 +81,15 @@ class TestsTable(Section):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> TestsTable:
-        given = [key for key in ("specific_energy", "energy", "speed", "force") if getattr(self, key) is not None]
+        given = [
+            key
+            for key in ("specific_energy", "energy", "speed", "force")
+            if getattr(self, key) is not None
+        ]
         if len(given) != 1:
-            raise ValueError("exactly one of specific_energy, energy, speed, force is required, each a column")
+            raise ValueError(
+                "exactly one of specific_energy, energy, speed, force is required, each a column"
+            )
         if self.diameter is None and (self.mesh_lower is None or self.mesh_upper is None):
             raise ValueError("diameter is required, or mesh_lower and mesh_upper")
         if self.outcome is None and self.broken is None:
@@ -120,8 +126,12 @@ class SizesTable(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> SizesTable:
-        needs = {"rosin_rammler": ("d63", "n", "top"), "gaudin_schuhmann": ("n", "top"),
-                 "lognormal": ("d50", "sd", "top"), "table": ("file", "sieve", "passing")}[self.law]  # fmt: skip
+        needs = {
+            "rosin_rammler": ("d63", "n", "top"),
+            "gaudin_schuhmann": ("n", "top"),
+            "lognormal": ("d50", "sd", "top"),
+            "table": ("file", "sieve", "passing"),
+        }[self.law]
         missing = [key for key in needs if getattr(self, key) is None]
         if missing:
             raise ValueError(f"{self.law}: {', '.join(missing)} required")

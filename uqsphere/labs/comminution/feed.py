@@ -16,7 +16,13 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument, FeedTable, Lognormal, ProductTable, SizesTable
+from uqsphere.labs.comminution.document import (
+    ComminutionDocument,
+    FeedTable,
+    Lognormal,
+    ProductTable,
+    SizesTable,
+)
 from uqsphere.labs.comminution.fit import Posterior, quantiles
 from uqsphere.labs.comminution.tests import stiffness
 from uqsphere.tables import read_table
@@ -62,7 +68,9 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
             "lognormal": lambda x: ndtr(np.log(x / v["d50"]) / v["sd"]),
         }[asked.law]
         if (cut := 1.0 - float(passing(top))) > 1e-6:
-            notes.append(f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and the rest scaled")
+            notes.append(
+                f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and the rest scaled"
+            )
     edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
     share = np.clip(passing(edges), 0.0, None)
     mass = np.append(share[:-1] - share[1:], share[-1]) / share[0]
@@ -72,7 +80,10 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
 def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, float]:
     """Passing as a function of the size, log-linear between sieves, and the top size."""
     column, table = str(asked.passing), read_table(folder / str(asked.file))
-    sieve, given = table.numbers(str(asked.sieve), "length", asked.sieve_unit or None), table.numbers(column)
+    sieve, given = (
+        table.numbers(str(asked.sieve), "length", asked.sieve_unit or None),
+        table.numbers(column),
+    )
     table.finish()
     heading = table.headings[table.place(column)].lower()
     percent = "%" in heading or "percent" in heading or "pct" in heading
@@ -90,25 +101,35 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
     share = given * (0.01 if percent else 1.0)
     rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
     if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
-        raise UsageError(f"{table.name}: sieves must differ, and what passes must rise with them up to 100 %")
+        raise UsageError(
+            f"{table.name}: sieves must differ, and what passes must rise with them up to 100 %"
+        )
     left = 1.0 - float(share[-1])
     top = asked.top if asked.top is not None else float(sieve[-1])
     if asked.top is not None and asked.top > sieve[-1] * (1.0 + 1e-9):
         sieve, share = np.append(sieve, asked.top), np.append(share, 1.0)
         if left > 1e-4:
-            notes.append(f"{left:.3g} of the mass lies between the coarsest sieve and top, where all passes: by a line")
+            notes.append(
+                f"{left:.3g} of the mass lies between the coarsest sieve and top, where all passes: by a line"
+            )
     elif left > _CUT:
         raise UsageError(
             f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add "
             "top, the size that all passes"
         )
     elif left > 1e-4:
-        notes.append(f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest scaled")
+        notes.append(
+            f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest scaled"
+        )
     x, y = np.log(sieve), share
 
     def passing(size: Array) -> Array:
         # below the finest sieve a straight line in logarithms to nothing, by its own slope
-        slope = (math.log(y[1]) - math.log(y[0])) / (x[1] - x[0]) if len(y) > 1 and y[0] > 0.0 and y[1] > y[0] else 1.0
+        slope = (
+            (math.log(y[1]) - math.log(y[0])) / (x[1] - x[0])
+            if len(y) > 1 and y[0] > 0.0 and y[1] > y[0]
+            else 1.0
+        )
         low = np.log(np.asarray(size))
         return np.where(low < x[0], y[0] * np.exp(slope * (low - x[0])), np.interp(low, x, y))
 
@@ -169,7 +190,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     broken = cumulative[:, :, -1]
     total = broken @ mass
     hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
-    sieves = np.unique(np.concatenate([classes.edges, classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)]))
+    sieves = np.unique(
+        np.concatenate(
+            [classes.edges, classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)]
+        )
+    )
     lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
     # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve in proportion
     whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
@@ -184,7 +209,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             finer[:, 0] = 1.0
             spread = -np.diff(finer, axis=1, append=0.0)
     struck, weight, left = population(cumulative, mass, spread)
-    numbers: dict[str, Array] = {"broken": total, "blows": struck @ hit, "energy [J/kg]": struck @ (hit * taken)}
+    numbers: dict[str, Array] = {
+        "broken": total,
+        "blows": struck @ hit,
+        "energy [J/kg]": struck @ (hit * taken),
+    }
     if product is not None:
         fragments = 0.0 if feed.rebreak else (curves * weight[:, None]).sum(axis=2)
         passing = np.minimum(np.maximum.accumulate(left @ whole.T + fragments, axis=1), 1.0)
@@ -192,45 +221,77 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         numbers |= {f"P{round(100 * p)} [m]": _size_at(p, sieves, passing) for p in (0.8, 0.5)}
         numbers["F80/P80"] = _size_at(0.8, sieves, before[None])[0] / numbers["P80 [m]"]
         if feed.fines is not None:
-            numbers["fines"] = np.array([np.interp(math.log(feed.fines), np.log(sieves), row) for row in passing])
-        outside = (given < _OFFERED[0]) | (given > _OFFERED[1]) | (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
-        beyond = float((weight.mean(axis=0) * outside).sum() / max(weight.mean(axis=0).sum(), 1e-300))
+            numbers["fines"] = np.array(
+                [np.interp(math.log(feed.fines), np.log(sieves), row) for row in passing]
+            )
+        outside = (
+            (given < _OFFERED[0])
+            | (given > _OFFERED[1])
+            | (sizes < _DROPPED[0])
+            | (sizes > _DROPPED[1])
+        )
+        beyond = float(
+            (weight.mean(axis=0) * outside).sum() / max(weight.mean(axis=0).sum(), 1e-300)
+        )
         if beyond > 0.01:
-            warnings.append(f"{beyond:.0%} of what breaks lies beyond the drop-weight tests behind A and b "
-                            "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated")  # fmt: skip
+            warnings.append(
+                f"{beyond:.0%} of what breaks lies beyond the drop-weight tests behind A and b "
+                "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
+            )
     low, high = posterior.tested
     untested = (sizes < low * 0.84) | (sizes > high * 1.19)
     if float(mass[untested].sum()) > 0.005:
-        warnings.append(f"{mass[untested].sum():.0%} of the feed lies beyond the tested {low * 1e3:.3g} to "
-                        f"{high * 1e3:.3g} mm: extrapolated")  # fmt: skip
-    if feed.blows > 1 and not any("gamma" in model.names for model in posterior.models) and asked.tests.gamma == "fit":
+        warnings.append(
+            f"{mass[untested].sum():.0%} of the feed lies beyond the tested {low * 1e3:.3g} to "
+            f"{high * 1e3:.3g} mm: extrapolated"
+        )
+    if (
+        feed.blows > 1
+        and not any("gamma" in model.names for model in posterior.models)
+        and asked.tests.gamma == "fit"
+    ):
         warnings.append("no test was repeated: gamma of the damage has its prior, 2.0 to 7.9")
     warnings.append("energies are those of the particles; the machine takes more")
     content: dict[str, Any] = {
-        "title": asked.title, "blows": feed.blows, "energy_offered": given.tolist(), "particle_share": share,
+        "title": asked.title,
+        "blows": feed.blows,
+        "energy_offered": given.tolist(),
+        "particle_share": share,
         "numbers": {name: quantiles(v) for name, v in numbers.items()},
         "classes": [
-            {"upper": float(classes.edges[k]), "size": float(sizes[k]), "mass": float(mass[k]),
-             "broken": quantiles(broken[:, k]), "by_blow": cumulative[:, k, 1:].mean(axis=0).tolist(),
-             "extrapolated": bool(untested[k])}
+            {
+                "upper": float(classes.edges[k]),
+                "size": float(sizes[k]),
+                "mass": float(mass[k]),
+                "broken": quantiles(broken[:, k]),
+                "by_blow": cumulative[:, k, 1:].mean(axis=0).tolist(),
+                "extrapolated": bool(untested[k]),
+            }
             for k in range(len(mass))
         ],
         "product": [
-            {"sieve": float(s), "feed": float(before[k]), **quantiles(passing[:, k])} for k, s in enumerate(sieves)
-        ] if product is not None else [],
-    }  # fmt: skip
+            {"sieve": float(s), "feed": float(before[k]), **quantiles(passing[:, k])}
+            for k, s in enumerate(sieves)
+        ]
+        if product is not None
+        else [],
+    }
     content["numbers"]["never broken"] = quantiles(1.0 - total)
     if feed.lot is not None:
         count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, own.density)), 0.0)
         lots = _lots(broken, mass, count, rng)
         content["lot"] = {
-            "mass": feed.lot, "broken": quantiles(lots), "epistemic_sd": float(total.std()),
+            "mass": feed.lot,
+            "broken": quantiles(lots),
+            "epistemic_sd": float(total.std()),
             "lot_sd": float(math.sqrt(max(float(lots.var() - total.var()), 0.0))),
-        }  # fmt: skip
+        }
     if asked.tests.synthetic:
         warnings.insert(0, "the tests are synthetic data: no number here is of a rock")
     content["warnings"] = warnings
-    return Answer(classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content)
+    return Answer(
+        classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content
+    )
 
 
 def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:
@@ -254,12 +315,19 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
 
 
 def _curves(
-    product: ProductTable, fine: Array, sizes: Array, sieves: Array, draws: int, rng: np.random.Generator
+    product: ProductTable,
+    fine: Array,
+    sizes: Array,
+    sieves: Array,
+    draws: int,
+    rng: np.random.Generator,
 ) -> Array:
     """Share of the fragments of a class that passes a sieve, (D or 1, S, K), by t_n."""
-    alpha = np.full(1, product.alpha) if not isinstance(product.alpha, Lognormal) else np.exp(
-        product.alpha.log_mean + product.alpha.log_sd * rng.standard_normal(draws)
-    )  # fmt: skip
+    alpha = (
+        np.full(1, product.alpha)
+        if not isinstance(product.alpha, Lognormal)
+        else np.exp(product.alpha.log_mean + product.alpha.log_sd * rng.standard_normal(draws))
+    )
     return laws.t_n((sizes / sieves[:, None])[None], fine, product.curve, alpha[:, None, None])
 
 
@@ -271,5 +339,7 @@ def _size_at(share: float, sieves: Array, passing: Array) -> Array:
 def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> Array:
     """Broken share of a lot for every draw: each class has so many particles, which break or not."""
     few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(broken)
-    drawn[:, few] = rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]
+    drawn[:, few] = (
+        rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]
+    )
     return np.asarray(drawn @ mass)

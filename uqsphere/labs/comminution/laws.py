@@ -26,7 +26,12 @@ from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
 #: parameters of a size law beside the energy, by its name
-SIZES: Final = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"), "power": ("C", "phi"), "class": ()}
+SIZES: Final = {
+    "tavares": ("e_inf", "d0", "phi"),
+    "king": ("e_inf", "d0", "phi"),
+    "power": ("C", "phi"),
+    "class": (),
+}
 LAWS: Final = {"lognormal": "sigma", "weibull": "modulus"}
 
 
@@ -43,7 +48,9 @@ def hazard(energy: Values, median: Values, modulus: Values) -> Array:
     return np.asarray(math.log(2.0) * (np.asarray(energy) / median) ** (0.6 * np.asarray(modulus)))
 
 
-def broken_share(law: str, energy: Values, median: Values, shape: Values, ratio: Values = math.inf) -> Array:
+def broken_share(
+    law: str, energy: Values, median: Values, shape: Values, ratio: Values = math.inf
+) -> Array:
     """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus m.
 
     >>> float(broken_share("lognormal", 80.0, 100.0, 0.6, 4.0))
@@ -56,17 +63,24 @@ def broken_share(law: str, energy: Values, median: Values, shape: Values, ratio:
     return np.asarray(-np.expm1(-hazard(energy, median, shape)))
 
 
-def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Values = math.inf) -> Array:
+def energy_at(
+    law: str, share: Values, median: Values, shape: Values, ratio: Values = math.inf
+) -> Array:
     """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
     from scipy.special import ndtri
 
     if law == "lognormal":
         stretched = median * np.exp(np.asarray(shape) * ndtri(share))
         return np.asarray(stretched / (1.0 + stretched / (np.asarray(ratio) * median)))
-    return np.asarray(median * (-np.log1p(-np.asarray(share)) / math.log(2.0)) ** (1.0 / (0.6 * np.asarray(shape))))
+    return np.asarray(
+        median
+        * (-np.log1p(-np.asarray(share)) / math.log(2.0)) ** (1.0 / (0.6 * np.asarray(shape)))
+    )
 
 
-def median_energy(size: str, diameter: Values, energy: Values, phi: Values, d0: Values = math.nan) -> Array:
+def median_energy(
+    size: str, diameter: Values, energy: Values, phi: Values, d0: Values = math.nan
+) -> Array:
     """E50 [J/kg] at a diameter [m], (L3); `energy` is E_inf [J/kg], or C [J/kg m^phi]."""
     d = np.asarray(diameter, dtype=float)
     if size == "tavares":
@@ -91,7 +105,9 @@ def before_blow(left: Values, gamma: Values) -> Array:
         for _ in range(70):
             t = 0.5 * (low + high)
             whole, log_d = -np.logaddexp(0.0, t), -np.logaddexp(0.0, -t)
-            log_share = (2.5 / g) * log_d + np.log((2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g))
+            log_share = (2.5 / g) * log_d + np.log(
+                (2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g)
+            )
             more = whole - log_share > wanted
             low, high = np.where(more, t, low), np.where(more, high, t)
         return np.asarray(np.where(left > 0.0, np.exp(-log_share), 1.0))
@@ -111,7 +127,9 @@ def survivor_bound(energies: Values, gamma: Values) -> Array:
         energy = np.broadcast_to(blows[..., k], bound.shape)
         struck = energy > 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reached = energy * before_blow(np.where(struck, bound / np.where(struck, energy, 1.0), 0.0), gamma)
+            reached = energy * before_blow(
+                np.where(struck, bound / np.where(struck, energy, 1.0), 0.0), gamma
+            )
         bound = np.where(struck, np.maximum(reached, energy), bound)
     return bound
 
@@ -131,7 +149,9 @@ def thresholds(gamma: Values, blows: int) -> Array:
 def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Values) -> Array:
     """W/m [J/kg] of both contacts at a force [N] by Hertz: two of (2/5) F alpha, alpha = (F/beta)^(2/3)."""
     beta = hertz_constant(modulus, 0.5 * np.asarray(diameter, dtype=float))
-    return np.asarray(0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass)
+    return np.asarray(
+        0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass
+    )
 
 
 def particle_share(own: float, partner: float) -> float:
@@ -159,7 +179,9 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
     >>> t_n([2.0, 10.0], 0.3, alpha=0.8).round(6).tolist()
     [0.873631, 0.3]
     """
-    n, fine, alpha = np.broadcast_arrays(np.asarray(n, dtype=float), np.clip(fineness, 0.0, 1.0), alpha)
+    n, fine, alpha = np.broadcast_arrays(
+        np.asarray(n, dtype=float), np.clip(fineness, 0.0, 1.0), alpha
+    )
     inside = np.where(n > 1.0, n, 2.0)
     with np.errstate(divide="ignore", over="ignore"):
         if curve == "trr":
@@ -167,7 +189,13 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
         else:
             from scipy.special import betainc
 
-            a = -0.7846 * np.exp(-0.4988 * inside) + 0.9190 * inside**0.04526 / (0.000972 * inside**2 + 1.0) ** 0.03797
-            b = 1.193 / (inside - 1.0) ** 1.392 + 2.722 * inside**-0.3404 / (0.01175 * inside**2 + 1.0) ** 0.3381
+            a = (
+                -0.7846 * np.exp(-0.4988 * inside)
+                + 0.9190 * inside**0.04526 / (0.000972 * inside**2 + 1.0) ** 0.03797
+            )
+            b = (
+                1.193 / (inside - 1.0) ** 1.392
+                + 2.722 * inside**-0.3404 / (0.01175 * inside**2 + 1.0) ** 0.3381
+            )
             found = betainc(a, np.minimum(b, 1e6), fine)
     return np.where(n > 1.0, found, 1.0)

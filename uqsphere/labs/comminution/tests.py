@@ -16,8 +16,18 @@ from uqsphere.tables import Table, read_table
 
 #: rigs whose energy is that at failure; in the others it is what was offered
 AT_FAILURE: Final = ("platens", "load_cell", "bars")
-_BROKE: Final = {"broke": True, "broken": True, "1": True, "yes": True, "true": True,
-                 "survived": False, "0": False, "no": False, "false": False, "stopped": False}  # fmt: skip
+_BROKE: Final = {
+    "broke": True,
+    "broken": True,
+    "1": True,
+    "yes": True,
+    "true": True,
+    "survived": False,
+    "0": False,
+    "no": False,
+    "false": False,
+    "stopped": False,
+}
 #: sizes that differ by no more than this are one
 _SAME: Final = 0.005
 
@@ -72,14 +82,20 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     for column, value in want.where.items():
         texts = table.texts(column) if isinstance(value, str) else table.numbers(column)
         kept = [k for k, cell in enumerate(texts) if cell == value]
-        table = replace(table, rows=[table.rows[k] for k in kept], lines=[table.lines[k] for k in kept])
+        table = replace(
+            table, rows=[table.rows[k] for k in kept], lines=[table.lines[k] for k in kept]
+        )
     if not len(table):
         raise UsageError(f"{table.name}: no row is left (tests.where)")
     if want.diameter is not None:
-        diameter = table.numbers(want.diameter, "length", want.diameter_unit or None, key="diameter")
+        diameter = table.numbers(
+            want.diameter, "length", want.diameter_unit or None, key="diameter"
+        )
     else:
-        low, high = (table.numbers(str(c), "length", want.diameter_unit or None, key="diameter")
-                     for c in (want.mesh_lower, want.mesh_upper))  # fmt: skip
+        low, high = (
+            table.numbers(str(c), "length", want.diameter_unit or None, key="diameter")
+            for c in (want.mesh_lower, want.mesh_upper)
+        )
         diameter = np.sqrt(low * high)
     one = np.ones(len(diameter))
     particles = one if want.particles is None else table.numbers(want.particles)
@@ -87,36 +103,65 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     if want.broken is not None:
         broken = table.numbers(want.broken)
     else:
-        broken = table.flags(str(want.outcome), "outcome", _BROKE, f"one of {', '.join(_BROKE)}") * particles
-    rig = np.full(len(diameter), want.rig) if want.rig_column is None else np.array(table.texts(want.rig_column))
+        broken = (
+            table.flags(str(want.outcome), "outcome", _BROKE, f"one of {', '.join(_BROKE)}")
+            * particles
+        )
+    rig = (
+        np.full(len(diameter), want.rig)
+        if want.rig_column is None
+        else np.array(table.texts(want.rig_column))
+    )
     known = (*AT_FAILURE, "drop_weight", "impact", "drop")
     for wrong, text in (
         (~np.isin(rig, known), f"rig: one of {', '.join(known)}"),
         (diameter <= 0.0, "the size must be above 0"),
-        ((particles < 1) | (particles != np.round(particles)), "particles: a whole number of 1 or more"),
+        (
+            (particles < 1) | (particles != np.round(particles)),
+            "particles: a whole number of 1 or more",
+        ),
         ((broken < 0) | (broken > particles), "broken lies from 0 to particles"),
         ((count < 1) | (count > 10_000), "blows lie from 1 to 10,000"),
-        (np.isin(rig, AT_FAILURE) & (count > 1), "a press tests once: blows belong to weights and throws"),
+        (
+            np.isin(rig, AT_FAILURE) & (count > 1),
+            "a press tests once: blows belong to weights and throws",
+        ),
     ):
         table.refuse("", text, np.asarray(wrong) & ~np.isnan(diameter + particles + broken + count))
     energy, notes = _energies(asked, table, diameter, rig)
     table.refuse("", "the energy must be above 0", energy <= 0.0)
-    names = [str(k) for k in range(len(energy))] if want.specimen is None else table.texts(want.specimen)
+    names = (
+        [str(k) for k in range(len(energy))]
+        if want.specimen is None
+        else table.texts(want.specimen)
+    )
     table.finish()
     notes = [*table.notes, *notes, *_odd_rows(table, diameter, energy)]
     return _specimens(
-        table, names, diameter, energy, np.isin(rig, AT_FAILURE), particles, broken, count.astype(int), notes
+        table,
+        names,
+        diameter,
+        energy,
+        np.isin(rig, AT_FAILURE),
+        particles,
+        broken,
+        count.astype(int),
+        notes,
     )
 
 
 def stiffness(body: Elastic) -> float:
     """k = E/(1 - nu²) [Pa] of a body; UsageError where it has none."""
     if body.E is None or body.nu is None:
-        raise UsageError("material, tests.partner and feed.impact_surface need E and nu, or a material of the library")
+        raise UsageError(
+            "material, tests.partner and feed.impact_surface need E and nu, or a material of the library"
+        )
     return body.E / (1.0 - body.nu**2)
 
 
-def _energies(asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray) -> tuple[Array, list[str]]:
+def _energies(
+    asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray
+) -> tuple[Array, list[str]]:
     """The particle's own energy per mass [J/kg] of every row."""
     want, own, notes = asked.tests, asked.material, []
     if want.mass is not None:
@@ -131,25 +176,41 @@ def _energies(asked: ComminutionDocument, table: Table, diameter: Array, rig: np
         share = laws.particle_share(stiffness(own), stiffness(partner))
     meaning = want.energy_is
     if want.specific_energy is not None:
-        found = table.numbers(want.specific_energy, "specific_energy", want.unit or None, key="energy")
+        found = table.numbers(
+            want.specific_energy, "specific_energy", want.unit or None, key="energy"
+        )
     elif want.energy is not None:
         found = table.numbers(want.energy, "energy", want.unit or None, key="energy") / mass
     elif want.speed is not None:
-        found, meaning = 0.5 * table.numbers(want.speed, "speed", want.unit or None, key="energy") ** 2, "input"
+        found, meaning = (
+            0.5 * table.numbers(want.speed, "speed", want.unit or None, key="energy") ** 2,
+            "input",
+        )
     else:
         assert want.force is not None
-        force, meaning = table.numbers(want.force, "force", want.unit or None, key="energy"), "contact"
+        force, meaning = (
+            table.numbers(want.force, "force", want.unit or None, key="energy"),
+            "contact",
+        )
         if want.stiffness is not None:
-            modulus = table.numbers(want.stiffness, "pressure", want.stiffness_unit or None, key="stiffness")
+            modulus = table.numbers(
+                want.stiffness, "pressure", want.stiffness_unit or None, key="stiffness"
+            )
         else:
-            compliance = 1.0 / stiffness(own) + (1.0 / stiffness(partner) if partner is not None else 0.0)
+            compliance = 1.0 / stiffness(own) + (
+                1.0 / stiffness(partner) if partner is not None else 0.0
+            )
             modulus = np.full(len(force), 1.0 / compliance)
-            notes.append("the stiffness of intact rock is assumed: energies of broken rock are 2 to 3 times larger")
+            notes.append(
+                "the stiffness of intact rock is assumed: energies of broken rock are 2 to 3 times larger"
+            )
         found = laws.energy_of_force(force, diameter, modulus, mass)
     if meaning == "sphere":
         return found, notes
     if partner is None and meaning == "contact":
-        notes.append("no tests.partner: the whole energy of the contacts is taken as the particle's own")
+        notes.append(
+            "no tests.partner: the whole energy of the contacts is taken as the particle's own"
+        )
     # a falling weight's energy is credited to the particle whole, as the drop-weight test does
     taken = np.where((meaning == "input") & (rig == "drop_weight"), 1.0, share)
     return found * taken, notes
@@ -165,13 +226,24 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
     odd = np.abs(left - np.median(left)) > 5.0 * max(scale, 0.05)
     lines = ", ".join(map(str, np.array(table.lines)[odd][:8]))
-    return [f"line {lines}: the energy lies far from the others: is its unit right?"] if odd.any() else []
+    return (
+        [f"line {lines}: the energy lies far from the others: is its unit right?"]
+        if odd.any()
+        else []
+    )
 
 
 def _specimens(
-    table: Table, names: list[str], diameter: Array, energy: Array, known: Flags, particles: Array, broken: Array,
-    count: np.ndarray, notes: list[str],
-) -> Specimens:  # fmt: skip
+    table: Table,
+    names: list[str],
+    diameter: Array,
+    energy: Array,
+    known: Flags,
+    particles: Array,
+    broken: Array,
+    count: np.ndarray,
+    notes: list[str],
+) -> Specimens:
     """Rows of one name as the series of blows on one particle; groups as those that broke and those that did not."""
     lines = table.lines
     order: dict[str, list[int]] = {}
@@ -182,25 +254,39 @@ def _specimens(
         if len(group) > 1:
             early = [k for k in group[:-1] if broken[k] > 0]
             if early:
-                raise UsageError(f"{table.name}: line {lines[early[0]]}: a specimen is hit again after it broke")
+                raise UsageError(
+                    f"{table.name}: line {lines[early[0]]}: a specimen is hit again after it broke"
+                )
             if (particles[group] > 1).any():
-                raise UsageError(f"{table.name}: line {lines[group[0]]}: a specimen hit again is one particle")
+                raise UsageError(
+                    f"{table.name}: line {lines[group[0]]}: a specimen hit again is one particle"
+                )
         series = [float(energy[k]) for k in group for _ in range(int(count[k]))]
         last = group[-1]
         exact = bool(known[last]) and len(series) == 1
         if broken[last] > 0:
             found.append((float(diameter[last]), series, True, exact, float(broken[last])))
         if broken[last] < particles[last]:
-            found.append((float(diameter[last]), series, False, exact, float(particles[last] - broken[last])))
+            found.append(
+                (float(diameter[last]), series, False, exact, float(particles[last] - broken[last]))
+            )
     blows = np.zeros((len(found), max(len(one[1]) for one in found)))
     for k, one in enumerate(found):
         blows[k, : len(one[1])] = one[1]
     made = Specimens(
-        diameter=np.array([one[0] for one in found]), blows=blows, broke=np.array([one[2] for one in found]),
-        exact=np.array([one[3] for one in found]), weight=np.array([one[4] for one in found]), notes=tuple(notes),
-    )  # fmt: skip
+        diameter=np.array([one[0] for one in found]),
+        blows=blows,
+        broke=np.array([one[2] for one in found]),
+        exact=np.array([one[3] for one in found]),
+        weight=np.array([one[4] for one in found]),
+        notes=tuple(notes),
+    )
     if not made.broke.any():
-        raise UsageError("every particle survived: nothing bounds its energy from above; test at higher energies")
+        raise UsageError(
+            "every particle survived: nothing bounds its energy from above; test at higher energies"
+        )
     if made.broke.all() and not made.exact.any() and not made.repeated.any():
-        raise UsageError("every particle broke at its first blow: nothing bounds it from below; test at lower energies")
+        raise UsageError(
+            "every particle broke at its first blow: nothing bounds it from below; test at lower energies"
+        )
     return made

@@ -20,12 +20,18 @@ def main(argv: Sequence[str]) -> int:
     commands = parser.add_subparsers(required=True)
     for name, command, text in (
         ("records", _records, "forces at the faces of a specimen from gauge records"),
-        ("fit-contact", _fit_contact, "contact law of a sphere that yields, from a slow load-unload record"),
+        (
+            "fit-contact",
+            _fit_contact,
+            "contact law of a sphere that yields, from a slow load-unload record",
+        ),
         ("plan", _plan, "which speed or height breaks which share"),
     ):
         one = commands.add_parser(name, help=text, description=text)
         one.set_defaults(command=command)
-        one.add_argument("file", type=Path, nargs="+" if name == "records" else None, help="input file (TOML)")
+        one.add_argument(
+            "file", type=Path, nargs="+" if name == "records" else None, help="input file (TOML)"
+        )
         one.add_argument("--out", type=Path, help="folder for the files that are written")
         one.add_argument("--json", action="store_true", help="one JSON document on stdout")
     chosen = parser.parse_args(argv)
@@ -53,15 +59,30 @@ def _records(chosen: argparse.Namespace) -> int:
             texts.append(f"{path}: refused: {error}")
             continue
         if not chosen.json:
-            print("".join(f"{path.name}: {c.step}: {c.text}\n" for c in test.changes), end="", file=sys.stderr)
+            print(
+                "".join(f"{path.name}: {c.step}: {c.text}\n" for c in test.changes),
+                end="",
+                file=sys.stderr,
+            )
         contents.append({"file": str(path), "title": asked.title, **sheet.document(test)})
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
         best = test.peaks["B"]
         diameter = asked.specimen.diameter
-        lines.append([path.stem, "" if diameter is None else f"{diameter * 1e3:.6g}", f"{best.value * 1e-3:.5g}",
-                      f"{best.low * 1e-3:.5g}", f"{best.high * 1e-3:.5g}", "; ".join(best.doubts)])  # fmt: skip
+        lines.append(
+            [
+                path.stem,
+                "" if diameter is None else f"{diameter * 1e3:.6g}",
+                f"{best.value * 1e-3:.5g}",
+                f"{best.low * 1e-3:.5g}",
+                f"{best.high * 1e-3:.5g}",
+                "; ".join(best.doubts),
+            ]
+        )
         folder = f"{path.stem}/" if several else ""
-        files[f"{folder}forces.csv"], files[f"{folder}pulse.csv"] = sheet.forces_csv(test), sheet.pulse_csv(test)
+        files[f"{folder}forces.csv"], files[f"{folder}pulse.csv"] = (
+            sheet.forces_csv(test),
+            sheet.pulse_csv(test),
+        )
         files[f"{folder}sheet.html"] = sheet.page(test, asked, asked.record.file)
     if several:
         head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
@@ -79,7 +100,12 @@ def _fit_contact(chosen: argparse.Namespace) -> None:
     for note in (*notes, *fit.notes):
         print(f"note: {note}", file=sys.stderr)
     lines = fit.lines()
-    finish(chosen, {**asdict(fit), "toml": lines}, table(fit.rows()) + "\n\n" + lines, {"contact.toml": lines})
+    finish(
+        chosen,
+        {**asdict(fit), "toml": lines},
+        table(fit.rows()) + "\n\n" + lines,
+        {"contact.toml": lines},
+    )
 
 
 def _plan(chosen: argparse.Namespace) -> None:

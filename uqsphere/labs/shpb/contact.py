@@ -99,20 +99,32 @@ class ContactFit:
         """Name, value and 95 % interval."""
         rows = []
         for name, v in (
-            ("onset pressure", self.onset_pressure), ("hardness", self.hardness), ("pile-up", self.pile_up),
-            ("reduced modulus E*", self.modulus), ("E of the sphere", self.sphere_modulus),
-        ):  # fmt: skip
+            ("onset pressure", self.onset_pressure),
+            ("hardness", self.hardness),
+            ("pile-up", self.pile_up),
+            ("reduced modulus E*", self.modulus),
+            ("E of the sphere", self.sphere_modulus),
+        ):
             if v is not None:
                 unit, scale = ("", 1.0) if v is self.pile_up else (" GPa", 1e-9)
                 ends = f"{v.low * scale:.4g} to {v.high * scale:.4g}{unit}"
                 rows.append((name, f"{v.value * scale:.4g}{unit}", ends))
-        return [*rows, ("misfit of the displacement", f"{self.misfit * 1e6:.2g} um", f"{self.samples} samples")]
+        return [
+            *rows,
+            (
+                "misfit of the displacement",
+                f"{self.misfit * 1e6:.2g} um",
+                f"{self.samples} samples",
+            ),
+        ]
 
 
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
     """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
     table, _ = read_recorded(folder / asked.file)
-    displacement = table.numbers(asked.displacement, "length", asked.displacement_unit or None, key="displacement")
+    displacement = table.numbers(
+        asked.displacement, "length", asked.displacement_unit or None, key="displacement"
+    )
     force = table.numbers(asked.force, "force", asked.force_unit or None, key="force")
     table.check()
     sign = 1.0 if asked.compression == "positive" else -1.0
@@ -120,10 +132,22 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
 
 
 def face_approach(
-    force: Array, largest: Array, radius: float, modulus: float, onset: float, hardness: float, pile_up: float
+    force: Array,
+    largest: Array,
+    radius: float,
+    modulus: float,
+    onset: float,
+    hardness: float,
+    pile_up: float,
 ) -> Array:
     """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
-    law = {"onset": onset, "hardness": hardness, "pile_up": pile_up, "modulus": modulus, "effective_radius": radius}
+    law = {
+        "onset": onset,
+        "hardness": hardness,
+        "pile_up": pile_up,
+        "modulus": modulus,
+        "effective_radius": radius,
+    }
     face = Face(**{name: np.full(1, value) for name, value in law.items()})
     depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
     deepest = face.depth_at(largest[below])
@@ -141,17 +165,27 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     displacement = displacement - compliance * force
     top, radius = int(np.argmax(force)), 0.5 * asked.diameter
     if not force[top] > 0.0:
-        raise UsageError('the force is never positive: is compression negative in the file (compression = "negative")?')
+        raise UsageError(
+            'the force is never positive: is compression negative in the file (compression = "negative")?'
+        )
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
-        raise UsageError("the displacement does not grow with the force: turn it, or machine_stiffness is too low")
+        raise UsageError(
+            "the displacement does not grow with the force: turn it, or machine_stiffness is too low"
+        )
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
-        raise UsageError("the displacement jumps back and forth: put the samples in the order in which they were taken")
+        raise UsageError(
+            "the displacement jumps back and forth: put the samples in the order in which they were taken"
+        )
     if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
-        raise UsageError("the record is not unloaded, which hardness and pile-up need: unload, or give pile_up")
+        raise UsageError(
+            "the record is not unloaded, which hardness and pile-up need: unload, or give pile_up"
+        )
     kept = np.flatnonzero(force > _QUIET * force[top])
     if len(kept) < _LEAST:
-        raise UsageError(f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required")
+        raise UsageError(
+            f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required"
+        )
     largest = np.maximum.accumulate(force)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int))]
     force, largest, displacement = force[kept], largest[kept], displacement[kept]
@@ -167,15 +201,25 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     for share in _BEGINNINGS:
         early = (force <= max(0.15, share) * force.max()) & (force >= largest)
         rows = np.stack([np.cbrt(np.square(force[early])), np.ones(int(early.sum()))], axis=1)
-        slope, touch = np.linalg.lstsq(rows, displacement[early], rcond=None)[0] if len(rows) > 3 else (0.0, 0.0)
+        slope, touch = (
+            np.linalg.lstsq(rows, displacement[early], rcond=None)[0]
+            if len(rows) > 3
+            else (0.0, 0.0)
+        )
         if not slope > 0.0:
             slope, touch = scale / float(np.cbrt(force.max() ** 2)), float(displacement.min())
         modulus = (2.0 / slope) ** 1.5 / float(hertz_constant(1.0, radius))
         onset = float(pressure_at_force(share * force.max(), modulus, radius))
-        start = np.array([math.log(modulus), math.log(onset), math.log(2.0), touch / scale, 2.0][: 4 + (known is None)])
+        start = np.array(
+            [math.log(modulus), math.log(onset), math.log(2.0), touch / scale, 2.0][
+                : 4 + (known is None)
+            ]
+        )
         low = [start[0] - 3.0, start[1] - 5.0, math.log(_RATIO[0]), -3.0, _PILE_UP[0]][: len(start)]
         high = [start[0] + 3.0, start[1] + 5.0, math.log(_RATIO[1]), 3.0, _PILE_UP[1]][: len(start)]
-        found = least_squares(residual, np.clip(start, low, high), bounds=(low, high), x_scale="jac", xtol=1e-10)
+        found = least_squares(
+            residual, np.clip(start, low, high), bounds=(low, high), x_scale="jac", xtol=1e-10
+        )
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
@@ -183,7 +227,9 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     modulus, onset, ratio = (math.exp(v) for v in x[:3])
     alpha_y = radius * (0.5 * math.pi * onset / modulus) ** 2
     pile_up = float(x[4]) if known is None else known
-    deepest = face_approach(force.max()[None], force.max()[None], radius, modulus, onset, onset * ratio, pile_up)
+    deepest = face_approach(
+        force.max()[None], force.max()[None], radius, modulus, onset, onset * ratio, pile_up
+    )
     depth = float(deepest[0]) / alpha_y
     # residuals that follow each other count for fewer
     alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
@@ -206,23 +252,39 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     if hard.high > _OPEN * hard.low:
         notes.append("the record does not determine the hardness: press harder")
     onset_range = interval(onset, [0.0, 1.0])
-    undetermined, misfit = onset_range.high > _OPEN * onset_range.low, float(np.sqrt(np.mean(np.square(left))))
+    undetermined, misfit = (
+        onset_range.high > _OPEN * onset_range.low,
+        float(np.sqrt(np.mean(np.square(left)))),
+    )
     if undetermined and misfit > 0.01:
-        raise UsageError("no law of a contact follows this record: is the force free of offset, steps, clipping?")
+        raise UsageError(
+            "no law of a contact follows this record: is the force free of offset, steps, clipping?"
+        )
     if undetermined or depth < 1.5:
         reached = float(pressure_at_force(force.max(), modulus, radius))
-        raise UsageError(f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder")
+        raise UsageError(
+            f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder"
+        )
     if alike > 0.0:
-        notes.append(f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are widened")
+        notes.append(
+            f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are widened"
+        )
     return ContactFit(
-        onset_pressure=onset_range, hardness=hard, modulus=fitted,
+        onset_pressure=onset_range,
+        hardness=hard,
+        modulus=fitted,
         pile_up=Fitted(value=pile_up, low=max(pile_up - half, 1.0), high=min(pile_up + half, 3.0)),
-        sphere_modulus=_sphere_modulus(fitted, asked, notes, onset_range), depth=depth,
-        misfit=scale * misfit, samples=len(left), notes=tuple(notes),
-    )  # fmt: skip
+        sphere_modulus=_sphere_modulus(fitted, asked, notes, onset_range),
+        depth=depth,
+        misfit=scale * misfit,
+        samples=len(left),
+        notes=tuple(notes),
+    )
 
 
-def _sphere_modulus(reduced: Fitted, asked: ContactDocument, notes: list[str], onset: Fitted) -> Fitted | None:
+def _sphere_modulus(
+    reduced: Fitted, asked: ContactDocument, notes: list[str], onset: Fitted
+) -> Fitted | None:
     """E of the sphere from E* and the platens: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p."""
     soft = 0.0
     if asked.platens != "rigid":

@@ -9,7 +9,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Speed, Time, from_library
 
-Columns = Annotated[tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)]
+Columns = Annotated[
+    tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)
+]
 
 
 class BarTable(Section):
@@ -50,7 +52,9 @@ class BarTable(Section):
     @property
     def strain_per_volt(self) -> float:
         """eps/U = 4/(k N U_0 A) of the bridge."""
-        return 4.0 / (self.gauge_factor * self.active_arms * (self.excitation or 1.0) * self.amplification)
+        return 4.0 / (
+            self.gauge_factor * self.active_arms * (self.excitation or 1.0) * self.amplification
+        )
 
     @property
     def echo(self) -> float:
@@ -112,13 +116,20 @@ class RecordDocument(Section):
         if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
             return data
         incident, given = data["incident_bar"], data.get("receiving_bar", {})
-        shared = from_library({key: value for key, value in incident.items() if key != "gauge"}, "bars")
+        shared = from_library(
+            {key: value for key, value in incident.items() if key != "gauge"}, "bars"
+        )
         receiving = {**shared, **from_library(given, "bars")} if isinstance(given, dict) else given
         return {**data, "incident_bar": from_library(incident, "bars"), "receiving_bar": receiving}
 
     @model_validator(mode="after")
     def _whole(self) -> RecordDocument:
-        for name, bar in (("incident_bar", self.incident_bar), ("receiving_bar", self.receiving_bar)):
+        for name, bar in (
+            ("incident_bar", self.incident_bar),
+            ("receiving_bar", self.receiving_bar),
+        ):
             if bar.length is not None and bar.gauge > bar.length:
-                raise ValueError(f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of {bar.length:g} m")
+                raise ValueError(
+                    f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of {bar.length:g} m"
+                )
         return self

@@ -25,9 +25,12 @@ from uqsphere.units import UNITS
 
 #: bytes of a record, at the most
 _LARGEST: Final = 1 << 28
-_RATE: Final = re.compile(r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I)
+_RATE: Final = re.compile(
+    r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I
+)
 _INTERVAL: Final = re.compile(
-    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)", re.I
+    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)",
+    re.I,
 )
 #: missing samples in a row that a line fills; samples of a record and of a baseline, at the least
 _SHORT_GAP, _FEWEST, _BASELINE = 10, 20, 10
@@ -60,7 +63,11 @@ class Changes(list[Change]):
 
     def add(self, step: str, signal: str, text: str, size: float | None = None) -> None:
         """One more; a text without the name of the signal gets it in front."""
-        self.append(Change(step=step, signal=signal, text=f"{signal}: {text}" if signal else text, size=size))
+        self.append(
+            Change(
+                step=step, signal=signal, text=f"{signal}: {text}" if signal else text, size=size
+            )
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,11 +134,15 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         _despike(name, values, step, changes)
         _mark_clipped(name, values, known, changes)
     names = {role: [name for name, _ in signals] for role, signals in groups.items()}
-    first, rough, lasts = _incident_foot({name: columns[name][0] for name in names["incident"]}, step)
+    first, rough, lasts = _incident_foot(
+        {name: columns[name][0] for name in names["incident"]}, step
+    )
     bar, behind = document.incident_bar, document.receiving_bar
     passes = 0.0 if bar.length is None else lasts * step * bar.wave_speed / bar.length
     if passes > _PASSES:
-        raise UsageError(f"the pulse lasts {passes:.0f} passes of the incident bar: another unit (record.time_unit)?")
+        raise UsageError(
+            f"the pulse lasts {passes:.0f} passes of the incident bar: another unit (record.time_unit)?"
+        )
     # the first wave of a signal stands before the first echo of a far end
     limits = dict.fromkeys(names, math.inf)
     if not asked.aligned:
@@ -142,19 +153,46 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     joined: dict[str, Signal] = {}
     pressing = 0.0  # sign of the incident wave in the file
     for role, own in names.items():
-        gauges = [_cut_out(name, *columns[name], step, changes) if asked.aligned else
-                  _rested(name, *columns[name], step, first if role == "receiving" else None, limits[role], changes)
-                  for name in own]  # fmt: skip
+        gauges = [
+            _cut_out(name, *columns[name], step, changes)
+            if asked.aligned
+            else _rested(
+                name,
+                *columns[name],
+                step,
+                first if role == "receiving" else None,
+                limits[role],
+                changes,
+            )
+            for name in own
+        ]
         # one sign a bar: a reflected wave has that of the incident gauge of its place
-        signs = [given or -(pressing if role == "reflected" else gauge.wave.sign) for gauge in gauges]
+        signs = [
+            given or -(pressing if role == "reflected" else gauge.wave.sign) for gauge in gauges
+        ]
         pressing = -signs[0] if role == "incident" else pressing
-        turned = [gauge.name for gauge, sign in zip(gauges, signs, strict=True) if sign < 0.0 and not given]
-        if turned:
-            changes.add("sign", ", ".join(turned), "compression is positive in the file; the sign is turned")
-        joined[role] = _joined([
-            replace(gauge, strain=gauge.strain * sign, wave=replace(gauge.wave, sign=gauge.wave.sign * sign))
+        turned = [
+            gauge.name
             for gauge, sign in zip(gauges, signs, strict=True)
-        ], step, limits[role], changes)  # fmt: skip
+            if sign < 0.0 and not given
+        ]
+        if turned:
+            changes.add(
+                "sign", ", ".join(turned), "compression is positive in the file; the sign is turned"
+            )
+        joined[role] = _joined(
+            [
+                replace(
+                    gauge,
+                    strain=gauge.strain * sign,
+                    wave=replace(gauge.wave, sign=gauge.wave.sign * sign),
+                )
+                for gauge, sign in zip(gauges, signs, strict=True)
+            ],
+            step,
+            limits[role],
+            changes,
+        )
     if asked.window is not None:
         signal = joined["incident"]
         begin, end = (round((t - start) / step) for t in asked.window)
@@ -164,7 +202,9 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         inside[begin : end + 1] = signal.strain[begin : end + 1]
         wave = replace(first_wave(inside, step, signal.noise, signal.name), foot=begin, end=end)
         joined["incident"] = replace(signal, wave=wave)
-    return Record(start=start, step=step, changes=changes, reflected=joined.pop("reflected", None), **joined)
+    return Record(
+        start=start, step=step, changes=changes, reflected=joined.pop("reflected", None), **joined
+    )
 
 
 # --- columns, units, clock --------------------------------------------------------------------------------------
@@ -193,7 +233,9 @@ class Column:
     def rises(self) -> bool:
         """Whether it goes on like a time."""
         steps = np.diff(self.values[np.isfinite(self.values)])
-        return bool(not self.faulty and len(steps) and (steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
+        return bool(
+            not self.faulty and len(steps) and (steps >= 0.0).mean() > 0.99 and steps.max() > 0.0
+        )
 
     def unit(self, given: str = "") -> tuple[str, str]:
         """Dimension and unit: as given, else of the heading; empty without one that is known."""
@@ -206,7 +248,11 @@ class Column:
     def checked(self) -> Array:
         """The numbers; TableError with the lines of cells that are none."""
         if self.faulty:
-            kept = {fault: lines for fault, lines in self.table.faults.items() if fault[0] == self.heading}
+            kept = {
+                fault: lines
+                for fault, lines in self.table.faults.items()
+                if fault[0] == self.heading
+            }
             replace(self.table, faults=kept).check()
         return self.values
 
@@ -216,9 +262,14 @@ def _columns(
 ) -> tuple[Array, dict[str, list[tuple[str, Array]]]]:
     """Time (n,) [s] and strains of every gauge by role; `above`: metadata of the first file."""
     asked, main = document.record, tables[0]
-    files = [[Column(table=t, heading=h, values=t.numbers(h, key=h, blank=True)) for h in t.headings] for t in tables]
+    files = [
+        [Column(table=t, heading=h, values=t.numbers(h, key=h, blank=True)) for h in t.headings]
+        for t in tables
+    ]
     guessed, own = asked.time is None, files[0]
-    interval = asked.sample_interval or (_interval(above) if not own[0].rises and len(tables) == 1 else 0.0)
+    interval = asked.sample_interval or (
+        _interval(above) if not own[0].rises and len(tables) == 1 else 0.0
+    )
     if guessed and interval > 0.0:
         clock, time = -1, np.asarray(interval * np.arange(len(main)), dtype=float)
         changes.add("read", "", f"no column of time: a sample every {interval * 1e6:.6g} us")
@@ -228,21 +279,29 @@ def _columns(
         several = len(own) < 3 or len(tables) > 1
         if guessed and (dimension in ("strain", "voltage") or (several and not own[clock].rises)):
             raise UsageError(_no_time(own, clock))
-        changes.add("read", own[clock].name, f"is in {unit}" if unit else "has no unit: seconds are taken")
+        changes.add(
+            "read", own[clock].name, f"is in {unit}" if unit else "has no unit: seconds are taken"
+        )
         if unit and dimension != "time":
-            raise UsageError(f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)")
+            raise UsageError(
+                f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)"
+            )
         time = own[clock].checked() * UNITS["time"][unit or "s"]
         _check_clock(time, own, clock, guessed)
     # every file in the layout of the first: the clock of the others must be the same
     count = len(time)
     for other in files[1:]:
         if len(other) <= clock:
-            raise UsageError(f"{other[0].table.name}: has no column {clock + 1}, where the first file has its time")
+            raise UsageError(
+                f"{other[0].table.name}: has no column {clock + 1}, where the first file has its time"
+            )
         unit = other[clock].unit(asked.time_unit)[1]
         there = other[clock].checked() * UNITS["time"].get(unit or "s", math.nan)
         both, step = min(count, len(there)), float(np.median(np.abs(np.diff(time))))
         if not np.nanmax(np.abs(there[:both] - time[:both]), initial=0.0) <= 0.5 * step:
-            raise UsageError(f"{other[0].table.name}: its clock is not that of {main.name}; bring them to one first")
+            raise UsageError(
+                f"{other[0].table.name}: its clock is not that of {main.name}; bring them to one first"
+            )
         if len(there) != len(time):
             changes.add("read", other[0].table.name, "files of unlike length: the longer is cut")
         count = both
@@ -258,15 +317,22 @@ def _columns(
             raise UsageError(f"{main.name}: {len(pool)} signals ({names}); {ask}")
         picked = {"incident": free[:each], "receiving": free[each:]}
     else:
-        picked = {role: [_pick(files, name) for name in names] for role, names in roles.items() if names}
+        picked = {
+            role: [_pick(files, name) for name in names] for role, names in roles.items() if names
+        }
         if not {"incident", "receiving"} <= set(picked):
             raise UsageError("record.incident and record.receiving are both required")
     groups: dict[str, list[tuple[str, Array]]] = {}
     for role, columns in picked.items():
         bar = document.receiving_bar if role == "receiving" else document.incident_bar
-        titles = [one.name if len(tables) == 1 else f"{Path(one.table.name).stem} {one.name}" for one in columns]
-        groups[role] = [(name, _strain(one, name, bar, changes)[:count])
-                        for name, one in zip(titles, columns, strict=True)]  # fmt: skip
+        titles = [
+            one.name if len(tables) == 1 else f"{Path(one.table.name).stem} {one.name}"
+            for one in columns
+        ]
+        groups[role] = [
+            (name, _strain(one, name, bar, changes)[:count])
+            for name, one in zip(titles, columns, strict=True)
+        ]
     return time[:count], groups
 
 
@@ -288,20 +354,28 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         text = f"is in {said}" if unit else "has no unit: strain is taken"
     elif dimension == "voltage":
         if bar.excitation is None:
-            raise UsageError(f"{name} is in {unit}: the bridge is required too, such as excitation = 5.0 (volts)")
+            raise UsageError(
+                f"{name} is in {unit}: the bridge is required too, such as excitation = 5.0 (volts)"
+            )
         factor = UNITS["voltage"][unit] * bar.strain_per_volt
         text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     else:
-        raise UsageError(f"{name} is in {unit!r}: allowed are strain, microstrain, %, {', '.join(UNITS['voltage'])}")
+        raise UsageError(
+            f"{name} is in {unit!r}: allowed are strain, microstrain, %, {', '.join(UNITS['voltage'])}"
+        )
     values = column.checked() * factor
     good = values[np.isfinite(values)]
     if len(good) < max(_FEWEST, len(values) // 2):
-        raise UsageError(f"{name}: {len(values) - len(good)} of {len(values)} samples are no numbers")
+        raise UsageError(
+            f"{name}: {len(values) - len(good)} of {len(values)} samples are no numbers"
+        )
     away = np.abs(good - np.median(good))
     if away.max() == 0.0:
         raise UsageError(f"{name}: every sample is the same; there is no wave in it")
     if (size := float(np.quantile(away, 0.98))) > _MOST_STRAIN:
-        raise UsageError(f"{name}: a strain of {size:.3g}, which no elastic bar bears; another unit (BAR.unit)?")
+        raise UsageError(
+            f"{name}: a strain of {size:.3g}, which no elastic bar bears; another unit (BAR.unit)?"
+        )
     changes.add("read", name, text)
     return values
 
@@ -318,9 +392,11 @@ def _interval(text: str) -> float:
 
 def _no_time(columns: Sequence[Column], clock: int) -> str:
     rising = [column.name for column in columns if column.rises]
-    hint = f'{rising[0]!r} rises like one: record.time = "{rising[0]}"' if rising else (
-        'no column does, the file seems to have no time: record.sample_interval = "0.8 us"'
-    )  # fmt: skip
+    hint = (
+        f'{rising[0]!r} rises like one: record.time = "{rising[0]}"'
+        if rising
+        else ('no column does, the file seems to have no time: record.sample_interval = "0.8 us"')
+    )
     return f"{columns[0].table.name}: {columns[clock].name!r} does not rise like a time; {hint}"
 
 
@@ -328,13 +404,19 @@ def _check_clock(time: Array, columns: Sequence[Column], clock: int, guessed: bo
     name, good = columns[0].table.name, time[np.isfinite(time)]
     falls = np.diff(good) < 0.0
     if len(good) < _FEWEST:
-        raise UsageError(f"{name}: {len(good)} samples with a time; a record has {_FEWEST} at least")
+        raise UsageError(
+            f"{name}: {len(good)} samples with a time; a record has {_FEWEST} at least"
+        )
     if guessed and falls.mean() > 0.01:
         raise UsageError(_no_time(columns, clock))
     if falls.any():
-        raise UsageError(f"{name}: the time falls at sample {int(np.argmax(falls)) + 2}; several records?")
+        raise UsageError(
+            f"{name}: the time falls at sample {int(np.argmax(falls)) + 2}; several records?"
+        )
     if good[-1] - good[0] > _LONGEST:
-        raise UsageError(f"{name}: lasts {good[-1] - good[0]:.4g} s: is its time in another unit (record.time_unit)?")
+        raise UsageError(
+            f"{name}: lasts {good[-1] - good[0]:.4g} s: is its time in another unit (record.time_unit)?"
+        )
 
 
 def _even(
@@ -351,11 +433,17 @@ def _even(
     if (steps == 0.0).any():
         even, digit = np.linspace(time[0], time[-1], len(time)), float(steps.max())
         if digit == 0.0 or np.abs(even - time).max() > 1.01 * digit:
-            raise UsageError(f"the same time stands twice, first at sample {int(np.argmax(steps == 0.0)) + 2}")
+            raise UsageError(
+                f"the same time stands twice, first at sample {int(np.argmax(steps == 0.0)) + 2}"
+            )
         # the last time is rounded like the others: the mean step comes from a line
         slope = float(np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0])
         time = time[0] + slope * np.arange(len(time))
-        changes.add("read", "", "the time has too few digits to tell its samples apart: even steps are assumed")
+        changes.add(
+            "read",
+            "",
+            "the time has too few digits to tell its samples apart: even steps are assumed",
+        )
         steps = np.diff(time)
     step = float(np.median(steps))
     grid = time
@@ -364,7 +452,11 @@ def _even(
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
-        changes.add("read", "", f"uneven steps of time: brought to {step * 1e6:.6g} us by lines between samples")
+        changes.add(
+            "read",
+            "",
+            f"uneven steps of time: brought to {step * 1e6:.6g} us by lines between samples",
+        )
     else:
         step = float((time[-1] - time[0]) / (len(time) - 1))
     found, filled, lost = dict[str, tuple[Array, Flags]](), 0, 0
@@ -380,7 +472,9 @@ def _even(
         lost += int(unknown.sum())
         found[name] = np.interp(grid, own, values[good]), ~unknown
     if filled:
-        changes.add("read", "", f"{filled} missing samples are filled by lines between their neighbours")
+        changes.add(
+            "read", "", f"{filled} missing samples are filled by lines between their neighbours"
+        )
     if lost:
         changes.add("read", "", f"{lost} samples lie in gaps of more than {_SHORT_GAP}: not used")
     return float(grid[0]), step, found
@@ -406,7 +500,9 @@ def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
         middle = median_filter(values, width, mode="nearest")
         left = values - middle
         away = np.abs(left)
-        scatter = _ROBUST * np.maximum(median_filter(away, 5 * width, mode="nearest"), np.median(away))
+        scatter = _ROBUST * np.maximum(
+            median_filter(away, 5 * width, mode="nearest"), np.median(away)
+        )
         peak = float(np.abs(middle - np.median(middle[: max(_FEWEST, len(middle) // 50)])).max())
         bounds = np.maximum(_ODD * scatter, _SPIKE_SHARE * peak)
         near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
@@ -416,14 +512,20 @@ def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
             inner = left[first : last + 1]
             size = float(inner[np.argmax(np.abs(inner))])
             # ringing of a spike above any wave lasts longer
-            short = length <= (2 * most if abs(size) > peak else most) and first >= 1 and last <= len(left) - 2
+            short = (
+                length <= (2 * most if abs(size) > peak else most)
+                and first >= 1
+                and last <= len(left) - 2
+            )
             if short and (np.abs(inner) > bounds[first : last + 1]).any():
                 jumps = np.diff(values[first - 1 : last + 2]) / size
                 if min(jumps.max(), -jumps.min()) > 0.4:
                     odd.append((first, last, size))
         for first, last, _ in odd:
             inner_places = np.arange(first, last + 1)
-            values[inner_places] = np.interp(inner_places, [first - 1, last + 1], values[[first - 1, last + 1]])
+            values[inner_places] = np.interp(
+                inner_places, [first - 1, last + 1], values[[first - 1, last + 1]]
+            )
         removed += odd
         if not odd:
             break
@@ -463,8 +565,10 @@ def smooth(values: Array, samples: int) -> Array:
 def _stay(values: Array, step: float, share: float, name: str) -> tuple[Array, int, int, int]:
     """The calm course of a signal about zero; first and last sample, and rise, of its first stay above a share of its
     largest.  Bursts of a trigger swing within a few microseconds: running medians have nothing of them."""
-    calm = smooth(median_filter(values, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
-                  max(1, round(2.0 * _SHORTEST / step)))  # fmt: skip
+    calm = smooth(
+        median_filter(values, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
+        max(1, round(2.0 * _SHORTEST / step)),
+    )
     size = np.abs(calm)
     begins, lengths = _runs(size > share * float(size.max()))
     if lengths.max(initial=0) < 3:
@@ -472,7 +576,9 @@ def _stay(values: Array, step: float, share: float, name: str) -> tuple[Array, i
     k = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
     first, last = int(begins[k]), int(begins[k] + lengths[k]) - 1
     sign = math.copysign(1.0, calm[first])
-    low = np.flatnonzero(sign * calm[:first] < 0.2 * share * float((sign * calm[first : last + 1]).max()))
+    low = np.flatnonzero(
+        sign * calm[:first] < 0.2 * share * float((sign * calm[first : last + 1]).max())
+    )
     return calm, first, last, first - (int(low[-1]) if len(low) else 0)
 
 
@@ -490,17 +596,36 @@ def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
     before = np.flatnonzero(calm[:half] < level)
     behind = np.flatnonzero(calm[falling:] < max(0.02 * top, level))
     end = falling + int(behind[0]) if len(behind) else len(values) - 1
-    return Wave(foot=int(before[-1]) + 1 if len(before) else 0, half=half, falling=falling, end=end, rising=rising,
-                peak=top, sign=sign, ended=len(behind) > 0)  # fmt: skip
+    return Wave(
+        foot=int(before[-1]) + 1 if len(before) else 0,
+        half=half,
+        falling=falling,
+        end=end,
+        rising=rising,
+        peak=top,
+        sign=sign,
+        ended=len(behind) > 0,
+    )
 
 
 def _incident_foot(gauges: dict[str, Array], step: float) -> tuple[int, int, int]:
     """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and about when the
     wave is there and how long: the first stay above a fifth of the largest, however large echoes grow later."""
-    stays = [_stay(values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])), step, 0.2, name)[1:]
-             for name, values in gauges.items()]  # fmt: skip
+    stays = [
+        _stay(
+            values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])),
+            step,
+            0.2,
+            name,
+        )[1:]
+        for name, values in gauges.items()
+    ]
     foot = min(first - 2 * rising for first, _, rising in stays)
-    return max(foot, 0), min(stay[0] for stay in stays), min(last - first + 1 for first, last, _ in stays)
+    return (
+        max(foot, 0),
+        min(stay[0] for stay in stays),
+        min(last - first + 1 for first, last, _ in stays),
+    )
 
 
 def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float]:
@@ -517,11 +642,24 @@ def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float
         if alike < 2.0 / math.sqrt(len(left)):
             break
         memory += 2.0 * alike
-    return float(quiet.mean()), slope, sd, memory, sd * math.sqrt(memory / float(np.square(about).sum()))
+    return (
+        float(quiet.mean()),
+        slope,
+        sd,
+        memory,
+        sd * math.sqrt(memory / float(np.square(about).sum())),
+    )
 
 
-def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int | None, limit: float,
-            changes: Changes) -> Signal:  # fmt: skip
+def _rested(
+    name: str,
+    values: Array,
+    known: Flags,
+    step: float,
+    rest_end: int | None,
+    limit: float,
+    changes: Changes,
+) -> Signal:
     """A gauge about its rest: baseline and drift from the samples before its first wave.
 
     rest_end : sample before which it is at rest whatever it shows itself, where another gauge settles that.
@@ -536,7 +674,9 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
         # the scatter of the rest before the wave alone, about a line through it
         place = np.arange(early, dtype=float)
         third = early // 3
-        climb = (float(np.median(values[2 * third : early])) - float(np.median(values[:third]))) / (2.0 * third)
+        climb = (float(np.median(values[2 * third : early])) - float(np.median(values[:third]))) / (
+            2.0 * third
+        )
         left = values[:early] - climb * place
         scatter = _ROBUST * float(np.median(np.abs(left - np.median(left))))
         drifts = abs(climb) * 2.0 * third > 7.0 * scatter / math.sqrt(third)
@@ -549,7 +689,9 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
     if count < _BASELINE:
         last = values[-max(2 * _BASELINE, len(values) // 20) :]
         if np.ptp(last) > 0.1 * wave.peak:
-            raise UsageError(f"{name}: at rest neither before nor behind its wave: was it cut out (record.aligned)?")
+            raise UsageError(
+                f"{name}: at rest neither before nor behind its wave: was it cut out (record.aligned)?"
+            )
         if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         quiet, place = last, np.arange(len(values) - len(last), len(values), dtype=float)
@@ -574,8 +716,17 @@ def _rested(name: str, values: Array, known: Flags, step: float, rest_end: int |
         size = slope * reach
         text = f"a drift of {slope / step * 1e3:.4g} microstrain/ms is taken off, {size * 1e6:.3g} microstrain in all"
         changes.add("drift", name, text, size)
-    return Signal(name=name, strain=values - line, known=known, noise=noise, memory=memory, offset=unsure,
-                  spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
+    return Signal(
+        name=name,
+        strain=values - line,
+        known=known,
+        noise=noise,
+        memory=memory,
+        offset=unsure,
+        spread=np.zeros(len(values)),
+        single=False,
+        wave=wave,
+    )
 
 
 def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Changes) -> Signal:
@@ -584,18 +735,39 @@ def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Chang
     values = values - start
     noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     wave = first_wave(values, step, noise, name)
-    changes.add("baseline", name, f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero", start)
-    return Signal(name=name, strain=values, known=known, noise=noise, memory=1.0, offset=0.01 * wave.peak,
-                  spread=np.zeros(len(values)), single=False, wave=wave)  # fmt: skip
+    changes.add(
+        "baseline",
+        name,
+        f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero",
+        start,
+    )
+    return Signal(
+        name=name,
+        strain=values,
+        known=known,
+        noise=noise,
+        memory=1.0,
+        offset=0.01 * wave.peak,
+        spread=np.zeros(len(values)),
+        single=False,
+        wave=wave,
+    )
 
 
 def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending that they show."""
-    peaks = [float(np.abs(g.strain[g.known]).max(initial=0.0)) if not g.known.all() else g.wave.peak for g in gauges]
+    peaks = [
+        float(np.abs(g.strain[g.known]).max(initial=0.0)) if not g.known.all() else g.wave.peak
+        for g in gauges
+    ]
     alive = [g for g, peak in zip(gauges, peaks, strict=True) if peak >= _DEAD * max(peaks)]
     for gauge, peak in zip(gauges, peaks, strict=True):
         if peak < _DEAD * max(peaks):
-            changes.add("gauges", gauge.name, f"shows {peak / max(peaks):.1%} of what its partner shows, left out")
+            changes.add(
+                "gauges",
+                gauge.name,
+                f"shows {peak / max(peaks):.1%} of what its partner shows, left out",
+            )
     if len(alive) == 1:
         return replace(alive[0], single=len(gauges) > 1)
     first = min(g.wave.foot for g in alive)
@@ -611,7 +783,21 @@ def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Change
     name = " and ".join(g.name for g in alive)
     wave = first_wave(mean[: int(min(limit, len(mean)))], step, noise, name)
     bent = float(spread[wave.foot : wave.end + 1].max())
-    changes.add("gauges", name, f"averaged; they differ by up to {2.0 * bent / wave.peak:.1%} of the wave", bent)
+    changes.add(
+        "gauges",
+        name,
+        f"averaged; they differ by up to {2.0 * bent / wave.peak:.1%} of the wave",
+        bent,
+    )
     offset = math.hypot(*(g.offset for g in alive)) / len(alive)
-    return Signal(name=name, strain=mean, known=np.asarray(known.any(axis=1)), noise=noise, memory=memory,
-                  offset=offset, spread=spread, single=len(alive) < len(gauges), wave=wave)  # fmt: skip
+    return Signal(
+        name=name,
+        strain=mean,
+        known=np.asarray(known.any(axis=1)),
+        noise=noise,
+        memory=memory,
+        offset=offset,
+        spread=spread,
+        single=len(alive) < len(gauges),
+        wave=wave,
+    )

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
     from uqsphere.arrays import Array
 
-FACES = {"A": "largest force at A, two waves", "B": "largest force at B, one wave", "mean": "mean of both, three waves"}
+FACES = {
+    "A": "largest force at A, two waves",
+    "B": "largest force at B, one wave",
+    "mean": "mean of both, three waves",
+}
 
 
 def rows(test: Reading) -> list[tuple[str, str, str]]:
@@ -28,7 +32,13 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
     for face, peak in test.peaks.items():
         high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
         value, ends = f"{peak.value * 1e-3:.4g} kN", f"{peak.low * 1e-3:.4g} to {high} kN"
-        found.append((f"{FACES[face]}, at {peak.time * 1e6:.4g} us", "DOUBTED " * bool(peak.doubts) + value, ends))
+        found.append(
+            (
+                f"{FACES[face]}, at {peak.time * 1e6:.4g} us",
+                "DOUBTED " * bool(peak.doubts) + value,
+                ends,
+            )
+        )
         found += [("", "doubt", doubt) for doubt in peak.doubts]
     found += [("not given", "", reason) for reason in test.withheld]
     if test.energies is not None:
@@ -36,7 +46,13 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
         parts = f"{e['incident']:.4g} J in, {e['reflected']:.4g} back, {e['transmitted']:.4g} on"
         found.append(("energy absorbed", f"{e['absorbed']:.4g} J", parts))
     if test.balanced is not None:
-        found.append(("forces within 5 % of their mean", f"{test.balanced:.0%}", "of the rise from half the largest"))
+        found.append(
+            (
+                "forces within 5 % of their mean",
+                f"{test.balanced:.0%}",
+                "of the rise from half the largest",
+            )
+        )
     found.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
     found.append(("first touch", f"{test.touch * 1e6:.8g} us", "of the record"))
     return found
@@ -45,12 +61,22 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
 def document(test: Reading) -> dict[str, Any]:
     """A test as plain JSON, SI."""
     return {
-        "forces": {face: {**asdict(peak), "high": peak.high if math.isfinite(peak.high) else None,
-                          "sound": not peak.doubts} for face, peak in test.peaks.items()},
+        "forces": {
+            face: {
+                **asdict(peak),
+                "high": peak.high if math.isfinite(peak.high) else None,
+                "sound": not peak.doubts,
+            }
+            for face, peak in test.peaks.items()
+        },
         "energy": test.energies,
-        "withheld": list(test.withheld), "balanced_share": test.balanced, "loading_rate": test.loading_rate,
-        "first_touch": test.touch, "step": test.step, "mending": [asdict(change) for change in test.changes],
-    }  # fmt: skip
+        "withheld": list(test.withheld),
+        "balanced_share": test.balanced,
+        "loading_rate": test.loading_rate,
+        "first_touch": test.touch,
+        "step": test.step,
+        "mending": [asdict(change) for change in test.changes],
+    }
 
 
 def forces_csv(test: Reading) -> str:
@@ -71,8 +97,9 @@ def pulse_csv(test: Reading) -> str:
 
 def _draw_forces(axes: Axes, test: Reading) -> None:
     for name, force, sd, colour in (
-        ("A, two waves", test.force_a, test.sd_a, "#0072b2"), ("B, one wave", test.force_b, test.sd_b, "#d55e00"),
-    ):  # fmt: skip
+        ("A, two waves", test.force_a, test.sd_a, "#0072b2"),
+        ("B, one wave", test.force_b, test.sd_b, "#d55e00"),
+    ):
         if force is None:
             continue
         thin = max(1, len(force) // 2000)
@@ -96,11 +123,23 @@ def page(test: Reading, asked: RecordDocument, source: str) -> str:
     drawn = svg(partial(_draw_forces, test=test))
     environment = Environment(autoescape=True)
     bars = {
-        name: ", ".join(f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
-                        for key, value in bar.model_dump(exclude_none=True).items() if value != "")
-        for name, bar in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar))
-    }  # fmt: skip
+        name: ", ".join(
+            f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
+            for key, value in bar.model_dump(exclude_none=True).items()
+            if value != ""
+        )
+        for name, bar in (
+            ("incident bar", asked.incident_bar),
+            ("receiving bar", asked.receiving_bar),
+        )
+    }
     return environment.from_string(template).render(
-        title=asked.title or source, source=source, rows=rows(test), figure=drawn, bars=bars, changes=test.changes,
-        doubted=any(p.doubts for p in test.peaks.values()), specimen=asked.specimen.name,
-    )  # fmt: skip
+        title=asked.title or source,
+        source=source,
+        rows=rows(test),
+        figure=drawn,
+        bars=bars,
+        changes=test.changes,
+        doubted=any(p.doubts for p in test.peaks.values()),
+        specimen=asked.specimen.name,
+    )

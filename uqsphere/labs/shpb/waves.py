@@ -67,8 +67,12 @@ class Peaks(dict[str, Peak]):
         for face in faces:
             if text and face in self:
                 peak = self[face]
-                self[face] = replace(peak, doubts=(*peak.doubts, text), low=min((peak.low, *ends)),
-                                     high=max((peak.high, *ends)))  # fmt: skip
+                self[face] = replace(
+                    peak,
+                    doubts=(*peak.doubts, text),
+                    low=min((peak.low, *ends)),
+                    high=max((peak.high, *ends)),
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,28 +127,39 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     count = _known(rec, int(to_b), math.inf if aligned else behind.echo / step)
     if count < _FEWEST:
         ends = "the record ends too early, or an echo or a gap comes before"
-        raise UsageError(f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: {ends}")
+        raise UsageError(
+            f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: {ends}"
+        )
     count_a = _known(signal, int(to_a), math.inf if aligned else bar.echo / step)
     first, last = _clean(wave, start, delay)
-    withheld = [f"force at A: {reason}" for reason, wrong in {
-        "samples of the incident wave are not known": not inc.known[start : wave.end].all(),
-        doubt_a: bool(doubt_a),
-        "the record ends before the reflected wave": count_a < _FEWEST,
-        "incident and reflected wave overlap at the incident gauge; shorten the pulse, move the gauge back, or say "
-        "where it stands (record.window)": shared and (not wave.ended or last - first < 0.5 * delay),
-    }.items() if wrong]  # fmt: skip
+    withheld = [
+        f"force at A: {reason}"
+        for reason, wrong in {
+            "samples of the incident wave are not known": not inc.known[start : wave.end].all(),
+            doubt_a: bool(doubt_a),
+            "the record ends before the reflected wave": count_a < _FEWEST,
+            "incident and reflected wave overlap at the incident gauge; shorten the pulse, move the gauge back, or say "
+            "where it stands (record.window)": shared
+            and (not wave.ended or last - first < 0.5 * delay),
+        }.items()
+        if wrong
+    ]
     count = count if withheld else min(count, count_a)
     last = min(last, count)
     whole, time = (first, last) == (0, count), np.asarray(step * np.arange(count), dtype=float)
 
     disperses = document.record.dispersion
-    transmitted = _at_face(rec, to_b, count, -behind.gauge, behind, step, changes if disperses else None)
+    transmitted = _at_face(
+        rec, to_b, count, -behind.gauge, behind, step, changes if disperses else None
+    )
     force_b = -behind.stiffness * transmitted
     gain_b = math.hypot(behind.gain_sd, _BENT if rec.single else 0.0)
     sd_b = np.sqrt(behind.stiffness**2 * (rec.noise**2 + rec.offset**2) + (gain_b * force_b) ** 2)
     peaks = Peaks(B=_peak(time, force_b, sd_b, behind.stiffness * rec.noise, rec.memory))
     lasting = max(1.0, (rec.wave.falling - rec.wave.half) / rec.memory)
-    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
+    if not peaks["B"].low > 0.0 or peaks[
+        "B"
+    ].value < 3.0 * behind.stiffness * rec.noise / math.sqrt(lasting):
         raise UsageError("no force at the receiving face rises above the noise of the record")
     peaks.doubt("B", doubt_b)
     if fast != 1.0:
@@ -169,7 +184,9 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         noise = signal.noise**2 + np.where(alive, inc.noise**2, 0.0)
         rest = np.where(alive, (inc.offset + signal.offset) ** 2, signal.offset**2)
         both = incident**2 + reflected**2
-        gained = (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
+        gained = (
+            (bar.gain_sd * force_a) ** 2 if shared else (bar.gain_sd * bar.stiffness) ** 2 * both
+        )
         gained = gained + (_BENT * bar.stiffness) ** 2 * both * (inc.single or signal.single)
         sd_a = np.sqrt(bar.stiffness**2 * (noise + rest) + gained)
         zone, noise_a = slice(first, last), bar.stiffness * math.hypot(inc.noise, signal.noise)
@@ -180,18 +197,36 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
             peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
         peaks.doubt("A", doubt)
         peaks.doubt("A", doubt_b)
-        _same_impulse(peaks, force_a, force_b, time, bar.gain_sd + gain_b,
-                      bar.stiffness * (inc.offset + signal.offset) + behind.stiffness * rec.offset)  # fmt: skip
+        _same_impulse(
+            peaks,
+            force_a,
+            force_b,
+            time,
+            bar.gain_sd + gain_b,
+            bar.stiffness * (inc.offset + signal.offset) + behind.stiffness * rec.offset,
+        )
         if whole:
-            each = (("incident", bar, incident), ("reflected", bar, reflected), ("transmitted", behind, transmitted))
-            energies = {name: one.stiffness * one.wave_speed * step * float(np.square(strain).sum())
-                        for name, one, strain in each}  # fmt: skip
-            energies["absorbed"] = energies["incident"] - energies["reflected"] - energies["transmitted"]
+            each = (
+                ("incident", bar, incident),
+                ("reflected", bar, reflected),
+                ("transmitted", behind, transmitted),
+            )
+            energies = {
+                name: one.stiffness * one.wave_speed * step * float(np.square(strain).sum())
+                for name, one, strain in each
+            }
+            energies["absorbed"] = (
+                energies["incident"] - energies["reflected"] - energies["transmitted"]
+            )
         else:
             ends = f"from {first * step * 1e6:.4g} to {last * step * 1e6:.4g} us"
-            changes.add("overlap", inc.name, f"longer than the way to the face and back: A is known {ends}")
+            changes.add(
+                "overlap", inc.name, f"longer than the way to the face and back: A is known {ends}"
+            )
         force_a[:first] = force_a[last:] = np.nan
-    _struck(peaks, 2.0 * bar.wave_speed * wave.peak, wave.peak, document.record.striker_speed, changes)
+    _struck(
+        peaks, 2.0 * bar.wave_speed * wave.peak, wave.peak, document.record.striker_speed, changes
+    )
     _held_together(peaks, bar.stiffness * wave.peak if wave.ended else math.inf, document)
     _bent(peaks, "B", behind.stiffness * _at(rec.spread, to_b, count), time, peaks["B"].value)
     if not withheld:
@@ -204,14 +239,29 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     balanced, rate = _balance(time, force_a, force_b, peaks["B"])
     # parabolas over half the rise follow the pulse and leave most of the noise
     pulse = -inc.strain[start : wave.end + lead]
-    pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2) if 8 <= wave.rising < len(pulse) else pulse
+    pulse = (
+        savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2)
+        if 8 <= wave.rising < len(pulse)
+        else pulse
+    )
     pulse = moved_wave(pulse, bar.gauge, bar, step) if disperses else pulse
     pulse[[0, -1]] = 0.0
     return Reading(
-        step=step, touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed), time=time,
-        force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b, pulse=pulse, peaks=dict(sorted(peaks.items())),
-        energies=energies, balanced=balanced, loading_rate=rate, withheld=tuple(withheld), changes=tuple(changes),
-    )  # fmt: skip
+        step=step,
+        touch=record.start + step * start + (0.0 if aligned else bar.gauge / bar.wave_speed),
+        time=time,
+        force_a=force_a,
+        force_b=force_b,
+        sd_a=sd_a,
+        sd_b=sd_b,
+        pulse=pulse,
+        peaks=dict(sorted(peaks.items())),
+        energies=energies,
+        balanced=balanced,
+        loading_rate=rate,
+        withheld=tuple(withheld),
+        changes=tuple(changes),
+    )
 
 
 def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
@@ -221,7 +271,9 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
     return begin + int(runs[0]) if len(runs) else None
 
 
-def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tuple[float, float, str, str, float]:
+def _arrivals(
+    record: Record, document: RecordDocument, changes: Changes
+) -> tuple[float, float, str, str, float]:
     """The three arrivals held against distances and wave speeds: delays of the reflected and the transmitted wave in
     samples, shifted where a wave comes a little early, why the distances to A and B are doubted, and the wave speed
     that the reflected wave has over that of the bar, 1 without doubt."""
@@ -248,41 +300,67 @@ def _arrivals(record: Record, document: RecordDocument, changes: Changes) -> tup
             back = _crossing(np.abs(smooth(record.reflected.strain, width)), level, 0, len(calm))
         else:  # the first excursion of either sign behind the end of the incident wave
             low = np.flatnonzero(-calm[wave.falling :] < level)
-            back = _crossing(np.abs(calm), level, wave.falling + int(low[0]) + 1, len(calm)) if len(low) else None
+            back = (
+                _crossing(np.abs(calm), level, wave.falling + int(low[0]) + 1, len(calm))
+                if len(low)
+                else None
+            )
         level = max(share * rec.wave.peak, 5.0 * rec.noise / math.sqrt(width))
         there = _crossing(-smooth(rec.strain, width), level, 0, rec.wave.falling + 1)
         return None if back is None else back - first, None if there is None else there - first
 
     back, there = lags(*_SURE)
     if there is not None and there < -steep:
-        raise UsageError(f"{rec.name}: its wave comes {-there * step * 1e6:.4g} us before the incident wave: are the "
-                         "columns exchanged?")  # fmt: skip
+        raise UsageError(
+            f"{rec.name}: its wave comes {-there * step * 1e6:.4g} us before the incident wave: are the "
+            "columns exchanged?"
+        )
 
-    def doubt(name: str, lag: int | None, predicted: float, late: float, gauge: float, fits: float) -> str:
+    def doubt(
+        name: str, lag: int | None, predicted: float, late: float, gauge: float, fits: float
+    ) -> str:
         """Why a wave that comes `lag` samples behind the incident one does not fit the distance of its gauge [m]."""
         off = 0.0 if lag is None else lag - predicted
-        if -(_EARLY * predicted + 0.5 * steep + 3.0) <= off <= late + _LATE * predicted + 2.0 * steep:
+        if (
+            -(_EARLY * predicted + 0.5 * steep + 3.0)
+            <= off
+            <= late + _LATE * predicted + 2.0 * steep
+        ):
             return ""
         would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
         by = f"{abs(off) * step * 1e6:.4g} us too {'early' if off < 0.0 else 'late'}"
         return f"the {name} wave comes {by} for a gauge at {gauge:.4g} m; {would}"
 
-    if doubt_a := doubt("reflected", back, reflected, 5.0, bar.gauge, 0.5 * (back or 0) * step * bar.wave_speed):
+    if doubt_a := doubt(
+        "reflected", back, reflected, 5.0, bar.gauge, 0.5 * (back or 0) * step * bar.wave_speed
+    ):
         doubt_a += " (or another E or density)"
         fast = reflected / max(back or 0, 1)
     # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
-    late, fits = 0.5 * (wave.falling - wave.half) + 50e-6 / step, ((there or 0) * step - bar.gauge / bar.wave_speed)
-    if doubt_b := doubt("transmitted", there, transmitted, late, behind.gauge, fits * behind.wave_speed):
+    late, fits = (
+        0.5 * (wave.falling - wave.half) + 50e-6 / step,
+        ((there or 0) * step - bar.gauge / bar.wave_speed),
+    )
+    if doubt_b := doubt(
+        "transmitted", there, transmitted, late, behind.gauge, fits * behind.wave_speed
+    ):
         also = transmitted / max(there or 0, 1)
         if doubt_a and abs(also - fast) < abs(fast - 1.0) / 3.0:
             seen = f"{fast * bar.wave_speed:.4g} m/s, not {bar.wave_speed:.4g} m/s"
             why = "E, density or both distances are wrong"
-            raise UsageError(f"both arrivals fit a wave speed of {seen}: {why} ({doubt_a}; {doubt_b})")
-        if there is not None and there < transmitted:  # no force before first touch: the incident wave is elsewhere
+            raise UsageError(
+                f"both arrivals fit a wave speed of {seen}: {why} ({doubt_a}; {doubt_b})"
+            )
+        if (
+            there is not None and there < transmitted
+        ):  # no force before first touch: the incident wave is elsewhere
             doubt_a = doubt_a or doubt_b
     if steep < 0.05 * reflected and not doubt_a and not doubt_b:
         back, there = lags(*_FINE)
-        for name, lag, predicted in (("reflected", back, reflected), ("transmitted", there, transmitted)):
+        for name, lag, predicted in (
+            ("reflected", back, reflected),
+            ("transmitted", there, transmitted),
+        ):
             off = 0.0 if lag is None else lag - predicted
             if -_EARLY * predicted - 3.0 <= off < -max(1.0, 1e-6 / step):
                 signal = rec.name if name == "transmitted" else (record.reflected or inc).name
@@ -306,8 +384,13 @@ def _clean(wave: Wave, start: int, delay: float) -> tuple[int, int]:
 
 
 def _sign_of_reflected(
-    record: Record, document: RecordDocument, incident: Array, reflected: Array, bar: BarTable, changes: Changes
-) -> tuple[float, str]:  # fmt: skip
+    record: Record,
+    document: RecordDocument,
+    incident: Array,
+    reflected: Array,
+    bar: BarTable,
+    changes: Changes,
+) -> tuple[float, str]:
     """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be taken.
 
     The sign is that of its bar.  Only where waves were cut out, so that each may stand as its size, a reflected wave
@@ -318,9 +401,14 @@ def _sign_of_reflected(
     body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
     if not document.record.aligned or float(reflected[body].mean()) > 0.0:
         return 1.0, ""
-    changes.add("sign", record.reflected.name, "has the sign of the incident wave; taken as a size, tension")
+    changes.add(
+        "sign", record.reflected.name, "has the sign of the incident wave; taken as a size, tension"
+    )
     other = bar.stiffness * float(-(incident + reflected).min())
-    return -1.0, f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN"
+    return (
+        -1.0,
+        f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN",
+    )
 
 
 def _known(signal: Signal, place: int, most: float) -> int:
@@ -344,18 +432,34 @@ def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Arra
     room = max(8, math.ceil(2.0 * abs(distance) / bar.wave_speed / step))
     fading = wave[-1] * 0.5 * (1.0 + np.cos(np.linspace(0.0, math.pi, room)))
     padded = np.concatenate([np.zeros(room), wave, fading, np.zeros(room)])
-    found = correct(padded, step, distance, radius=0.5 * bar.diameter, wave_speed=bar.wave_speed, nu=bar.nu,
-                    surface=False)  # fmt: skip
+    found = correct(
+        padded,
+        step,
+        distance,
+        radius=0.5 * bar.diameter,
+        wave_speed=bar.wave_speed,
+        nu=bar.nu,
+        surface=False,
+    )
     return np.asarray(found[room : room + len(wave)])
 
 
 def _at_face(
-    signal: Signal, place: float, count: int, distance: float, bar: BarTable, step: float, changes: Changes | None
+    signal: Signal,
+    place: float,
+    count: int,
+    distance: float,
+    bar: BarTable,
+    step: float,
+    changes: Changes | None,
 ) -> Array:
     """A wave of a gauge from a place on, (count,); where `changes` are given as it is at the face."""
     if changes is None:
         return _at(signal.strain, place, count)
-    more = min(count + math.ceil(abs(distance) / bar.wave_speed / step), len(signal.strain) - 3 - int(place))
+    more = min(
+        count + math.ceil(abs(distance) / bar.wave_speed / step),
+        len(signal.strain) - 3 - int(place),
+    )
     wave = _at(signal.strain, place, max(count, more))
     moved = moved_wave(wave, distance, bar, step)[:count]
     by = float(np.abs(moved - wave[:count]).max())
@@ -385,7 +489,9 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     high, doubts = value + half, []
     highest = float(force.max())
     if highest > value + 5.0 * noise + 0.05 * value:
-        doubts.append(f"single samples reach {highest * 1e-3:.4g} kN, which those around them do not bear out")
+        doubts.append(
+            f"single samples reach {highest * 1e-3:.4g} kN, which those around them do not bear out"
+        )
         high = max(high, highest)
     if top < _FEW_ON_TOP:
         doubts.append(f"its top has {top} samples: the record is too slow for it")
@@ -393,18 +499,34 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     if at >= len(force) - max(3, width // 2) or float(curve[-1]) > _FALLEN * value:
         doubts.append("the force is largest where the record ends: it is at least this")
         high = math.inf
-    return Peak(value=value, low=value - half, high=high, time=float(time[at]), doubts=tuple(doubts))
+    return Peak(
+        value=value, low=value - half, high=high, time=float(time[at]), doubts=tuple(doubts)
+    )
 
 
-def _struck(peaks: Peaks, struck: float, strain: float, given: float | None, changes: Changes) -> None:
+def _struck(
+    peaks: Peaks, struck: float, strain: float, given: float | None, changes: Changes
+) -> None:
     """The incident wave against the speed of the striker [m/s], given or of any test."""
     if given is None:
-        changes.add("gains", "", "a factor of both bars (gain, E, diameter) does not show in a record; "
-                    "record.striker_speed checks the gains")  # fmt: skip
-    if _STRUCK[0] <= struck <= _STRUCK[1] if given is None else abs(struck - given) <= _AWRY * given:
+        changes.add(
+            "gains",
+            "",
+            "a factor of both bars (gain, E, diameter) does not show in a record; "
+            "record.striker_speed checks the gains",
+        )
+    if (
+        _STRUCK[0] <= struck <= _STRUCK[1]
+        if given is None
+        else abs(struck - given) <= _AWRY * given
+    ):
         return
     text = f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of {struck:.3g} m/s"
-    text += ": is a unit or a gain wrong?" if given is None else f", not {given:.3g} m/s: a gain or a unit is wrong"
+    text += (
+        ": is a unit or a gain wrong?"
+        if given is None
+        else f", not {given:.3g} m/s: a gain or a unit is wrong"
+    )
     for face, peak in [*peaks.items()]:
         peaks.doubt([face], text, *(v * (given or struck) / struck for v in (peak.low, peak.high)))
 
@@ -416,10 +538,14 @@ def _bent(peaks: Peaks, face: str, spread: Array, time: Array, whole: float) -> 
     bent = float(near.mean()) if len(near) else 0.0
     if 2.0 * bent > _GROSS * whole:
         text = f"the gauges of the {'incident' if face == 'A' else 'receiving'} bar differ by {2.0 * bent / whole:.0%}"
-        peaks.doubt(face, f"{text} of the wave there", peaks[face].low - bent, peaks[face].high + bent)
+        peaks.doubt(
+            face, f"{text} of the wave there", peaks[face].low - bent, peaks[face].high + bent
+        )
 
 
-def _same_impulse(peaks: Peaks, force_a: Array, force_b: Array, time: Array, gains: float, zeros: float) -> None:
+def _same_impulse(
+    peaks: Peaks, force_a: Array, force_b: Array, time: Array, gains: float, zeros: float
+) -> None:
     """A specimen moves little: while B bears half its largest force or more, A gives the same impulse (in place).
 
     gains : sum of the relative standard deviations of both gains; zeros : sum of those of the forces' zeros [N].
@@ -427,13 +553,19 @@ def _same_impulse(peaks: Peaks, force_a: Array, force_b: Array, time: Array, gai
     b, low = peaks["B"], force_b < 0.5 * peaks["B"].value
     at = int(np.searchsorted(time, b.time))
     before, behind = np.flatnonzero(low[:at]), np.flatnonzero(low[at:])
-    held = slice(int(before[-1]) + 1 if len(before) else 0, at + int(behind[0]) if len(behind) else len(low))
+    held = slice(
+        int(before[-1]) + 1 if len(before) else 0, at + int(behind[0]) if len(behind) else len(low)
+    )
     known = np.isfinite(force_a[held])
     share = float(force_a[held][known].sum() / max(force_b[held][known].sum(), 1e-300))
     if known.sum() > 2 and abs(share - 1.0) > NORMAL * (gains + zeros / b.value):
         text = f"A gives {share:.3g} times the impulse of B: a gain, a zero or an arrival is wrong"
         for face, peak in [*peaks.items()]:
-            peaks.doubt([face], text, peak.value * (share if face == "B" else 1.0 / share if share > 0.0 else 1.0))
+            peaks.doubt(
+                [face],
+                text,
+                peak.value * (share if face == "B" else 1.0 / share if share > 0.0 else 1.0),
+            )
 
 
 def _held_together(peaks: Peaks, pressed: float, document: RecordDocument) -> None:
@@ -453,14 +585,18 @@ def _held_together(peaks: Peaks, pressed: float, document: RecordDocument) -> No
     a, b = before["A"], before["B"]
     apart = abs(a.value - b.value) / max(a.value, b.value)
     if a.low > b.high or b.low > a.high or apart > _APART:
-        text = f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN)"
+        text = (
+            f"the faces differ by {apart:.0%} (A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN)"
+        )
         peaks.doubt(before, text, a.low, b.low, a.high, b.high)
     if before["mean"].value < (1.0 - _BALANCE) * 0.5 * (a.value + b.value):
         text = f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no common force"
         peaks.doubt(["mean"], text, a.high, b.high)
 
 
-def _balance(time: Array, force_a: Array | None, force_b: Array, peak: Peak) -> tuple[float | None, float]:
+def _balance(
+    time: Array, force_a: Array | None, force_b: Array, peak: Peak
+) -> tuple[float | None, float]:
     """Share of the rise in which both forces agree within 5 % of their mean, and the loading rate [N/s]."""
     top = max(int(np.searchsorted(time, peak.time)), 3)
     calm = smooth(force_b, 5)

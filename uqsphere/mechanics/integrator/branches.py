@@ -14,7 +14,16 @@ from uqsphere.mechanics.integrator import searches
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import ARMED
 from uqsphere.mechanics.integrator.tracked import LANES, ORDER, PAIR, POINTS, TERMS, End
-from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
+from uqsphere.mechanics.integrator.vectors import (
+    apart,
+    curves_at,
+    elementwise,
+    larger,
+    row,
+    size_of,
+    smaller,
+    where,
+)
 
 #: change of a place, as a share of the trial step, after which the next one would be rounding
 _SETTLED = 1e-8
@@ -22,8 +31,24 @@ _SETTLED = 1e-8
 _ITERATIONS = 6
 
 
-def _first(at_l, at_r, rate_l, rate_r, bow_l, bow_r, width, spring, room, begin, kind, start, left, right, left_slope,
-           right_slope):  # fmt: skip
+def _first(
+    at_l,
+    at_r,
+    rate_l,
+    rate_r,
+    bow_l,
+    bow_r,
+    width,
+    spring,
+    room,
+    begin,
+    kind,
+    start,
+    left,
+    right,
+    left_slope,
+    right_slope,
+):
     """What one part of a step has to say: 1 the function rises through zero in it, 2 it may; the first one counts."""
     elastic, taken = spring > 0.0, kind > 0.0
     a, b = where(elastic, at_l - room, -rate_l), where(elastic, at_r - room, -rate_r)
@@ -31,7 +56,11 @@ def _first(at_l, at_r, rate_l, rate_r, bow_l, bow_r, width, spring, room, begin,
     b_slope = width * where(elastic, rate_r, -2.0 * bow_r)
     near = where(elastic, ARMED * room, 0.0)
     edge = larger(a, b)
-    top = where((a_slope > 0.0) & (b_slope < 0.0), edge + 1.2 * a_slope * b_slope / (b_slope - a_slope), edge)
+    top = where(
+        (a_slope > 0.0) & (b_slope < 0.0),
+        edge + 1.2 * a_slope * b_slope / (b_slope - a_slope),
+        edge,
+    )
     # from its largest approach a spring goes down, but for a dip of a turn that hardly was one
     doubt = ((a < -near) & (top >= 0.0)) | ((a >= -near) & (b > near) & elastic)
     # a point may be the place itself, to the last bit
@@ -53,7 +82,9 @@ def _guessed(start, left, right, left_slope, right_slope, width, kind):
     z = 1.0 - y
     cubic = y * y * (1.0 + 2.0 * z) + y * z * rise * (z / left_slope - y / right_slope)
     share = where((left_slope > 0.0) & (right_slope > 0.0), cubic, y)
-    return (start + larger(smaller(share, 1.0), 0.0)) * width, where((kind > 0.0) & (kind < 2.0), 1.0, 0.0 * kind)
+    return (start + larger(smaller(share, 1.0), 0.0)) * width, where(
+        (kind > 0.0) & (kind < 2.0), 1.0, 0.0 * kind
+    )
 
 
 def _closer(place, change, value, slope, bend, spring, room, start, width):
@@ -94,7 +125,10 @@ def _spring_end(s, face, m, theta):
                 found = _dip(s, face, room, begin, end, s.rate[i + 1, m])
         elif right >= room * (1.0 - ARMED):
             found = searches.settle(s, face, False, begin, end, left - room, right - room, room)
-        elif searches.highest_between(left, width * s.rate[i, m], right, width * s.rate[i + 1, m]) >= room:
+        elif (
+            searches.highest_between(left, width * s.rate[i, m], right, width * s.rate[i + 1, m])
+            >= room
+        ):
             found = searches.passage(s, face, room, 1.0, begin, end)
         if not math.isnan(found):
             break
@@ -109,7 +143,11 @@ def _virgin_end(s, face, m, theta):
     for i in range(POINTS):
         begin, end, left, right = i * width, (i + 1) * width, s.rate[i, m], s.rate[i + 1, m]
         bow_left, bow_right = 2.0 * width * s.bow[i, m], 2.0 * width * s.bow[i + 1, m]
-        if left > 0.0 and right > 0.0 and searches.highest_between(-left, -bow_left, -right, -bow_right) > 0.0:
+        if (
+            left > 0.0
+            and right > 0.0
+            and searches.highest_between(-left, -bow_left, -right, -bow_right) > 0.0
+        ):
             # a fall that is over before the next point
             end, right = searches.slowest(s, face, begin, end)
         if left > 0.0 >= right:
@@ -139,15 +177,41 @@ def _unsettled(s, first):
 def _settle(s):
     """Rows of s.room: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
     apart()
-    top, kind, start, place = row(s.room, 0, 0), row(s.room, 1, 0), row(s.room, 2, 0), row(s.room, 7, 0)
+    top, kind, start, place = (
+        row(s.room, 0, 0),
+        row(s.room, 1, 0),
+        row(s.room, 2, 0),
+        row(s.room, 7, 0),
+    )
     width, change, spring = s.width, row(s.room, 3, 0), s.spring
     left, right = row(s.room, 3, 0), row(s.room, 4, 0)
     left_slope, right_slope = row(s.room, 5, 0), row(s.room, 6, 0)
     _begin(top, kind, s.largest, s.dent)
     for i in range(POINTS):
-        _look(kind, start, left, right, left_slope, right_slope, row(s.at, i, 0), row(s.at, i + 1, 0),
-              row(s.rate, i, 0), row(s.rate, i + 1, 0), row(s.bow, i, 0), row(s.bow, i + 1, 0), width, spring, top,
-              1.0 * i, kind, start, left, right, left_slope, right_slope)  # fmt: skip
+        _look(
+            kind,
+            start,
+            left,
+            right,
+            left_slope,
+            right_slope,
+            row(s.at, i, 0),
+            row(s.at, i + 1, 0),
+            row(s.rate, i, 0),
+            row(s.rate, i + 1, 0),
+            row(s.bow, i, 0),
+            row(s.bow, i + 1, 0),
+            width,
+            spring,
+            top,
+            1.0 * i,
+            kind,
+            start,
+            left,
+            right,
+            left_slope,
+            right_slope,
+        )
     met = False
     for j in range(LANES):
         met |= s.row[j] >= 0 and (s.room[1, j] > 0.0 or s.room[1, LANES + j] > 0.0)

@@ -21,7 +21,18 @@ from types import SimpleNamespace
 from typing import Any
 
 #: files with compiled code, or with numbers that it takes in
-_SOURCES = ("branches", "compiled", "events", "faces", "incoming", "kernel", "searches", "step", "tracked", "vectors")
+_SOURCES = (
+    "branches",
+    "compiled",
+    "events",
+    "faces",
+    "incoming",
+    "kernel",
+    "searches",
+    "step",
+    "tracked",
+    "vectors",
+)
 #: versions of numba whose inside `_compilers` knows
 _TRIED = ("0.68.",)
 #: may be written by others
@@ -51,7 +62,9 @@ def cache_folder() -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         status = folder.stat()
-        foreign = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & _BY_OTHERS)
+        foreign = hasattr(os, "getuid") and (
+            status.st_uid != os.getuid() or status.st_mode & _BY_OTHERS
+        )
         if foreign and "NUMBA_CACHE_DIR" not in os.environ:
             return None
         probe = folder / f".probe-{os.getpid()}"
@@ -73,7 +86,10 @@ def _keep(folder: Path, function: Any) -> None:
 
     class Kept(IndexDataCacheFile):
         def place(self, key: object) -> Path:
-            return folder / f"{function.__name__}-{hashlib.sha256(repr((base, key)).encode()).hexdigest()[:16]}.nbc"
+            return (
+                folder
+                / f"{function.__name__}-{hashlib.sha256(repr((base, key)).encode()).hexdigest()[:16]}.nbc"
+            )
 
         def load(self, key: object) -> Any:
             path = self.place(key)
@@ -115,7 +131,9 @@ def _compilers() -> tuple[Any, Any] | None:
 
         def finalize(self) -> None:
             if self.outermost:
-                for one in self._linking_libraries:  # which grows to all that is called at any depth
+                for (
+                    one
+                ) in self._linking_libraries:  # which grows to all that is called at any depth
                     known = self._linking_libraries
                     known += [other for other in one._linking_libraries if other not in known]
                 super().finalize()
@@ -124,7 +142,9 @@ def _compilers() -> tuple[Any, Any] | None:
                 self._finalize_dynamic_globals()
                 self._finalized = True
 
-        def _optimize_functions(self, module: Any) -> None:  # the passes over the module do the same again
+        def _optimize_functions(
+            self, module: Any
+        ) -> None:  # the passes over the module do the same again
             module.data_layout = self._codegen._data_layout
 
         def get_pointer_to_function(self, name: str) -> int:
@@ -132,7 +152,9 @@ def _compilers() -> tuple[Any, Any] | None:
 
         @property
         def codegen(self) -> Any:
-            return super().codegen if self.outermost else SimpleNamespace(set_env=lambda *given: None)
+            return (
+                super().codegen if self.outermost else SimpleNamespace(set_env=lambda *given: None)
+            )
 
     class Settings(Flags):
         """Looked up with every operation: compared by a text that is made once."""
@@ -171,7 +193,9 @@ def _compilers() -> tuple[Any, Any] | None:
     return Inner, Outermost
 
 
-def compiled(function: Callable[..., Any] | None = None, *, entry: bool = False, **options: Any) -> Any:
+def compiled(
+    function: Callable[..., Any] | None = None, *, entry: bool = False, **options: Any
+) -> Any:
     """``numba.njit`` that releases the GIL and keeps its result on disk; never fastmath, which breaks isnan.
 
     entry: whether Python calls it, too; others need no way in from there.
@@ -187,7 +211,11 @@ def compiled(function: Callable[..., Any] | None = None, *, entry: bool = False,
     options |= {"nogil": True, "error_model": "numpy", "_nrt": False}
     if (compilers := _compilers()) is not None:
         options["pipeline_class"] = compilers[entry]
-    options |= {"cache": folder is not None} if entry else {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    options |= (
+        {"cache": folder is not None}
+        if entry
+        else {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    )
     made: Any = numba.njit(**options)(function)
     if folder is not None and entry:
         _keep(folder, made)

@@ -63,7 +63,12 @@ def begin(s, j):
     for kind in range(KINDS):
         s.peak[kind, j] = 0.0
     for face in range(2):
-        s.touched[face, j], s.x_first[face, j], s.other[face, j], s.carried[face, j] = 0.0, 0.0, 0.0, 0.0
+        s.touched[face, j], s.x_first[face, j], s.other[face, j], s.carried[face, j] = (
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        )
     s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
     s.grazed[j], s.blur[j] = math.nan, 0.0
     s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0
@@ -200,7 +205,9 @@ def after_step(s, j):
 # nothing that is wanted can change any more.
 
 
-def _bounds(left, right, left_slope, right_slope, width, begin, best, top, second, place, bent, floor):
+def _bounds(
+    left, right, left_slope, right_slope, width, begin, best, top, second, place, bent, floor
+):
     """One part of a step: what the approach can reach above and below, where, and by a bend or at an end."""
     left_slope, right_slope = width * left_slope, width * right_slope
     # where the slope, taken as a straight line, passes zero
@@ -306,14 +313,50 @@ def look(s):
     may have been in this step; s.top (PAIR,): bounds of the approaches; s.place, s.bent: where a bend lies.
     """
     apart()
-    best, second, floor, width, value = row(s.room, 0, 0), row(s.room, 2, 0), row(s.room, 5, 0), s.width, s.value
+    best, second, floor, width, value = (
+        row(s.room, 0, 0),
+        row(s.room, 2, 0),
+        row(s.room, 5, 0),
+        s.width,
+        s.value,
+    )
     slope, bend, place, bent, top = s.slope, s.bend, s.place, s.bent, s.top
     _begin(best, top, second, place, bent, floor, row(s.at, 0, 0))
     for i in range(POINTS):
-        _bound(best, top, second, place, bent, floor, row(s.at, i, 0), row(s.at, i + 1, 0), row(s.rate, i, 0),
-               row(s.rate, i + 1, 0), width, 1.0 * i, best, top, second, place, bent, floor)  # fmt: skip
-    _sign(s.crest, s.alarm, part(top, 0), part(top, LANES), row(s.room, 5, 0), row(s.room, 5, LANES), row(s.at, 0, 0),
-          row(s.at, 0, LANES), s.low, s.near, row(s.touched, 0, 0), row(s.touched, 1, 0))  # fmt: skip
+        _bound(
+            best,
+            top,
+            second,
+            place,
+            bent,
+            floor,
+            row(s.at, i, 0),
+            row(s.at, i + 1, 0),
+            row(s.rate, i, 0),
+            row(s.rate, i + 1, 0),
+            width,
+            1.0 * i,
+            best,
+            top,
+            second,
+            place,
+            bent,
+            floor,
+        )
+    _sign(
+        s.crest,
+        s.alarm,
+        part(top, 0),
+        part(top, LANES),
+        row(s.room, 5, 0),
+        row(s.room, 5, LANES),
+        row(s.at, 0, 0),
+        row(s.at, 0, LANES),
+        s.low,
+        s.near,
+        row(s.touched, 0, 0),
+        row(s.touched, 1, 0),
+    )
     if _alarmed(s):
         for k in range(3):
             for c in range(0, PAIR, LANES):
@@ -322,8 +365,18 @@ def look(s):
                 _refine(place, place, slope, bend, bent, width)
         for c in range(0, PAIR, LANES):
             face = part(s.known, c if s.has_laws else 0)
-            _crown(face, s.alarm, face, row(s.room, 0, c), part(top, c), row(s.room, 2, c), part(value, c),
-                   part(slope, c), part(bend, c), part(bent, c))  # fmt: skip
+            _crown(
+                face,
+                s.alarm,
+                face,
+                row(s.room, 0, c),
+                part(top, c),
+                row(s.room, 2, c),
+                part(value, c),
+                part(slope, c),
+                part(bend, c),
+                part(bent, c),
+            )
             for j in range(LANES):
                 if s.alarm[j] > 0.0:
                     s.flags[j] |= 1 << FACE_A
@@ -335,12 +388,26 @@ def look(s):
 def _look_further(s):
     """Flags of the steps in which a function of both faces may be the largest so far."""
     apart()
-    force, stored, power, rate = row(s.room, 0, 0), row(s.room, 2, 0), row(s.room, 5, 0), row(s.room, 6, 0)
+    force, stored, power, rate = (
+        row(s.room, 0, 0),
+        row(s.room, 2, 0),
+        row(s.room, 5, 0),
+        row(s.room, 6, 0),
+    )
     for kind in range(3):
         for j in range(LANES):
             s.reach[kind, j] = 0.0
     for i in range(POINTS + 1):
-        _pressed(force, stored, power, rate, row(s.at, i, 0), row(s.rate, i, 0), s.spring, 1.0 * (s.mode == LINEAR))
+        _pressed(
+            force,
+            stored,
+            power,
+            rate,
+            row(s.at, i, 0),
+            row(s.rate, i, 0),
+            s.spring,
+            1.0 * (s.mode == LINEAR),
+        )
         for j in range(LANES if s.has_laws else 0):
             if s.by_law[j] and on_virgin_loading(s, j):
                 for m in range(j, PAIR, LANES):
@@ -348,9 +415,20 @@ def _look_further(s):
                     s.room[0, m], s.room[6, m] = found, slope * s.rate[i, m]
         for kind in range(3):
             a, b = (2, 5) if kind == 1 else (0, 6)
-            _spanned(row(s.reach, kind, 0), row(s.left, kind, 0), row(s.left_slope, kind, 0), row(s.room, a, 0),
-                     row(s.room, a, LANES), row(s.room, b, 0), row(s.room, b, LANES), -1.0 if kind == 0 else 1.0,
-                     s.width, row(s.reach, kind, 0), row(s.left, kind, 0), row(s.left_slope, kind, 0))  # fmt: skip
+            _spanned(
+                row(s.reach, kind, 0),
+                row(s.left, kind, 0),
+                row(s.left_slope, kind, 0),
+                row(s.room, a, 0),
+                row(s.room, a, LANES),
+                row(s.room, b, 0),
+                row(s.room, b, LANES),
+                -1.0 if kind == 0 else 1.0,
+                s.width,
+                row(s.reach, kind, 0),
+                row(s.left, kind, 0),
+                row(s.left_slope, kind, 0),
+            )
         if i == 0:
             for kind in range(3):
                 for j in range(LANES):
@@ -430,7 +508,9 @@ def _first_at(s, j, made, level):
             height = virgin_b if face == 1 else virgin_a
             if s.has_laws:
                 spring = kept.spring[face]
-                height = (level / spring) ** (2.0 / 3.0) if spring > 0.0 else height - kept.dent[face]
+                height = (
+                    (level / spring) ** (2.0 / 3.0) if spring > 0.0 else height - kept.dent[face]
+                )
             for k in range(TERMS):
                 s.piece[k, face] = kept.path[face, k]
             found = searches.passage(s, face, height, 1.0, 0.0, end)
@@ -443,7 +523,8 @@ def _first_at(s, j, made, level):
 
 #: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
 _NODES, _WEIGHTS = (
-    0.5 * (array + shift) for array, shift in zip(np.polynomial.legendre.leggauss(WAVE), (1.0, 0.0), strict=True)
+    0.5 * (array + shift)
+    for array, shift in zip(np.polynomial.legendre.leggauss(WAVE), (1.0, 0.0), strict=True)
 )
 
 
@@ -455,7 +536,9 @@ def _read(s, series, m):
     values_at(row(s.room, 0, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
 
 
-_press = elementwise(WAVE, 1, lambda x, spring: spring * (pressed := larger(x, 0.0)) * root_of(pressed))
+_press = elementwise(
+    WAVE, 1, lambda x, spring: spring * (pressed := larger(x, 0.0)) * root_of(pressed)
+)
 
 
 @compiled
@@ -503,8 +586,13 @@ def finish(s, j, made, out):
     for face in range(2):
         # of faces that are alike the larger is followed
         of, other = (face, s.other[face, j]) if s.has_laws else (0, math.nan)
-        out[tracked.ANSWER_FACES + face] = largest_approach(s, face * LANES + j) if s.has_laws else s.peak[0, j]
-        out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = s.x_first[of, j], other
+        out[tracked.ANSWER_FACES + face] = (
+            largest_approach(s, face * LANES + j) if s.has_laws else s.peak[0, j]
+        )
+        out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = (
+            s.x_first[of, j],
+            other,
+        )
     out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = s.unloadings[j], s.chatter[j]
     out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
     out[tracked.ANSWER_X_FIRST] = max(s.x_first[0, j], s.x_first[1, j])
@@ -517,11 +605,17 @@ def finish(s, j, made, out):
         if s.wanted & (1 << (kind - 1)):
             out[_ANSWER_OF[kind]] = s.peak[kind, j]
     if s.wanted & tracked.WANT_CARRIED:
-        out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = s.carried[0, j], s.carried[1, j]
+        out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = (
+            s.carried[0, j],
+            s.carried[1, j],
+        )
     if s.wanted & tracked.WANT_RISE:
         top = largest_force(s, j) if s.has_laws else out[tracked.ANSWER_X_MAX]
         power = 1.0 if s.mode == LINEAR or s.has_laws else 2.0 / 3.0
-        tenth, nine = _first_at(s, j, made, top * 0.1**power), _first_at(s, j, made, top * 0.9**power)
+        tenth, nine = (
+            _first_at(s, j, made, top * 0.1**power),
+            _first_at(s, j, made, top * 0.9**power),
+        )
         out[tracked.ANSWER_RISE] = nine - tenth
     out[tracked.ANSWER_SPEED] = s.u[0, j]
     out[tracked.ANSWER_SPEEDS], out[tracked.ANSWER_SPEEDS + 1] = s.free[0, j], -s.free[0, LANES + j]
@@ -529,9 +623,13 @@ def finish(s, j, made, out):
 
 #: columns of the answers that largest values go to
 _ANSWER_OF = (
-    tracked.ANSWER_FACES, tracked.ANSWER_FACES + 1, tracked.ANSWER_DIFFERENCE, tracked.ANSWER_ENERGY,
-    tracked.ANSWER_SHARE, tracked.ANSWER_MEAN,
-)  # fmt: skip
+    tracked.ANSWER_FACES,
+    tracked.ANSWER_FACES + 1,
+    tracked.ANSWER_DIFFERENCE,
+    tracked.ANSWER_ENERGY,
+    tracked.ANSWER_SHARE,
+    tracked.ANSWER_MEAN,
+)
 
 
 # --- What is known of the faces of a row whose faces have laws of their own, and the end of a rig without bars.
@@ -543,7 +641,9 @@ def note_peaks(s, j):
     apart()
     for face in range(2):
         if s.places[face] >= 0.0:
-            s.other[face, j] = max(searches.value_of(s.force, (1 - face) * LANES + j, s.places[face]), 0.0)
+            s.other[face, j] = max(
+                searches.value_of(s.force, (1 - face) * LANES + j, s.places[face]), 0.0
+            )
             s.chatter[j] = s.touches[j]
 
 

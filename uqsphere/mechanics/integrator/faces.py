@@ -83,7 +83,11 @@ def new_faces(s, lane, given):
         s.dent[m], s.shift[m], s.constant[m], s.base[m] = 0.0, 0.0, 0.0, 0.0
         s.by_x[m], s.by_root[m], s.by_log[m] = 0.0, 0.0, 0.0
         onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
-        s.onset[m], s.softening[m], s.pile_up[m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
+        s.onset[m], s.softening[m], s.pile_up[m] = (
+            onset,
+            given[LAW_SOFTENING, face],
+            given[LAW_PILE_UP, face],
+        )
         s.stiffness[m], s.spring[m], s.largest[m] = stiffness, stiffness, onset
         s.unit_force[m], s.hertz[m] = stiffness * onset**1.5, stiffness
         s.peak_force[m], s.chi[m] = s.unit_force[m], given[LAW_SHARE, face]
@@ -227,7 +231,9 @@ def stored_energy(s, m, above):
     if pile_up > 1.0:
         g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
     widens = pile_up - ((pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0) if g > 0.0 else 0.0)
-    return 0.4 * force * recovered, 0.4 * recovered * (2.0 * slope - 0.5 * force * widens / (area * onset))
+    return 0.4 * force * recovered, 0.4 * recovered * (
+        2.0 * slope - 0.5 * force * widens / (area * onset)
+    )
 
 
 @compiled

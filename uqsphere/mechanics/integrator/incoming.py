@@ -20,10 +20,14 @@ from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, 
 WAVE_THETAS = 0.5 - 0.5 * np.cos(np.pi * (np.arange(WAVE) + 0.5) / WAVE)
 #: weights (point, degree) that turn the values there into Chebyshev coefficients, and (degree, power) that turn
 #: those into powers of theta
-WAVE_DEGREES = np.ascontiguousarray(np.linalg.inv(chebyshev.chebvander(2.0 * WAVE_THETAS - 1.0, WAVE - 1)).T)
+WAVE_DEGREES = np.ascontiguousarray(
+    np.linalg.inv(chebyshev.chebvander(2.0 * WAVE_THETAS - 1.0, WAVE - 1)).T
+)
 WAVE_POWERS = np.zeros((WAVE, WAVE))
 for _k in range(WAVE):
-    WAVE_POWERS[_k, : _k + 1] = Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
+    WAVE_POWERS[_k, : _k + 1] = (
+        Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
+    )
 #: Chebyshev terms that are kept in any case
 WAVE_LEAST = 4
 
@@ -39,7 +43,12 @@ def add_echo(s, j, bar, made):
     Terms that together stay below a tenth of the error that a step may have are left out.
     """
     apart()
-    values, places, found, fit = row(s.work, 0, 0), row(s.work, 1, 0), row(s.work, 2, 0), row(s.work, 3, 0)
+    values, places, found, fit = (
+        row(s.work, 0, 0),
+        row(s.work, 1, 0),
+        row(s.work, 2, 0),
+        row(s.work, 3, 0),
+    )
     begin, h, factor = s.time[j] - s.trips[bar, j], s.h[j], 2.0 * s.reflect[bar, j]
     for step in range(s.first[bar, j], s.last[bar, j] + 1):
         kept = made[j, step & (s.ring - 1)]
@@ -86,8 +95,19 @@ def incident(s):
     for k in range(TERMS):
         for m in range(PAIR):
             s.push[k, m] = 0.0
-    _from_cubic(row(s.push, 0, 0), row(s.push, 1, 0), row(s.push, 2, 0), row(s.push, 3, 0), s.time, s.h, s.offset,
-                row(s.cubic, 0, 0), row(s.cubic, 1, 0), row(s.cubic, 2, 0), row(s.cubic, 3, 0))  # fmt: skip
+    _from_cubic(
+        row(s.push, 0, 0),
+        row(s.push, 1, 0),
+        row(s.push, 2, 0),
+        row(s.push, 3, 0),
+        s.time,
+        s.h,
+        s.offset,
+        row(s.cubic, 0, 0),
+        row(s.cubic, 1, 0),
+        row(s.cubic, 2, 0),
+        row(s.cubic, 3, 0),
+    )
     for j in range(LANES):
         if s.frequency[j] > 0.0:
             angle, phase = s.frequency[j] * s.h[j], s.frequency[j] * s.time[j]

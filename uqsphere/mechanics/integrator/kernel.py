@@ -39,7 +39,17 @@ from uqsphere.mechanics.integrator.faces import (
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.searches import value_of
-from uqsphere.mechanics.integrator.tracked import FACE_A, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
+from uqsphere.mechanics.integrator.tracked import (
+    FACE_A,
+    FULL,
+    LANES,
+    LINEAR,
+    MASSLESS,
+    PAIR,
+    POINTS,
+    TERMS,
+    End,
+)
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
@@ -145,7 +155,13 @@ def _enter(s, j, r, rows):
     s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1.0, GOES_ON
     s.mass[j], s.inverse_mu[j], s.quickest[j] = rows.mass[r], 1.0 / rows.mass[r], 1.0 / rows.mass[r]
     s.inertia[j] = rows.mass[r] if s.mode == FULL else math.inf
-    s.time[j], s.end[j], s.proposed[j], s.error[j], s.single[j] = 0.0, rows.horizon[r], 1e30, s.local, 0
+    s.time[j], s.end[j], s.proposed[j], s.error[j], s.single[j] = (
+        0.0,
+        rows.horizon[r],
+        1e30,
+        s.local,
+        0,
+    )
     s.x[0, j], s.x[0, LANES + j], s.u[0, j] = 0.0, 0.0, 0.0
     for bar in range(2):
         s.reflect[bar, j], s.trips[bar, j] = rows.ends[r, bar], rows.round_trips[r, bar]
@@ -223,11 +239,17 @@ def _try(s, j):
     steps = s.count[j] if s.tolerance < s.requested else 0
     s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
-    if s.rigged and not math.isnan(s.lost[j]):  # only the first loss of contact is an answer of its own
+    if s.rigged and not math.isnan(
+        s.lost[j]
+    ):  # only the first loss of contact is an answer of its own
         s.near[j] = 0.0
     s.low[j] = -math.inf
     if s.time[j] >= s.fades[j]:
-        s.low[j] = tail_level(s, j) if s.by_law[j] else s.share * max(s.peak[FACE_A, j], s.peak[tracked.FACE_B, j])
+        s.low[j] = (
+            tail_level(s, j)
+            if s.by_law[j]
+            else s.share * max(s.peak[FACE_A, j], s.peak[tracked.FACE_B, j])
+        )
 
 
 # --- expand
@@ -257,7 +279,12 @@ def _expand(s):
             if s.switched[j]:
                 continue
         yields = s.by_law[j] and on_virgin_loading(s, j)
-        if light and s.inverse_mu[j] * step.SMALL_MU > 1.0 and s.time[j] >= s.calm[j] and not yields:
+        if (
+            light
+            and s.inverse_mu[j] * step.SMALL_MU > 1.0
+            and s.time[j] >= s.calm[j]
+            and not yields
+        ):
             step.follow_slow(s, j)
     step.cut_at_stop(s)
     return virgin
@@ -428,7 +455,9 @@ def _keep(s, j, ending, made):
     n = s.count[j]
     one = made[j, n & (s.ring - 1)]
     s.count[j] += 1
-    if s.by_law[j] and s.count[j] > FREE_STEPS:  # errors to one side add up: of so many steps no more than a logarithm
+    if (
+        s.by_law[j] and s.count[j] > FREE_STEPS
+    ):  # errors to one side add up: of so many steps no more than a logarithm
         s.error[j] *= 1.0 - 1.0 / s.count[j]
     one.began, one.holds, one.unit, one.crest = s.time[j], ending * s.h[j], s.h[j], s.crest[j]
     if s.store:

@@ -10,7 +10,17 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, stored_energy
-from uqsphere.mechanics.integrator.tracked import DIFFERENCE, ENERGY, FACE_B, LANES, MEAN, ORDER, POINTS, SHARE, TERMS
+from uqsphere.mechanics.integrator.tracked import (
+    DIFFERENCE,
+    ENERGY,
+    FACE_B,
+    LANES,
+    MEAN,
+    ORDER,
+    POINTS,
+    SHARE,
+    TERMS,
+)
 from uqsphere.mechanics.integrator.vectors import apart
 
 #: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
@@ -147,14 +157,24 @@ def curve(s, face, turns, theta):
     """
     square, even, odd, even_rate, odd_rate = theta * theta, 0.0, 0.0, 0.0, 0.0
     for n in range(ORDER // 2, 0, -1):
-        two, low, high = 2.0 * n, s.piece[2 * n, face], s.piece[2 * n + 1, face] if 2 * n < ORDER else 0.0
+        two, low, high = (
+            2.0 * n,
+            s.piece[2 * n, face],
+            s.piece[2 * n + 1, face] if 2 * n < ORDER else 0.0,
+        )
         if turns:
             low, high = two * low, (two + 1.0) * high
             even, odd = even * square + high, odd * square + low
-            even_rate, odd_rate = even_rate * square + (two - 1.0) * low, odd_rate * square + two * high
+            even_rate, odd_rate = (
+                even_rate * square + (two - 1.0) * low,
+                odd_rate * square + two * high,
+            )
         else:
             even, odd = even * square + low, odd * square + high
-            even_rate, odd_rate = even_rate * square + (two + 1.0) * high, odd_rate * square + two * low
+            even_rate, odd_rate = (
+                even_rate * square + (two + 1.0) * high,
+                odd_rate * square + two * low,
+            )
     if turns:
         return even * square + s.piece[1, face] + theta * odd, even_rate + theta * odd_rate
     even, odd = even * square + s.piece[0, face], odd * square + s.piece[1, face]
@@ -267,7 +287,9 @@ def largest(s, j, kind, end, known):
         if (abs(right) if signed else right) > known:
             known, place = abs(right), i * width
         sign = 1.0 if left + right >= 0.0 else -1.0
-        top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
+        top = highest_between(
+            sign * left, sign * left_slope * width, sign * right, sign * right_slope * width
+        )
         if i > 0 and top > max(known, max(abs(left), abs(right))):
             peak = extremum(s, j, kind, (i - 1) * width, i * width, left_slope, right_slope, BROAD)
             at_peak, _ = _measure(s, j, kind, peak)

@@ -29,7 +29,11 @@ from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
 
 #: fidelities the integrator knows, and the number it knows them by
-MODES: Final[dict[str, int]] = {"full": tracked.FULL, "linear": tracked.LINEAR, "massless": tracked.MASSLESS}
+MODES: Final[dict[str, int]] = {
+    "full": tracked.FULL,
+    "linear": tracked.LINEAR,
+    "massless": tracked.MASSLESS,
+}
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
 _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few;
@@ -73,7 +77,9 @@ class Motion:
     def wave_speed(self) -> float:
         """c0 of the bars [m/s]."""
         columns = self.scene.columns
-        return float(bars.wave_speed(columns["bars.E"][self.row], columns["bars.density"][self.row]))
+        return float(
+            bars.wave_speed(columns["bars.E"][self.row], columns["bars.density"][self.row])
+        )
 
     @property
     def impedance(self) -> float:
@@ -115,20 +121,26 @@ class Motion:
         """Rates of the approaches at A, B [m/s] at `times` [s], (m, 2)."""
         powers = np.arange(1, self.states.shape[2])
         slopes = self.states[:, :2, 1:] * powers / self.length[:, None, None]
-        return np.asarray(self._at(slopes, times) * (self.scene.scales.approach[self.row] / self.unit))
+        return np.asarray(
+            self._at(slopes, times) * (self.scene.scales.approach[self.row] / self.unit)
+        )
 
     def force_at(self, approach: Array) -> Array:
         """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c) of `linear`."""
         scales = self.scene.scales
         if self.fidelity == "linear":
-            return np.asarray(scales.force[self.row] / scales.approach[self.row] * np.maximum(approach, 0.0))
+            return np.asarray(
+                scales.force[self.row] / scales.approach[self.row] * np.maximum(approach, 0.0)
+            )
         return np.asarray(contact.hertz_force(approach, scales.hertz_constant[self.row]))
 
     def forces_at(self, times: Array) -> Array:
         """Contact forces at A and B [N] at `times` [s], (m, 2)."""
         if self.forces is None:
             return self.force_at(self.states_at(times)[:, :2])
-        return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * self.scene.scales.force[self.row])
+        return np.asarray(
+            np.maximum(self._at(self.forces, times), 0.0) * self.scene.scales.force[self.row]
+        )
 
     def pressure_at(self, force: Values, pole: int = 0) -> Values:
         """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the face yields."""
@@ -138,7 +150,9 @@ class Motion:
         if self.forces is not None and partner.face is not None and partner.face.own[self.row]:
             law = partner.face.at(self.row)
             return law.pressed(law.depth_at(np.asarray(force))).centre
-        return contact.pressure_at_force(force, partner.modulus[self.row], partner.effective_radius[self.row])
+        return contact.pressure_at_force(
+            force, partner.modulus[self.row], partner.effective_radius[self.row]
+        )
 
 
 def thread_count(threads: int | None = None) -> int:
@@ -189,11 +203,15 @@ def _laws(scene: Scene, rows: Places) -> Array:
     for pole, (partner, face) in enumerate(zip(scene.partners, faces, strict=True)):
         if partner is None:
             continue
-        laws[:, tracked.LAW_STIFFNESS, pole] = (partner.hertz_constant / scene.scales.hertz_constant)[rows]
+        laws[:, tracked.LAW_STIFFNESS, pole] = (
+            partner.hertz_constant / scene.scales.hertz_constant
+        )[rows]
         laws[:, tracked.LAW_SHARE, pole] = partner.share[rows]
         if face is not None:
             own, b = face.own[rows], face.softening[rows]
-            laws[own, tracked.LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[rows][own]
+            laws[own, tracked.LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[
+                rows
+            ][own]
             laws[own, tracked.LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[own]
             laws[own, tracked.LAW_PILE_UP, pole] = face.pile_up[rows][own]
     return laws
@@ -206,9 +224,15 @@ def _rigs(scene: Scene, rows: Places) -> Array:
     scales, rigs = scene.scales, np.zeros((len(rows), tracked.RIGS, 2))
     for pole, partner in enumerate(scene.partners):
         if partner is not None:
-            rigs[:, tracked.RIG_GIVES, pole] = (scales.force / (partner.impedance * scales.speed))[rows]
-            rigs[:, tracked.RIG_LIGHTNESS, pole] = (scales.force * scales.time / (partner.mass * scales.speed))[rows]
-            rigs[:, tracked.RIG_SPEED, pole] = (1 - 2 * pole) * (scene.start[:, 1 + pole] / scales.speed)[rows]
+            rigs[:, tracked.RIG_GIVES, pole] = (scales.force / (partner.impedance * scales.speed))[
+                rows
+            ]
+            rigs[:, tracked.RIG_LIGHTNESS, pole] = (
+                scales.force * scales.time / (partner.mass * scales.speed)
+            )[rows]
+            rigs[:, tracked.RIG_SPEED, pole] = (1 - 2 * pole) * (
+                scene.start[:, 1 + pole] / scales.speed
+            )[rows]
             rigs[:, tracked.RIG_THERE, pole] = 1.0
     return rigs
 
@@ -254,21 +278,40 @@ def march_rows(
     store = wanted & tracked.WANT_RISE != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
     n, rows = len(arguments["mass"]), Rows(**arguments)
-    answers, status, steps = empty_answers(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    answers, status, steps = (
+        empty_answers(n),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=np.int64),
+    )
     order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
     for capacity in _CAPACITIES:
         lanes = tracked.empty_lanes()
         given = {
-            "mode": mode, "wanted": wanted if has_laws else wanted & ~tracked.WANT_SHARE, "has_laws": has_laws,
-            "rigged": rigged, "stop_at_loss": stop_at_loss, "store": store, "keeping": keep, "capacity": capacity,
+            "mode": mode,
+            "wanted": wanted if has_laws else wanted & ~tracked.WANT_SHARE,
+            "has_laws": has_laws,
+            "rigged": rigged,
+            "stop_at_loss": stop_at_loss,
+            "store": store,
+            "keeping": keep,
+            "capacity": capacity,
             "tolerance": tolerance,
-            "local": local, "closer": min(1.0, yielded / share), "requested": requested,
+            "local": local,
+            "closer": min(1.0, yielded / share),
+            "requested": requested,
             # how many steps are read again: all that there is room for, or the last one alone
             "ring": capacity if store or keep or echoing else 1,
-            "share": tracked.TAIL_SHARE if mode == MODES["linear"] else tracked.TAIL_SHARE ** (2.0 / 3.0),
-            "row": -1, "inverse_mu": 1.0, "spring": 1.0, "stiffness": 1.0, "gives": 1.0, "there": 1.0,
+            "share": tracked.TAIL_SHARE
+            if mode == MODES["linear"]
+            else tracked.TAIL_SHARE ** (2.0 / 3.0),
+            "row": -1,
+            "inverse_mu": 1.0,
+            "spring": 1.0,
+            "stiffness": 1.0,
+            "gives": 1.0,
+            "there": 1.0,
             "trips": np.inf,
-        }  # fmt: skip
+        }
         for name, value in given.items():
             lanes[name] = value
         # not set to anything: only the pages of steps that are taken ever cost memory.  With room for a power of two
@@ -297,7 +340,9 @@ def integrate(
 ) -> Scaled:
     """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
     n = len(scene)
-    found = Scaled(answers=empty_answers(n), status=scene.status.copy(), steps=np.zeros(n, dtype=np.int64))
+    found = Scaled(
+        answers=empty_answers(n), status=scene.status.copy(), steps=np.zeros(n, dtype=np.int64)
+    )
     rows = np.flatnonzero(found.status == 0)
     if len(rows) == 0:
         return found
@@ -307,8 +352,14 @@ def integrate(
     def run(block: slice) -> None:
         here = rows[block]
         given = {name: column[block] for name, column in arguments.items()}
-        part = look_closer(given, mode, tolerance, wanted=wanted, stop_at_loss=not scene.whole_record)
-        found.answers[here], found.status[here], found.steps[here] = part.answers, part.status, part.steps
+        part = look_closer(
+            given, mode, tolerance, wanted=wanted, stop_at_loss=not scene.whole_record
+        )
+        found.answers[here], found.status[here], found.steps[here] = (
+            part.answers,
+            part.status,
+            part.steps,
+        )
 
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(rows), _BLOCK)]
     workers = min(thread_count(threads), len(blocks))
@@ -330,7 +381,9 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     _check_request(scene, fidelity, tolerance)
     status = int(scene.status[row])
     if status == 0:
-        found = motions(scene, np.array([row]), fidelity=fidelity, tolerance=tolerance, stop_at_loss=False)[0]
+        found = motions(
+            scene, np.array([row]), fidelity=fidelity, tolerance=tolerance, stop_at_loss=False
+        )[0]
         if isinstance(found, Motion):
             return found
         status = found
@@ -358,15 +411,27 @@ def motions(
 
     def of(block: slice) -> list[Motion | int]:
         given = {name: column[block] for name, column in arguments.items()}
-        found = march_rows(given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss, keep=True)
+        found = march_rows(
+            given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss, keep=True
+        )
         own, ends = given["laws"].shape[1] > 0, found.answers[:, tracked.ANSWER_END].tolist()
         return [
-            Motion(scene=scene, row=row, start=start, length=length, states=states[:, :3],
-                   forces=states[:, 3:] if own else None, end=end, fidelity=fidelity)
-            if status == 0 else status
+            Motion(
+                scene=scene,
+                row=row,
+                start=start,
+                length=length,
+                states=states[:, :3],
+                forces=states[:, 3:] if own else None,
+                end=end,
+                fidelity=fidelity,
+            )
+            if status == 0
+            else status
             for row, end, status, (start, length, states) in zip(
-                rows[block].tolist(), ends, found.status.tolist(), found.paths, strict=True)
-        ]  # fmt: skip
+                rows[block].tolist(), ends, found.status.tolist(), found.paths, strict=True
+            )
+        ]
 
     # a call keeps room for all steps of its rows, which fill the lanes of the kernel
     blocks = [slice(begin, begin + tracked.LANES) for begin in range(0, len(rows), tracked.LANES)]
@@ -381,9 +446,13 @@ def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
     if fidelity not in MODES:
         raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
     if scene.rig == "platens":
-        raise ValueError("between platens nothing moves: their answers are static, without an integrator")
+        raise ValueError(
+            "between platens nothing moves: their answers are static, without an integrator"
+        )
     if scene.rig != "bars" and fidelity != "full":
-        raise ValueError(f"the fidelity {fidelity!r} is one of the rig bars: rig {scene.rig!r} needs 'full'")
+        raise ValueError(
+            f"the fidelity {fidelity!r} is one of the rig bars: rig {scene.rig!r} needs 'full'"
+        )
     if fidelity == "linear" and scene.faces is not None:
         raise ValueError(
             "a linear contact does not yield: choose the fidelity full or massless, or [contact] law hertz"
@@ -410,11 +479,22 @@ def solve(
     """
     _check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
-        raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
-    found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+        raise ValueError(
+            f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})"
+        )
+    found = integrate(
+        scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
+    )
 
     columns = {name: found.answers[:, column] for name, (column, _) in tracked.SCALED.items()}
-    return answers_from(scene, columns, found.status, found.steps, linear=fidelity == "linear", quantities=quantities)
+    return answers_from(
+        scene,
+        columns,
+        found.status,
+        found.steps,
+        linear=fidelity == "linear",
+        quantities=quantities,
+    )
 
 
 def later_loading(
@@ -428,10 +508,15 @@ def later_loading(
     if scene.rig != "bars" or scene.infinite or scene.first_loading_only or scene.whole_record:
         return np.where(scene.status == 0, 1.0, np.nan)
     peaks = [
-        solve(replace(scene, whole_record=whole, demands={}), fidelity=fidelity, tolerance=tolerance, threads=threads,
-              quantities=("P_max",)).values["P_max"]
+        solve(
+            replace(scene, whole_record=whole, demands={}),
+            fidelity=fidelity,
+            tolerance=tolerance,
+            threads=threads,
+            quantities=("P_max",),
+        ).values["P_max"]
         for whole in (False, True)
-    ]  # fmt: skip
+    ]
     return np.asarray(np.maximum(peaks[1] / peaks[0], 1.0))
 
 
@@ -448,7 +533,12 @@ _FIRM, _FIRST_LOOK = 10.0, 30.0
 
 
 def look_closer(
-    arguments: Mapping[str, Array], mode: int, tolerance: float, *, wanted: int, stop_at_loss: bool = True
+    arguments: Mapping[str, Array],
+    mode: int,
+    tolerance: float,
+    *,
+    wanted: int,
+    stop_at_loss: bool = True,
 ) -> Scaled:
     """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse than `tolerance`.
 
@@ -457,14 +547,25 @@ def look_closer(
     """
     n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["rigs"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
-    found = march_rows(arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss)
+    found = march_rows(
+        arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
+    )
     answers, status, steps = found.answers, found.status, found.steps
-    closest, doubt, strict = np.full(n, tolerance), np.zeros(n, dtype=bool), wanted & tracked.WANT_CONTACT != 0
+    closest, doubt, strict = (
+        np.full(n, tolerance),
+        np.zeros(n, dtype=bool),
+        wanted & tracked.WANT_CONTACT != 0,
+    )
     again = (status == tracked.OK) & (steps > _MANY_STEPS) & (wanted != 0)
     while True:
         if timed:
-            lost, grazed = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]), answers[:, tracked.ANSWER_GRAZED]
-            blur = answers[:, tracked.ANSWER_BLUR] * np.where((closest == tolerance) & strict, _FIRST_LOOK, 1.0)
+            lost, grazed = (
+                np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]),
+                answers[:, tracked.ANSWER_GRAZED],
+            )
+            blur = answers[:, tracked.ANSWER_BLUR] * np.where(
+                (closest == tolerance) & strict, _FIRST_LOOK, 1.0
+            )
             moved = np.fmax(lost - grazed, blur)
             doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
         again = (again | doubt) & (closest > _FINEST)
@@ -473,7 +574,9 @@ def look_closer(
         for each in np.unique(closest[again]):
             picked, closer = np.flatnonzero(again & (closest == each)), max(_CLOSER * each, _FINEST)
             some = {name: column[picked] for name, column in arguments.items()}
-            look = march_rows(some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss)
+            look = march_rows(
+                some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
+            )
             closest[picked] = closer
             # one that has no room for so many steps keeps the answers that it has
             done = look.status == tracked.OK

@@ -21,7 +21,15 @@ import math
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import face_force, log_start
 from uqsphere.mechanics.integrator.searches import both_of, value_of
-from uqsphere.mechanics.integrator.tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS
+from uqsphere.mechanics.integrator.tracked import (
+    LANES,
+    LINEAR,
+    MASSLESS,
+    ORDER,
+    PAIR,
+    POINTS,
+    TERMS,
+)
 from uqsphere.mechanics.integrator.vectors import (
     apart,
     curves_at,
@@ -45,7 +53,9 @@ _TOUCH_STEPS = 4
 
 # the parts of the recurrences that are done column by column
 _first_root = elementwise(
-    PAIR, 2, lambda x: (root_of(larger(x, 0.0)), where(x > 0.0, 0.5 / root_of(larger(x, 1e-300)), 0.0))
+    PAIR,
+    2,
+    lambda x: (root_of(larger(x, 0.0)), where(x > 0.0, 0.5 / root_of(larger(x, 1e-300)), 0.0)),
 )
 _shifted_root = elementwise(
     PAIR,
@@ -63,7 +73,10 @@ _any_branch = elementwise(
     PAIR,
     2,
     lambda product, hertz, x, by_x, root, by_root, by_log, inverse, k, share: (
-        hertz * product + by_x * x + by_root * root + by_log * (log := (k * root - product) * inverse) * share,
+        hertz * product
+        + by_x * x
+        + by_root * root
+        + by_log * (log := (k * root - product) * inverse) * share,
         where(inverse > 0.0, log, x),
     ),
 )
@@ -76,7 +89,9 @@ _virgin_start = elementwise(
 )
 _stiffer = elementwise(PAIR, 1, lambda force, spring: spring * force)
 _odd_root = elementwise(PAIR, 1, lambda x, total, half: (x - 2.0 * total) * half)
-_even_root = elementwise(PAIR, 1, lambda x, total, middle, half: (x - 2.0 * total - middle * middle) * half)
+_even_root = elementwise(
+    PAIR, 1, lambda x, total, middle, half: (x - 2.0 * total - middle * middle) * half
+)
 _spring = elementwise(PAIR, 1, lambda x, first: where(first > 0.0, x, 0.0))
 _next_x = elementwise(
     LANES,
@@ -90,15 +105,14 @@ _next_x = elementwise(
 _next_of_rig = elementwise(
     LANES,
     5,
-    lambda push_a, push_b, force_a, force_b, u, w_a, w_b, gives_a, gives_b, light_a, light_b, there_a, there_b, h,
-    inverse_mu, share: (
+    lambda push_a, push_b, force_a, force_b, u, w_a, w_b, gives_a, gives_b, light_a, light_b, there_a, there_b, h, inverse_mu, share: (
         h * share * there_a * (push_a + w_a - gives_a * force_a - u),
         h * share * there_b * (push_b + w_b - gives_b * force_b + u),
         h * share * inverse_mu * (force_a - force_b),
         0.0 - h * share * light_a * force_a,
         0.0 - h * share * light_b * force_b,
     ),
-)  # fmt: skip
+)
 _next_massless = elementwise(
     LANES,
     3,
@@ -123,12 +137,26 @@ def _branches(s, k):
     _beside(log_k, x_k, s.inverse)
     products(s.log, s.root, k, 0, k + 1, force_k)
     if k > 0:
-        _any_branch(force_k, log_k, force_k, s.hertz, x_k, s.by_x, root_k, s.by_root, s.by_log, s.inverse, scale,
-                    1.0 / scale)  # fmt: skip
+        _any_branch(
+            force_k,
+            log_k,
+            force_k,
+            s.hertz,
+            x_k,
+            s.by_x,
+            root_k,
+            s.by_root,
+            s.by_log,
+            s.inverse,
+            scale,
+            1.0 / scale,
+        )
         return
     for m in range(PAIR):
         s.start[m] = log_start(s, m, s.root[0, m]) if s.by_log[m] != 0.0 else 0.0
-    _virgin_start(force_k, force_k, s.hertz, x_k, s.by_x, root_k, s.by_root, s.by_log, s.start, s.constant)
+    _virgin_start(
+        force_k, force_k, s.hertz, x_k, s.by_x, root_k, s.by_root, s.by_log, s.start, s.constant
+    )
 
 
 @compiled
@@ -169,12 +197,33 @@ def expand(s, by_law, virgin):
         if s.mode == MASSLESS:
             _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, u_k, s.h, share)
         elif s.rigged:
-            _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
-                         force_b, u_k, row(free, k, 0), row(free, k, LANES), part(s.gives, 0), part(s.gives, LANES),
-                         part(s.lightness, 0), part(s.lightness, LANES), part(s.there, 0), part(s.there, LANES), s.h,
-                         s.inverse_mu, share)  # fmt: skip
+            _next_of_rig(
+                x_a,
+                x_b,
+                u_next,
+                row(free, k + 1, 0),
+                row(free, k + 1, LANES),
+                push_a,
+                push_b,
+                force_k,
+                force_b,
+                u_k,
+                row(free, k, 0),
+                row(free, k, LANES),
+                part(s.gives, 0),
+                part(s.gives, LANES),
+                part(s.lightness, 0),
+                part(s.lightness, LANES),
+                part(s.there, 0),
+                part(s.there, LANES),
+                s.h,
+                s.inverse_mu,
+                share,
+            )
         else:
-            _next_x(x_a, x_b, u_next, push_a, push_b, force_k, force_b, u_k, s.h, s.inverse_mu, share)
+            _next_x(
+                x_a, x_b, u_next, push_a, push_b, force_k, force_b, u_k, s.h, s.inverse_mu, share
+            )
 
 
 def _root_16(a):
@@ -212,17 +261,47 @@ def _radius(x_11, x_12, late):
     return root_of(root_of(larger(size_of(x_11), size_of(x_12)) / (late + 1e-300)))
 
 
-def _reached_of_rig(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, v_15, w_15, v_16, w_16, scale_x,
-                    scale_y, scale_u, scale_v, scale_w, local):  # fmt: skip
+def _reached_of_rig(
+    x_11,
+    y_11,
+    x_12,
+    y_12,
+    x_15,
+    y_15,
+    x_16,
+    y_16,
+    u_15,
+    u_16,
+    v_15,
+    w_15,
+    v_16,
+    w_16,
+    scale_x,
+    scale_y,
+    scale_u,
+    scale_v,
+    scale_w,
+    local,
+):
     """The same where every state has a scale of its own: both approaches, speeds of the sphere and of the partners."""
-    before = larger(larger(size_of(x_15) / scale_x, size_of(y_15) / scale_y), size_of(u_15) / scale_u)
+    before = larger(
+        larger(size_of(x_15) / scale_x, size_of(y_15) / scale_y), size_of(u_15) / scale_u
+    )
     last = larger(larger(size_of(x_16) / scale_x, size_of(y_16) / scale_y), size_of(u_16) / scale_u)
     before = larger(before, larger(size_of(v_15) / scale_v, size_of(w_15) / scale_w))
     last = larger(last, larger(size_of(v_16) / scale_v, size_of(w_16) / scale_w))
     theta = _by_terms(before, last, local)
     late_x, late_y = larger(size_of(x_15), size_of(x_16)), larger(size_of(y_15), size_of(y_16))
-    theta = where(late_x > 1e-3 * local * scale_x, smaller(theta, _CIRCLE * _radius(x_11, x_12, late_x)), theta)
-    theta = where(late_y > 1e-3 * local * scale_y, smaller(theta, _CIRCLE * _radius(y_11, y_12, late_y)), theta)
+    theta = where(
+        late_x > 1e-3 * local * scale_x,
+        smaller(theta, _CIRCLE * _radius(x_11, x_12, late_x)),
+        theta,
+    )
+    theta = where(
+        late_y > 1e-3 * local * scale_y,
+        smaller(theta, _CIRCLE * _radius(y_11, y_12, late_y)),
+        theta,
+    )
     return where(before + last < 1e200, theta, 0.0)
 
 
@@ -240,15 +319,46 @@ def longest(s):
     x, u, free, size = s.x, s.u, s.free, s.size
     fourth, third, before, last = ORDER - 5, ORDER - 4, ORDER - 1, ORDER
     if s.rigged:
-        _longest_of_rig(s.theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
-                        row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES),
-                        row(u, before, 0), row(u, last, 0), row(free, before, 0), row(free, before, LANES),
-                        row(free, last, 0), row(free, last, LANES), row(size, 0, 0), row(size, 2, 0),
-                        row(size, 1, 0), row(size, 3, 0), row(size, 4, 0), s.error)  # fmt: skip
+        _longest_of_rig(
+            s.theta,
+            row(x, fourth, 0),
+            row(x, fourth, LANES),
+            row(x, third, 0),
+            row(x, third, LANES),
+            row(x, before, 0),
+            row(x, before, LANES),
+            row(x, last, 0),
+            row(x, last, LANES),
+            row(u, before, 0),
+            row(u, last, 0),
+            row(free, before, 0),
+            row(free, before, LANES),
+            row(free, last, 0),
+            row(free, last, LANES),
+            row(size, 0, 0),
+            row(size, 2, 0),
+            row(size, 1, 0),
+            row(size, 3, 0),
+            row(size, 4, 0),
+            s.error,
+        )
         return
-    _longest(s.theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
-             row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES), row(u, before, 0),
-             row(u, last, 0), row(size, 0, 0), row(size, 1, 0), s.error)  # fmt: skip
+    _longest(
+        s.theta,
+        row(x, fourth, 0),
+        row(x, fourth, LANES),
+        row(x, third, 0),
+        row(x, third, LANES),
+        row(x, before, 0),
+        row(x, before, LANES),
+        row(x, last, 0),
+        row(x, last, LANES),
+        row(u, before, 0),
+        row(u, last, 0),
+        row(size, 0, 0),
+        row(size, 1, 0),
+        s.error,
+    )
 
 
 # --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's neighbours.
@@ -259,7 +369,11 @@ _cut = elementwise(
     lambda theta, h, stop, time: where(
         smaller(theta, 1.0) * h >= (left := stop - time) * (1.0 - 1e-10),
         1.0,
-        where(2.0 * smaller(theta, 1.0) * h > left, smaller(smaller(theta, 1.0), 0.5 * left / h), smaller(theta, 1.0)),
+        where(
+            2.0 * smaller(theta, 1.0) * h > left,
+            smaller(smaller(theta, 1.0), 0.5 * left / h),
+            smaller(theta, 1.0),
+        ),
     ),
 )
 _doubted = elementwise(
@@ -269,7 +383,8 @@ _doubted = elementwise(
         where(
             (touching + on_slow < 0.5)
             & (
-                h * theta * larger(branch_a, branch_b) > smaller(100.0 * error * scale, 100.0 * error * inertia * speed)
+                h * theta * larger(branch_a, branch_b)
+                > smaller(100.0 * error * scale, 100.0 * error * inertia * speed)
             ),
             1.0,
             0.0 * h,
@@ -290,8 +405,21 @@ def cut_at_stop(s):
 def doubt(s):
     """1 where a step may have gone through a loss of contact, and where its waves do not fit or it is none."""
     apart()
-    _doubted(s.crosses, s.unfit, s.h, s.theta, part(s.wrong, 0), part(s.wrong, LANES), s.error, row(s.size, 0, 0),
-             row(s.size, 1, 0), s.inertia, s.touching, s.on_slow, s.misfit)  # fmt: skip
+    _doubted(
+        s.crosses,
+        s.unfit,
+        s.h,
+        s.theta,
+        part(s.wrong, 0),
+        part(s.wrong, LANES),
+        s.error,
+        row(s.size, 0, 0),
+        row(s.size, 1, 0),
+        s.inertia,
+        s.touching,
+        s.on_slow,
+        s.misfit,
+    )
 
 
 @compiled
@@ -300,7 +428,14 @@ def inside(s, bent):
     apart()
     for j in range(LANES):
         s.width[j] = s.width[LANES + j] = s.theta[j] * (1.0 / POINTS)
-    _same(row(s.at, 0, 0), row(s.rate, 0, 0), row(s.bow, 0, 0), row(s.x, 0, 0), row(s.x, 1, 0), row(s.x, 2, 0))
+    _same(
+        row(s.at, 0, 0),
+        row(s.rate, 0, 0),
+        row(s.bow, 0, 0),
+        row(s.x, 0, 0),
+        row(s.x, 1, 0),
+        row(s.x, 2, 0),
+    )
     for i in range(1, POINTS + 1):
         for j in range(LANES):
             s.place_of[j] = i / POINTS * s.theta[j]
@@ -399,7 +534,11 @@ def step_from_touch(s, j):
         second = _slopes(s, j, mid_a, mid_b, _moved(state, 0.5 * d, last))
         third = _slopes(s, j, mid_a, mid_b, _moved(state, 0.5 * d, second))
         fourth = _slopes(s, j, end_a, end_b, _moved(state, d, third))
-        state = _moved(_moved(_moved(state, d / 6.0, last), d / 3.0, _moved(second, 1.0, third)), d / 6.0, fourth)
+        state = _moved(
+            _moved(_moved(state, d / 6.0, last), d / 3.0, _moved(second, 1.0, third)),
+            d / 6.0,
+            fourth,
+        )
         last = _slopes(s, j, end_a, end_b, state)
     h = s.h[j]
     _join(s.x, j, old[0], h * begin[0], state[0], h * last[0])
@@ -409,7 +548,10 @@ def step_from_touch(s, j):
     _join(s.free, k, old[4], h * begin[4], state[4], h * last[4])
     for m in range(j, PAIR, LANES):
         end, rate = (state[0], last[0]) if m == j else (state[1], last[1])
-        (left, left_slope), (right, right_slope) = face_force(s, m, s.x[0, m]), face_force(s, m, end)
+        (left, left_slope), (right, right_slope) = (
+            face_force(s, m, s.x[0, m]),
+            face_force(s, m, end),
+        )
         _join(s.force, m, left, left_slope * s.x[1, m], right, right_slope * h * rate)
 
 

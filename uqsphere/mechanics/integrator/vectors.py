@@ -39,7 +39,11 @@ def _vectors(columns):
 
 def _data(context, builder, kind, row):
     """Address of the first number of an array, or of what `row` gave."""
-    return row if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, row).data
+    return (
+        row
+        if isinstance(kind, types.CPointer)
+        else context.make_array(kind)(context, builder, row).data
+    )
 
 
 @intrinsic
@@ -49,7 +53,9 @@ def _row(typing, array, index, first):
     def generate(context, builder, signature, arguments):
         kind = signature.args[0]
         given = context.make_array(kind)(context, builder, arguments[0])
-        index, first = (context.cast(builder, arguments[i], signature.args[i], types.int64) for i in (1, 2))
+        index, first = (
+            context.cast(builder, arguments[i], signature.args[i], types.int64) for i in (1, 2)
+        )
         width = builder.extract_value(given.shape, 1)
         return builder.gep(given.data, [builder.add(builder.mul(index, width), first)])
 
@@ -62,17 +68,23 @@ def _part(typing, array, first):
 
     def generate(context, builder, signature, arguments):
         given = context.make_array(signature.args[0])(context, builder, arguments[0])
-        return builder.gep(given.data, [context.cast(builder, arguments[1], signature.args[1], types.int64)])
+        return builder.gep(
+            given.data, [context.cast(builder, arguments[1], signature.args[1], types.int64)]
+        )
 
     return types.CPointer(types.float64)(array, first), generate
 
 
 def _place(builder, data, index, width):
-    return builder.bitcast(builder.gep(data, [index]), ir.VectorType(ir.DoubleType(), width).as_pointer())
+    return builder.bitcast(
+        builder.gep(data, [index]), ir.VectorType(ir.DoubleType(), width).as_pointer()
+    )
 
 
 def _load(builder, data, index, width):
-    return builder.load(_place(builder, data, index, width), align=8, typ=ir.VectorType(ir.DoubleType(), width))
+    return builder.load(
+        _place(builder, data, index, width), align=8, typ=ir.VectorType(ir.DoubleType(), width)
+    )
 
 
 def _store(builder, value, data, index):
@@ -121,7 +133,9 @@ def _operation(instruction, turned=False):
     """A method of `Vector` that does one instruction of LLVM, with the other number first if `turned`."""
 
     def apply(self, other):
-        left, right = (self._other(other), self.value) if turned else (self.value, self._other(other))
+        left, right = (
+            (self._other(other), self.value) if turned else (self.value, self._other(other))
+        )
         return Vector(self.builder, getattr(self.builder, instruction)(left, right))
 
     return apply
@@ -155,13 +169,20 @@ class Vector:
     __sub__, __rsub__ = _operation("fsub"), _operation("fsub", turned=True)
     __mul__, __rmul__ = _operation("fmul"), _operation("fmul", turned=True)
     __truediv__, __rtruediv__ = _operation("fdiv"), _operation("fdiv", turned=True)
-    __lt__, __le__, __gt__, __ge__ = _comparison("<"), _comparison("<="), _comparison(">"), _comparison(">=")
+    __lt__, __le__, __gt__, __ge__ = (
+        _comparison("<"),
+        _comparison("<="),
+        _comparison(">"),
+        _comparison(">="),
+    )
     __and__, __or__ = _operation("and_"), _operation("or_")
 
 
 def where(choice, yes, no):
     """`yes` where a comparison holds, `no` elsewhere; at least one of the two is a vector or a number."""
-    return Vector(choice.builder, choice.builder.select(choice.value, choice._other(yes), choice._other(no)))
+    return Vector(
+        choice.builder, choice.builder.select(choice.value, choice._other(yes), choice._other(no))
+    )
 
 
 def larger(a, b):
@@ -208,21 +229,29 @@ def elementwise(columns, outputs, formula):
             kinds = list(signature.args[0])
             parts = [builder.extract_value(given[0], i) for i in range(len(kinds))]
             rows = [
-                _data(context, builder, kind, part) if isinstance(kind, types.Array | types.CPointer) else None
+                _data(context, builder, kind, part)
+                if isinstance(kind, types.Array | types.CPointer)
+                else None
                 for kind, part in zip(kinds, parts, strict=True)
             ]
             numbers = [
-                None if row is not None else _spread(builder, context.cast(builder, part, kind, types.float64), width)
+                None
+                if row is not None
+                else _spread(builder, context.cast(builder, part, kind, types.float64), width)
                 for row, part, kind in zip(rows, parts, kinds, strict=True)
             ]
             for i in range(count):
                 place = _number(i * width)
                 inputs = [
-                    Vector(builder, _load(builder, row, place, width) if row is not None else number)
+                    Vector(
+                        builder, _load(builder, row, place, width) if row is not None else number
+                    )
                     for row, number in zip(rows[outputs:], numbers[outputs:], strict=True)
                 ]
                 results = formula(*inputs)
-                for row, result in zip(rows, results if isinstance(results, tuple) else (results,), strict=False):
+                for row, result in zip(
+                    rows, results if isinstance(results, tuple) else (results,), strict=False
+                ):
                     _store(builder, result.value, row, place)
             return context.get_dummy_value()
 
@@ -253,14 +282,21 @@ def _products(typing, a, b, k, low, high, out):
 
     def generate(context, builder, signature, arguments):
         kinds = signature.args
-        data_a, data_b, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 1, 5))
-        k, low, high = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (2, 3, 4))
+        data_a, data_b, data_out = (
+            _data(context, builder, kinds[i], arguments[i]) for i in (0, 1, 5)
+        )
+        k, low, high = (
+            context.cast(builder, arguments[i], kinds[i], types.int64) for i in (2, 3, 4)
+        )
 
         def term(j, place, total):
             left = builder.add(builder.mul(j, _number(PAIR)), place)
             right = builder.add(builder.mul(builder.sub(k, j), _number(PAIR)), place)
             return _multiply_add(
-                builder, _load(builder, data_a, left, width), _load(builder, data_b, right, width), total
+                builder,
+                _load(builder, data_a, left, width),
+                _load(builder, data_b, right, width),
+                total,
             )
 
         _sum(builder, data_out, low, high, PAIR, term)
@@ -276,13 +312,17 @@ def _values_at(typing, series, order, x, out):
 
     def generate(context, builder, signature, arguments):
         kinds = signature.args
-        data, data_x, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 2, 3))
+        data, data_x, data_out = (
+            _data(context, builder, kinds[i], arguments[i]) for i in (0, 2, 3)
+        )
         order = context.cast(builder, arguments[1], kinds[1], types.int64)
         at = [_load(builder, data_x, _number(i * width), width) for i in range(count)]
 
         def body(j, totals):
             term = _spread(builder, builder.load(builder.gep(data, [builder.sub(order, j)])), width)
-            return [_multiply_add(builder, total, z, term) for total, z in zip(totals, at, strict=True)]
+            return [
+                _multiply_add(builder, total, z, term) for total, z in zip(totals, at, strict=True)
+            ]
 
         high = builder.add(order, _number(1))
         for i, total in enumerate(_loop(builder, _number(0), high, _zeros(count, width), body)):
@@ -298,11 +338,15 @@ def _mix(typing, weights, rows, out):
     width, _ = _vectors(WAVE)
 
     def generate(context, builder, signature, arguments):
-        data, data_rows, data_out = (_data(context, builder, signature.args[i], arguments[i]) for i in range(3))
+        data, data_rows, data_out = (
+            _data(context, builder, signature.args[i], arguments[i]) for i in range(3)
+        )
 
         def term(j, place, total):
             weight = _spread(builder, builder.load(builder.gep(data, [j])), width)
-            other = _load(builder, data_rows, builder.add(builder.mul(j, _number(WAVE)), place), width)
+            other = _load(
+                builder, data_rows, builder.add(builder.mul(j, _number(WAVE)), place), width
+            )
             return _multiply_add(builder, weight, other, total)
 
         _sum(builder, data_out, _number(0), _number(WAVE), WAVE, term)
@@ -325,8 +369,12 @@ def _series_of(columns, derivatives):
         def generate(context, builder, signature, given):
             kinds = list(signature.args[0])
             parts = [builder.extract_value(given[0], i) for i in range(len(kinds))]
-            data, t, *rows = (_data(context, builder, kinds[i], parts[i]) for i in (0, *range(4, len(kinds))))
-            order, wide, first = (context.cast(builder, parts[i], kinds[i], types.int64) for i in (1, 2, 3))
+            data, t, *rows = (
+                _data(context, builder, kinds[i], parts[i]) for i in (0, *range(4, len(kinds)))
+            )
+            order, wide, first = (
+                context.cast(builder, parts[i], kinds[i], types.int64) for i in (1, 2, 3)
+            )
             shares = [_load(builder, t, _number(i * width), width) for i in range(count)]
 
             def body(j, totals):
@@ -343,7 +391,9 @@ def _series_of(columns, derivatives):
                 return results
 
             high = builder.add(order, _number(1))
-            totals = _loop(builder, _number(0), high, _zeros((derivatives + 1) * count, width), body)
+            totals = _loop(
+                builder, _number(0), high, _zeros((derivatives + 1) * count, width), body
+            )
             for k, total in enumerate(totals):
                 place = builder.add(first, _number(k % count * width))
                 _store(builder, total, rows[k // count], place)

@@ -2,11 +2,38 @@
 
 from __future__ import annotations
 
-from uqsphere.uq.chaos.basis import Germ, GermLike, base_of, germ_points, germs_of, hyperbolic_indices, rows_of
-from uqsphere.uq.chaos.expansion import Chaos, ChaospyObjects, Integrals, integrals, predict, projections
+from uqsphere.uq.chaos.basis import (
+    Germ,
+    GermLike,
+    base_of,
+    germ_points,
+    germs_of,
+    hyperbolic_indices,
+    rows_of,
+)
+from uqsphere.uq.chaos.expansion import (
+    Chaos,
+    ChaospyObjects,
+    Integrals,
+    integrals,
+    predict,
+    projections,
+)
 from uqsphere.uq.chaos.fit import fit_chaos
 
 __all__ = [
-    "Chaos", "ChaospyObjects", "Germ", "GermLike", "Integrals", "base_of", "fit_chaos", "germ_points", "germs_of",
-    "hyperbolic_indices", "integrals", "predict", "projections", "rows_of",
-]  # fmt: skip
+    "Chaos",
+    "ChaospyObjects",
+    "Germ",
+    "GermLike",
+    "Integrals",
+    "base_of",
+    "fit_chaos",
+    "germ_points",
+    "germs_of",
+    "hyperbolic_indices",
+    "integrals",
+    "predict",
+    "projections",
+    "rows_of",
+]

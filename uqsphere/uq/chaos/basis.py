@@ -88,8 +88,12 @@ def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Ar
 
 def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
     """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or Hermite's."""
-    return tuple(_own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper) if _own_polynomials(law)
-                 else law.family.germ for law in laws)  # fmt: skip
+    return tuple(
+        _own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper)
+        if _own_polynomials(law)
+        else law.family.germ
+        for law in laws
+    )
 
 
 def _own_polynomials(law: Law) -> bool:
@@ -98,15 +102,23 @@ def _own_polynomials(law: Law) -> bool:
     They are where its support is bounded or its tails fall off exponentially (Ernst et al. 2012).
     """
     family = law.family
-    if (family.name not in FAMILIES or family.observed or law.data or family.name == "uniform"
-            or min(law.tail_orders()) < math.inf or (family.logarithmic and math.isinf(law.upper))):  # fmt: skip
+    if (
+        family.name not in FAMILIES
+        or family.observed
+        or law.data
+        or family.name == "uniform"
+        or min(law.tail_orders()) < math.inf
+        or (family.logarithmic and math.isinf(law.upper))
+    ):
         return False
     # a normal law of which bounds cut off next to nothing stays one
     return not (family.name in ("normal", "lognormal") and law.mass > 1.0 - 1e-9)
 
 
 @lru_cache(maxsize=256)
-def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float) -> GermLike:
+def _own_germ(
+    family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float
+) -> GermLike:
     """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no such polynomials.
 
     Its integrals are those of the trapezoidal rule in normal scores, as for the moments of a law.
@@ -117,14 +129,22 @@ def _own_germ(family: Family, parameters: tuple[tuple[str, float], ...], lower: 
     scores = np.linspace(-REACH, REACH, KNOTS)
     values, weights = law.from_normal(scores), np.exp(-0.5 * scores**2)
     least = float(law.ppf(np.array([0.0]))[0])
-    low, high = (float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper)))
+    low, high = (
+        float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper))
+    )
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
     standard = (values - centre) / half
     recurrence = stieltjes(standard, weights / weights.sum())
     if not (np.isfinite(recurrence).all() and (recurrence[1] > 0.0).all()):
         return family.germ
-    return Germ(law=law, centre=centre, half=half, base=family.germ, table=CubicSpline(scores, standard),
-                recurrence=recurrence)  # fmt: skip
+    return Germ(
+        law=law,
+        centre=centre,
+        half=half,
+        base=family.germ,
+        table=CubicSpline(scores, standard),
+        recurrence=recurrence,
+    )
 
 
 def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
@@ -160,7 +180,11 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    costs, rows, used = np.arange(degree + 1.0) ** norm, np.zeros((1, 0), dtype=np.int64), np.zeros(1)
+    costs, rows, used = (
+        np.arange(degree + 1.0) ** norm,
+        np.zeros((1, 0), dtype=np.int64),
+        np.zeros(1),
+    )
     for _ in range(dimension):
         total = used[:, None] + costs
         heads, last = np.nonzero(total <= degree**norm + 1e-9)
@@ -171,7 +195,9 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
 
 
 @lru_cache(maxsize=64)
-def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Indices, tuple[int, ...]] | None:
+def nested(
+    dimension: int, norm: float, highest: int, most: int
+) -> tuple[Indices, tuple[int, ...]] | None:
     """The largest hyperbolic set of at most `most` terms, and how many of them each lower degree has.
 
     The rows are ordered so that the set of every degree comes first.  None where degree 1 has too many.
@@ -228,7 +254,12 @@ def skipping(active: Indices, highest: int) -> Indices:
     [[1, 4], [3, 0], [3, 2]]
     """
     rows = [tuple(int(k) for k in row) for row in active]
-    above = {(*row[:j], k + 2, *row[j + 1 :]) for row in rows for j, k in enumerate(row) if 0 < k <= highest - 2}
+    above = {
+        (*row[:j], k + 2, *row[j + 1 :])
+        for row in rows
+        for j, k in enumerate(row)
+        if 0 < k <= highest - 2
+    }
     return np.array(sorted(above - set(rows)), dtype=np.int64).reshape(-1, active.shape[1])
 
 
@@ -245,4 +276,7 @@ def products(tables: Sequence[Array], terms: Indices) -> Array:
 def rows_of(germs: Sequence[GermLike], points: Array, terms: Indices) -> Array:
     """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
     highest = terms.max(axis=0)
-    return products([orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(germs)], terms)
+    return products(
+        [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(germs)],
+        terms,
+    )

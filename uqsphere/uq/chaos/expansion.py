@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos.basis import Germ, GermLike, Indices, germ_points, nested, recurrence_of, rows_of
+from uqsphere.uq.chaos.basis import (
+    Germ,
+    GermLike,
+    Indices,
+    germ_points,
+    nested,
+    recurrence_of,
+    rows_of,
+)
 from uqsphere.uq.chaos.select import solve_rows
 from uqsphere.uq.estimate import ratio_of_means, student
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
@@ -106,18 +114,31 @@ class Chaos:
         names = [f"q{k}" for k in range(len(self.germs))]
         highest = self.multi_indices.max(axis=0)
         powers = [_powers(germ, int(top)) for germ, top in zip(self.germs, highest, strict=True)]
-        entries = [(exponent, term, value) for term, degrees in enumerate(self.multi_indices)
-                   for exponent in product(*(range(n + 1) for n in degrees))
-                   if (value := math.prod(float(power[n, k]) for power, n, k
-                                          in zip(powers, degrees, exponent, strict=True)))]  # fmt: skip
+        entries = [
+            (exponent, term, value)
+            for term, degrees in enumerate(self.multi_indices)
+            for exponent in product(*(range(n + 1) for n in degrees))
+            if (
+                value := math.prod(
+                    float(power[n, k])
+                    for power, n, k in zip(powers, degrees, exponent, strict=True)
+                )
+            )
+        ]
         keys, terms, values = zip(*entries, strict=True)
         exponents, rows = np.unique(np.array(keys), axis=0, return_inverse=True)
         table = np.zeros((len(exponents), len(self.coefficients)))
         table[rows, np.array(terms)] = values
         make = numpoly.ndpoly.from_attributes
-        expansion = make(exponents=exponents, coefficients=list(table), names=names, retain_names=True)
-        polynomial = make(exponents=exponents, coefficients=list(table @ self.coefficients), names=names,
-                          retain_names=True)  # fmt: skip
+        expansion = make(
+            exponents=exponents, coefficients=list(table), names=names, retain_names=True
+        )
+        polynomial = make(
+            exponents=exponents,
+            coefficients=list(table @ self.coefficients),
+            names=names,
+            retain_names=True,
+        )
         germs = [_germ_of_chaospy(chaospy, germ) for germ in self.germs]
         joint = germs[0] if len(germs) == 1 else chaospy.J(*germs)
         return ChaospyObjects(polynomial, expansion, self.coefficients, joint, self.log)
@@ -132,14 +153,22 @@ class Chaos:
         small = np.zeros((1, len(inputs)), dtype=np.int64) if found is None else found[0]
         terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
         terms[:, inputs] = small
-        normals = special.ndtri(sobol_points(dimension=len(self.germs), count=BLOCK, seed=0, task="polynomial chaos",
-                                             replicate=0))  # fmt: skip
+        normals = special.ndtri(
+            sobol_points(
+                dimension=len(self.germs), count=BLOCK, seed=0, task="polynomial chaos", replicate=0
+            )
+        )
         points = germ_points(normals, self.germs)
         values = predict(self, points)
         unit = float(np.abs(values).max())
         coefficients = solve_rows(rows_of(self.germs, points, terms), values / unit) * unit
-        return Chaos(coefficients=coefficients, multi_indices=terms, germs=self.germs, cross_validation_error=0.0,
-                     samples=len(points))  # fmt: skip
+        return Chaos(
+            coefficients=coefficients,
+            multi_indices=terms,
+            germs=self.germs,
+            cross_validation_error=0.0,
+            samples=len(points),
+        )
 
 
 def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
@@ -151,9 +180,10 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     return chaospy.UserDistribution(
         cdf=lambda x: law.cdf(centre + half * np.asarray(x)),
         pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
-        lower=lambda: -1.0, upper=lambda: 1.0,
+        lower=lambda: -1.0,
+        upper=lambda: 1.0,
         ppf=lambda p: np.clip((law.ppf(np.asarray(p)) - centre) / half, -1.0, 1.0),
-    )  # fmt: skip
+    )
 
 
 def _powers(germ: GermLike, degree: int) -> Array:
@@ -173,8 +203,10 @@ def _powers(germ: GermLike, degree: int) -> Array:
 def predict(fit: Chaos, points: Array) -> Array:
     """Values (n,) of the expansion at germ points (n, d)."""
     points = np.asarray(points, dtype=float)
-    rows = [fit.coefficients @ rows_of(fit.germs, points[k : k + BLOCK], fit.multi_indices)
-            for k in range(0, max(len(points), 1), BLOCK)]  # fmt: skip
+    rows = [
+        fit.coefficients @ rows_of(fit.germs, points[k : k + BLOCK], fit.multi_indices)
+        for k in range(0, max(len(points), 1), BLOCK)
+    ]
     values = np.concatenate(rows)
     return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)) if fit.log else values)
 
@@ -220,36 +252,64 @@ def integrals(fit: Chaos) -> Integrals:
     single = active & (active.sum(axis=1) == 1)[:, None]
     whole, first, total = float(squares.sum()), squares @ single, squares @ active
     if not fit.log:
-        return Integrals(mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole)
+        return Integrals(
+            mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole
+        )
     blocks = Blocks(inputs_count=d)
-    points = np.stack([blocks.mix(*base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
-                       for r in range(PAIRS_REPLICATES)])  # fmt: skip
+    points = np.stack(
+        [
+            blocks.mix(
+                *base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r)
+            )
+            for r in range(PAIRS_REPLICATES)
+        ]
+    )
     rows = germ_points(special.ndtri(points.reshape(-1, d)), fit.germs)
     # about the mean of the plain form: what the two means differ by is no scatter
     pairs = [(predict(one, rows).reshape(points.shape[:3]) - mean) / unit for one in (fit, plain)]
     (first_s, v), (total_s, _), (first_p, w), (total_p, _) = (
-        ratio(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]) for y in pairs for ratio in (saltelli_first, jansen_total)
+        ratio(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1])
+        for y in pairs
+        for ratio in (saltelli_first, jansen_total)
     )
     middle = (pairs[0] - pairs[1])[:, :, [0, -1]].mean(axis=(1, 2))
     scale = whole + v - w - (middle**2)[:, None]
-    shares = [ratio_of_means(first + first_s - first_p, scale), ratio_of_means(total + total_s - total_p, scale)]
-    half = student(PAIRS_REPLICATES) * max(float(off.std(axis=0, ddof=1).max()) for _, off in shares)
-    return Integrals(mean=mean + unit * float(middle.mean()), sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
-                     first=shares[0][0], total=shares[1][0], error=half / math.sqrt(PAIRS_REPLICATES))  # fmt: skip
+    shares = [
+        ratio_of_means(first + first_s - first_p, scale),
+        ratio_of_means(total + total_s - total_p, scale),
+    ]
+    half = student(PAIRS_REPLICATES) * max(
+        float(off.std(axis=0, ddof=1).max()) for _, off in shares
+    )
+    return Integrals(
+        mean=mean + unit * float(middle.mean()),
+        sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
+        first=shares[0][0],
+        total=shares[1][0],
+        error=half / math.sqrt(PAIRS_REPLICATES),
+    )
 
 
 def _product(fit: Chaos) -> Integrals:
     """Those of exp(Σ g_j(x_j)), by the trapezoidal rule in normal scores, which converges geometrically."""
     z = np.linspace(-8.5, 8.5, 1701)
     weights = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
-    rows = rows_of(fit.germs, germ_points(np.repeat(z[:, None], len(fit.germs), axis=1), fit.germs), fit.multi_indices)
+    rows = rows_of(
+        fit.germs,
+        germ_points(np.repeat(z[:, None], len(fit.germs), axis=1), fit.germs),
+        fit.multi_indices,
+    )
     factors = np.exp((fit.multi_indices > 0).T * fit.coefficients @ rows)
     means = factors @ weights
     more = (factors / means[:, None] - 1.0) ** 2 @ weights  # variances of factors of mean 1
     whole = math.expm1(float(np.log1p(more).sum()))
     mean = fit.sign * math.exp(fit.coefficients[0]) * float(np.prod(means))
-    return Integrals(mean=mean, sd=abs(mean) * math.sqrt(whole), first=more / whole,
-                     total=more / (1.0 + more) * (1.0 + whole) / whole)  # fmt: skip
+    return Integrals(
+        mean=mean,
+        sd=abs(mean) * math.sqrt(whole),
+        first=more / whole,
+        total=more / (1.0 + more) * (1.0 + whole) / whole,
+    )
 
 
 def projections(fit: Chaos, points: Array) -> tuple[Array, Array]:

@@ -103,16 +103,25 @@ class Target:
 
     def forward(self, basis: Basis, most: int) -> Choice:
         """The terms of a basis that forward selection keeps."""
-        return self._choice(basis, forward_selection(basis.rows, self.values, self.folds, self.error, most))
+        return self._choice(
+            basis, forward_selection(basis.rows, self.values, self.folds, self.error, most)
+        )
 
     def whole(self, basis: Basis, most: int) -> Choice:
         """The whole of those nested sets of a basis that do best."""
-        return self._choice(basis, whole_set(basis.rows, self.values, self.folds, self.error, most, basis.sizes))
+        return self._choice(
+            basis, whole_set(basis.rows, self.values, self.folds, self.error, most, basis.sizes)
+        )
 
     def _choice(self, basis: Basis, path: Path) -> Choice:
         deviation = float(np.std(self.squares(path.held_out)))
-        return Choice(target=self, terms=basis.terms[path.rows], rows=basis.rows[path.rows], error=path.error,
-                      std_error=deviation / math.sqrt(self.outputs.size))  # fmt: skip
+        return Choice(
+            target=self,
+            terms=basis.terms[path.rows],
+            rows=basis.rows[path.rows],
+            error=path.error,
+            std_error=deviation / math.sqrt(self.outputs.size),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,7 +144,9 @@ def _candidates(n: int) -> int:
     return min(max(400, 3 * n), MOST_CANDIDATES)
 
 
-def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> Chaos:
+def fit_chaos(
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False
+) -> Chaos:
     """The sparse expansion of outputs (n,) at germ points (n, d).
 
     Never more terms than half the points, or than two thirds where a whole set of degrees is fitted.  A fit whose
@@ -156,20 +167,35 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     >>> float(predict(chaos, np.array([[0.5, 0.5]]))[0].round(12))
     1.125
     """
-    points, outputs, germs = np.asarray(points, dtype=float), np.asarray(outputs, dtype=float), tuple(germs)
+    points, outputs, germs = (
+        np.asarray(points, dtype=float),
+        np.asarray(outputs, dtype=float),
+        tuple(germs),
+    )
     n, d = len(outputs), len(germs)
     if points.shape != (n, d) or outputs.ndim != 1 or n < 4:
-        raise ValueError(f"need points (n, {d}) and outputs (n,), n >= 4; found {points.shape}, {n}")
+        raise ValueError(
+            f"need points (n, {d}) and outputs (n,), n >= 4; found {points.shape}, {n}"
+        )
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
     mean, deviation = mean_and_sd(outputs)
     flat = deviation <= 1e-14 * abs(mean)
-    constant = Chaos(coefficients=np.array([mean]), multi_indices=np.zeros((1, d), dtype=np.int64), germs=germs,
-                     cross_validation_error=0.0 if flat and d else 1.0, samples=n)  # fmt: skip
+    constant = Chaos(
+        coefficients=np.array([mean]),
+        multi_indices=np.zeros((1, d), dtype=np.int64),
+        germs=germs,
+        cross_validation_error=0.0 if flat and d else 1.0,
+        samples=n,
+    )
     if flat or not d:
         return constant
-    tables = [orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)]
-    sets = [nested(d, norm, HIGHEST_DEGREE, _candidates(n)) for norm in (NORMS if d > 1 else NORMS[:1])]
+    tables = [
+        orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)
+    ]
+    sets = [
+        nested(d, norm, HIGHEST_DEGREE, _candidates(n)) for norm in (NORMS if d > 1 else NORMS[:1])
+    ]
     bases = [Basis(one[0], products(tables, one[0]), one[1]) for one in sets if one is not None]
     folds, one_sign = folds_of(n, 10 if n <= 150 else 5), abs(np.sign(outputs).sum()) == n
     logs = (True, False) if one_sign and not plain else (False,)
@@ -177,12 +203,22 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     best = _grow(_best(targets, bases), tables) if bases else None
     if best is None or best.error >= 1.0:
         return constant
-    target, order = best.target, np.argsort(best.terms.any(axis=1), kind="stable")  # the constant first
+    target, order = (
+        best.target,
+        np.argsort(best.terms.any(axis=1), kind="stable"),
+    )  # the constant first
     coefficients = best.coefficients[order] * target.scale[1]
     coefficients[0] += target.scale[0]
-    return Chaos(coefficients=coefficients, multi_indices=best.terms[order], germs=germs, log=target.log,
-                 sign=target.sign if target.log else 1.0, bounds=target.bounds, samples=n,
-                 cross_validation_error=min(best.error + best.std_error, 1.0))  # fmt: skip
+    return Chaos(
+        coefficients=coefficients,
+        multi_indices=best.terms[order],
+        germs=germs,
+        log=target.log,
+        sign=target.sign if target.log else 1.0,
+        bounds=target.bounds,
+        samples=n,
+        cross_validation_error=min(best.error + best.std_error, 1.0),
+    )
 
 
 def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
@@ -207,7 +243,11 @@ def _search(target: Target, basis: Basis, most: int) -> Choice:
         if size < 1.4 * last and size != basis.sizes[-1]:
             continue
         one = target.forward(Basis(basis.terms[:size], basis.rows[:size]), most)
-        worse = 0 if one.error < 0.99 * min((other.error for other in found), default=math.inf) else worse + 1
+        worse = (
+            0
+            if one.error < 0.99 * min((other.error for other in found), default=math.inf)
+            else worse + 1
+        )
         last = float(size)
         found.append(one)
         if worse >= 2 or one.error < ENOUGH:
@@ -224,10 +264,14 @@ def _grow(found: Choice, tables: Sequence[Array]) -> Choice:
             break
         near = grown(found.terms, np.abs(found.coefficients), HIGHEST_DEGREE, _candidates(n))
         above = skipping(found.terms, HIGHEST_DEGREE)
-        both = np.unique(np.concatenate([near[: max(_candidates(n) - len(above), 1)], above]), axis=0)
+        both = np.unique(
+            np.concatenate([near[: max(_candidates(n) - len(above), 1)], above]), axis=0
+        )
         for terms in (near, both):
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
-            trial = found.target.forward(Basis(terms, products(tables, terms)), max(min(n // 2, MOST_TERMS), 1))
+            trial = found.target.forward(
+                Basis(terms, products(tables, terms)), max(min(n // 2, MOST_TERMS), 1)
+            )
             if trial.error < found.error:
                 found = trial
                 break

@@ -39,7 +39,9 @@ def folds_of(n: int, folds: int) -> Order:
     return np.concatenate(runs)[:n].astype(np.intp)
 
 
-def forward_selection(basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int) -> Path:
+def forward_selection(
+    basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int
+) -> Path:
     """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989), in every lane.
 
     `basis` (P, n) at the samples, row 0 constant; `target` (n,); the fold (n,) of every sample; `error_of` the error of
@@ -52,7 +54,9 @@ def forward_selection(basis: Array, target: Array, folds: Order, error_of: Calla
     (lanes, n), every = masks.shape, np.arange(masks.shape[0])
     most = max(min(most, len(basis)), 1)
     directions = np.empty((lanes, most, n))
-    along = np.empty((most, lanes, len(basis)))  # products of every direction with every row of the basis
+    along = np.empty(
+        (most, lanes, len(basis))
+    )  # products of every direction with every row of the basis
     norms = masks @ (basis**2).T
     least = np.maximum(DEPENDENT * norms, 1e-300)
     left = norms.copy()  # square norms of the rows beyond the span of those taken
@@ -89,7 +93,9 @@ def forward_selection(basis: Array, target: Array, folds: Order, error_of: Calla
         fresh *= inverse
         masked *= inverse
         directions[:, k] = fresh
-        steps = np.where(np.vecdot(residuals, residuals) > floors, np.vecdot(masked, residuals), 0.0)
+        steps = np.where(
+            np.vecdot(residuals, residuals) > floors, np.vecdot(masked, residuals), 0.0
+        )
         residuals -= steps[:, None] * masked
         predicted = predicted + steps[lane] * fresh[lane, sample]
         np.matmul(masked, basis.T, out=along[k])
@@ -109,7 +115,12 @@ def forward_selection(basis: Array, target: Array, folds: Order, error_of: Calla
 
 
 def whole_set(
-    basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int, sizes: tuple[int, ...]
+    basis: Array,
+    target: Array,
+    folds: Order,
+    error_of: Callable[[Array], float],
+    most: int,
+    sizes: tuple[int, ...],
 ) -> Path:
     """All rows of a set, of the nested sets of these sizes that with the least K-fold error.
 
@@ -125,7 +136,9 @@ def whole_set(
         left = target - own @ (own.T @ target)
         for at in (np.flatnonzero(folds == k) for k in range(count)):
             # 1e-12: where the other folds leave a sample open, its prediction is far off and not an error
-            held_out[at] -= np.linalg.solve((1.0 + 1e-12) * np.eye(at.size) - own[at] @ own[at].T, left[at])
+            held_out[at] -= np.linalg.solve(
+                (1.0 + 1e-12) * np.eye(at.size) - own[at] @ own[at].T, left[at]
+            )
         if (error := error_of(held_out)) < best.error:
             best = Path(np.arange(size, dtype=np.intp), error, held_out)
     return best

@@ -38,7 +38,15 @@ from uqsphere.uq.rare.mixture import (
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator
 from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
 
-__all__ = ["REACH", "DesignPoint", "Draws", "Evaluator", "RareAnswer", "failure_probability", "find_design_points"]
+__all__ = [
+    "REACH",
+    "DesignPoint",
+    "Draws",
+    "Evaluator",
+    "RareAnswer",
+    "failure_probability",
+    "find_design_points",
+]
 
 #: evaluations below which subset simulation misses too often to certify anything (4 of 14 cases with 5,000)
 FEW: Final = 5000
@@ -96,18 +104,28 @@ def failure_probability(
         return _sampled(evaluator, seed)
     if known and (near := nearby(evaluator, known, seed=seed, accuracy=accuracy)) is not None:
         points = find_design_points(evaluator, seed=seed, most=0.06 * budget)
-        return RareAnswer(estimate=replace(near.estimate, evaluations=evaluator.count), warning="", points=points,
-                          draws=near.draws, searched=False)  # fmt: skip
+        return RareAnswer(
+            estimate=replace(near.estimate, evaluations=evaluator.count),
+            warning="",
+            points=points,
+            draws=near.draws,
+            searched=False,
+        )
     pool, starts = _look_around(evaluator, seed)
     points = find_design_points(evaluator, seed=seed, starts=starts, most=0.06 * budget)
-    subset = subset_simulation(evaluator, seed=seed, per_level=int(min(max(budget // 75, 100), 500)))
+    subset = subset_simulation(
+        evaluator, seed=seed, per_level=int(min(max(budget // 75, 100), 500))
+    )
     if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:
         # failure is the rule: the probability of survival is looked for
         survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=evaluator.left)
         found = failure_probability(survival, seed=seed, accuracy=accuracy)
         other = found.estimate
-        failure = replace(complement(other), evaluations=evaluator.count + survival.count,
-                          reason=other.reason and other.reason.replace("failure", "survival"))  # fmt: skip
+        failure = replace(
+            complement(other),
+            evaluations=evaluator.count + survival.count,
+            reason=other.reason and other.reason.replace("failure", "survival"),
+        )
         return replace(found, estimate=failure)
     mixture = _first_mixture(evaluator, pool, points, subset)
     if mixture is None and evaluator.failed:
@@ -120,8 +138,12 @@ def failure_probability(
         answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy)
         estimate, warning = _certify(answer, subset.estimate)
         draws = answer.draws
-    return RareAnswer(estimate=replace(estimate, evaluations=evaluator.count), warning=warning, points=points,
-                      draws=draws)  # fmt: skip
+    return RareAnswer(
+        estimate=replace(estimate, evaluations=evaluator.count),
+        warning=warning,
+        points=points,
+        draws=draws,
+    )
 
 
 def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
@@ -131,9 +153,13 @@ def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
         return [], np.empty((0, evaluator.size))
     count = int(min(1024, evaluator.budget // 20))
     look = draw(evaluator, wide_mixture(d), count, seed=seed, task="wide look")
-    failing = look.points[evaluator.values(look.points, look.answers) < (2.0 if evaluator.integrated else 0.0)]
+    failing = look.points[
+        evaluator.values(look.points, look.answers) < (2.0 if evaluator.integrated else 0.0)
+    ]
     starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
-    return [look], np.column_stack([starts, np.full(len(starts), -1.0)]) if evaluator.integrated else starts
+    return [look], np.column_stack(
+        [starts, np.full(len(starts), -1.0)]
+    ) if evaluator.integrated else starts
 
 
 def _first_mixture(
@@ -155,19 +181,33 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
     """The answer if subset simulation does not contradict it, else one whose interval holds both, and a warning."""
     own = answer.estimate
     if own.value is None or own.low is None or own.high is None:
-        return _bound(other), f"importance sampling: {own.reason}; subset simulation has no second method"
+        return _bound(
+            other
+        ), f"importance sampling: {own.reason}; subset simulation has no second method"
     if other.value is None or other.high is None:
         sure = answer.trusted and own.low <= (1.0 if other.high is None else other.high)
-        return own, "" if sure else f"subset simulation: {other.reason}; importance sampling has no second method"
+        return (
+            own,
+            ""
+            if sure
+            else f"subset simulation: {other.reason}; importance sampling has no second method",
+        )
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
     slack = 1.5 * math.log(other.high / other.value) + math.log(own.high / own.low)
     if answer.trusted and math.log(own.value / other.value) >= -slack:
         # what trusted weights show is there; chains may well have missed it
         agreed = own.value <= other.value * math.exp(slack)
-        return own, "" if agreed else f"subset simulation missed a part of the failures: {other.value:.3g}"
-    warning = (f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset simulation "
-               f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both")  # fmt: skip
-    return replace(own.holding(other), method=f"{own.method}, widened to hold subset simulation"), warning
+        return (
+            own,
+            "" if agreed else f"subset simulation missed a part of the failures: {other.value:.3g}",
+        )
+    warning = (
+        f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset simulation "
+        f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both"
+    )
+    return replace(
+        own.holding(other), method=f"{own.method}, widened to hold subset simulation"
+    ), warning
 
 
 def _bound(single: Estimate) -> Estimate:
@@ -183,17 +223,31 @@ def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
     """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
     count = int(evaluator.left // REPLICATES)
     if count < 2:
-        raise ValueError(f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left:.0f}")
-    points = [sobol_points(dimension=evaluator.dimension, count=count, seed=seed, task="few", replicate=r)
-              for r in range(REPLICATES)]  # fmt: skip
-    mass = evaluator.mass(evaluator.values(special.ndtri(np.concatenate(points)))).reshape(REPLICATES, count)
+        raise ValueError(
+            f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left:.0f}"
+        )
+    points = [
+        sobol_points(dimension=evaluator.dimension, count=count, seed=seed, task="few", replicate=r)
+        for r in range(REPLICATES)
+    ]
+    mass = evaluator.mass(evaluator.values(special.ndtri(np.concatenate(points)))).reshape(
+        REPLICATES, count
+    )
     lost, rows, total = float(np.isnan(mass).mean()), np.nan_to_num(mass).mean(axis=1), mass.size
     value, unseen = float(rows.mean()), count_bound(total)
-    low, high, error = probability_ends(value, 1.0 - value, spread(rows, 1.0 / count), REPLICATES, total)
+    low, high, error = probability_ends(
+        value, 1.0 - value, spread(rows, 1.0 / count), REPLICATES, total
+    )
     high = min(max(high, value + unseen) + lost, 1.0)
     some = value > 0.0
-    estimate = Estimate(value=value if some else None, low=low, high=high, std_error=error if some else None,
-                        method="randomised quasi-Monte Carlo", evaluations=evaluator.count,
-                        reason=None if some else f"no failure in {total} runs: it is below {high:.2g}")  # fmt: skip
+    estimate = Estimate(
+        value=value if some else None,
+        low=low,
+        high=high,
+        std_error=error if some else None,
+        method="randomised quasi-Monte Carlo",
+        evaluations=evaluator.count,
+        reason=None if some else f"no failure in {total} runs: it is below {high:.2g}",
+    )
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate=estimate, warning=warning)

@@ -48,8 +48,15 @@ def find_design_points(
     """
     size, last = evaluator.size, evaluator.count + most
     # beyond ten variables a step takes so many evaluations that one start has to do
-    normals = special.ndtri(sobol_points(dimension=size, count=4 if size <= MOST_DIMENSIONS else 0, seed=seed,
-                                         task="form starts", replicate=0))  # fmt: skip
+    normals = special.ndtri(
+        sobol_points(
+            dimension=size,
+            count=4 if size <= MOST_DIMENSIONS else 0,
+            seed=seed,
+            task="form starts",
+            replicate=0,
+        )
+    )
     away = 2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     first = np.concatenate([np.zeros((1, size)), away, *([] if starts is None else [starts])])
     found: list[DesignPoint] = []
@@ -67,12 +74,18 @@ def find_design_points(
             off = float(np.linalg.norm(point - along * direction))
             sign = -1.0 if looked[0] < 0.0 else 1.0
             # on the limit, and along its gradient
-            if abs(value[0]) < 1e-3 * length and off < 0.02 * max(1.0, distance) and sign * along > -1e-6:
+            if (
+                abs(value[0]) < 1e-3 * length
+                and off < 0.02 * max(1.0, distance)
+                and sign * along > -1e-6
+            ):
                 found.append(DesignPoint(point=point, beta=sign * distance, direction=direction))
     return _distinct(found)
 
 
-def _search(evaluator: Evaluator, start: Array, scale: float, last: float) -> tuple[Array, Array, Array]:
+def _search(
+    evaluator: Evaluator, start: Array, scale: float, last: float
+) -> tuple[Array, Array, Array]:
     """Point (size,), value (1,) and gradient of g/scale where the search from a start ends, within `REACH`."""
     from scipy.optimize import fmin_slsqp
 
@@ -98,9 +111,22 @@ def _search(evaluator: Evaluator, start: Array, scale: float, last: float) -> tu
     def gradient(point: Array) -> Array:
         return at(point.tobytes())[1]
 
-    box = [(STEP - REACH, REACH - STEP)] * evaluator.dimension + [(-math.inf, math.inf)] * (size - evaluator.dimension)
-    end = np.asarray(fmin_slsqp(half_square, start, fprime=np.asarray, f_eqcons=value,
-                                fprime_eqcons=gradient, bounds=box, iter=40, acc=1e-4, iprint=0))  # fmt: skip
+    box = [(STEP - REACH, REACH - STEP)] * evaluator.dimension + [(-math.inf, math.inf)] * (
+        size - evaluator.dimension
+    )
+    end = np.asarray(
+        fmin_slsqp(
+            half_square,
+            start,
+            fprime=np.asarray,
+            f_eqcons=value,
+            fprime_eqcons=gradient,
+            bounds=box,
+            iter=40,
+            acc=1e-4,
+            iprint=0,
+        )
+    )
     return end, value(end), gradient(end)
 
 

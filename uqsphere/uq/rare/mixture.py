@@ -18,7 +18,16 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.describe import hill
-from uqsphere.uq.estimate import REPLICATES, Estimate, absent, carriers, count_bound, probability_ends, spread, student
+from uqsphere.uq.estimate import (
+    REPLICATES,
+    Estimate,
+    absent,
+    carriers,
+    count_bound,
+    probability_ends,
+    spread,
+    student,
+)
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
@@ -49,10 +58,14 @@ class Mixture:
     def log_densities(self, points: Array) -> Array:
         """Logarithm of share times density of every component at points (n, d): (n, K)."""
         table = np.empty((len(points), len(self.shares)))
-        for k, (share, mean, factor) in enumerate(zip(self.shares, self.means, self.factors, strict=True)):
+        for k, (share, mean, factor) in enumerate(
+            zip(self.shares, self.means, self.factors, strict=True)
+        ):
             # the inverse of a triangle is safe here: no variance is below 1e-4
             scores = (points - mean) @ np.linalg.inv(factor).T
-            size = 0.5 * self.dimension * math.log(2.0 * math.pi) + float(np.log(np.diag(factor)).sum())
+            size = 0.5 * self.dimension * math.log(2.0 * math.pi) + float(
+                np.log(np.diag(factor)).sum()
+            )
             table[:, k] = math.log(share) - 0.5 * np.einsum("ij,ij->i", scores, scores) - size
         return table
 
@@ -79,19 +92,31 @@ class Mixture:
         without bias (Owen and Zhou 2000, doi 10.1080/01621459.2000.10473909).
         """
         total = int(counts.sum())
-        uniforms = sobol_points(dimension=self.dimension, count=total, start=block * total, seed=seed, task=task,
-                                replicate=replicate)  # fmt: skip
+        uniforms = sobol_points(
+            dimension=self.dimension,
+            count=total,
+            start=block * total,
+            seed=seed,
+            task=task,
+            replicate=replicate,
+        )
         pieces = np.split(special.ndtri(uniforms), np.cumsum(counts)[:-1])
-        return np.concatenate([mean + piece @ factor.T for mean, factor, piece
-                               in zip(self.means, self.factors, pieces, strict=True)])  # fmt: skip
+        return np.concatenate(
+            [
+                mean + piece @ factor.T
+                for mean, factor, piece in zip(self.means, self.factors, pieces, strict=True)
+            ]
+        )
 
 
 def joined(parts: Sequence[tuple[float, Mixture]]) -> Mixture:
     """One mixture of several, each with its share of the whole."""
     total = sum(share for share, _ in parts)
-    return Mixture(shares=np.concatenate([share / total * part.shares for share, part in parts]),
-                   means=np.concatenate([part.means for _, part in parts]),
-                   factors=np.concatenate([part.factors for _, part in parts]))  # fmt: skip
+    return Mixture(
+        shares=np.concatenate([share / total * part.shares for share, part in parts]),
+        means=np.concatenate([part.means for _, part in parts]),
+        factors=np.concatenate([part.factors for _, part in parts]),
+    )
 
 
 def wide_mixture(dimension: int) -> Mixture:
@@ -109,10 +134,16 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
     means, factors = [], []
     for point in points:
         beta = max(abs(point.beta), 0.5)
-        covariance = np.eye(point.point.size) - np.outer(point.direction, point.direction) / (1.0 + 1.0 / beta**2)
+        covariance = np.eye(point.point.size) - np.outer(point.direction, point.direction) / (
+            1.0 + 1.0 / beta**2
+        )
         means.append((point.point + point.direction / beta)[:dimension])
         factors.append(np.linalg.cholesky(covariance[:dimension, :dimension]))
-    return Mixture(shares=np.full(len(means), 1.0 / len(means)), means=np.array(means), factors=np.array(factors))
+    return Mixture(
+        shares=np.full(len(means), 1.0 / len(means)),
+        means=np.array(means),
+        factors=np.array(factors),
+    )
 
 
 def defended(mixture: Mixture) -> Mixture:
@@ -126,7 +157,9 @@ def defended(mixture: Mixture) -> Mixture:
 
 def gaussian(points: Array, weights: Array) -> Mixture:
     """One Gaussian with the mean and the covariance of weighted points (n, d)."""
-    return _mixture_of(points, weights / weights.sum(), np.ones((len(points), 1)), carriers(weights))
+    return _mixture_of(
+        points, weights / weights.sum(), np.ones((len(points), 1)), carriers(weights)
+    )
 
 
 def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
@@ -150,10 +183,14 @@ def _mixture_of(points: Array, weights: Array, duties: Array, worth: float) -> M
         scatter = (own[:, None] * (points - mean)).T @ (points - mean)
         # few points underestimate a spread
         values, vectors = np.linalg.eigh(scatter)
-        covariance = (vectors * np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)) @ vectors.T
+        covariance = (
+            vectors * np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)
+        ) @ vectors.T
         means.append(mean)
         factors.append(np.linalg.cholesky(covariance))
-    return Mixture(shares=loads[kept] / loads[kept].sum(), means=np.array(means), factors=np.array(factors))
+    return Mixture(
+        shares=loads[kept] / loads[kept].sum(), means=np.array(means), factors=np.array(factors)
+    )
 
 
 # --- stages -----------------------------------------------------------------------------------------
@@ -168,7 +205,9 @@ class Draws:
     answers: Array
 
 
-def draw(evaluator: Evaluator, mixture: Mixture, count: int, *, seed: int, task: str, replicate: int = 0) -> Draws:
+def draw(
+    evaluator: Evaluator, mixture: Mixture, count: int, *, seed: int, task: str, replicate: int = 0
+) -> Draws:
     """`count` points (n, d) of a mixture, evaluated."""
     counts, drawn = mixture.allocated(max(count, mixture.shares.size))
     points = drawn.draw(counts, seed=seed, task=task, replicate=replicate)
@@ -198,13 +237,24 @@ def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array
     return points[weights > 0.0], weights[weights > 0.0]
 
 
-def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture, *, seed: int, per_stage: int) -> Mixture:
+def adapt(
+    evaluator: Evaluator, draws: list[Draws], mixture: Mixture, *, seed: int, per_stage: int
+) -> Mixture:
     """The mixture after two stages of drawing from it, weighting and fitting."""
     d = evaluator.dimension
     for _ in range(2 if d <= MOST_DIMENSIONS else 0):
         if evaluator.left < per_stage:
             break
-        draws.append(draw(evaluator, defended(mixture), per_stage, seed=seed, task="adapt", replicate=len(draws)))
+        draws.append(
+            draw(
+                evaluator,
+                defended(mixture),
+                per_stage,
+                seed=seed,
+                task="adapt",
+                replicate=len(draws),
+            )
+        )
         points, weights = failures(evaluator, draws)
         if carriers(weights) >= max(12.0, 2.0 * d):
             mixture = fitted(draws[-1].mixture, points, weights)
@@ -243,20 +293,34 @@ def importance_sampling(
     >>> found.low < 2.8665157e-07 < found.high
     True
     """
-    begun, block = evaluator.count, max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size)
+    begun, block = (
+        evaluator.count,
+        max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size),
+    )
     counts, drawn = mixture.allocated(block)
     points, answers = np.empty((REPLICATES, 0, mixture.dimension)), np.empty((REPLICATES, 0))
-    answer = ImportanceAnswer(estimate=absent("the budget does not suffice for importance sampling", METHOD, 0))
+    answer = ImportanceAnswer(
+        estimate=absent("the budget does not suffice for importance sampling", METHOD, 0)
+    )
     done = 0
     while True:
         more = int(min(max(done // 2, 1), evaluator.left // (REPLICATES * block)))
         if more < 1:
             return answer
         for number in range(done, done + more):
-            fresh = np.stack([drawn.draw(counts, seed=seed, task="importance", replicate=r, block=number)
-                              for r in range(REPLICATES)])  # fmt: skip
-            found = evaluator.answers(fresh.reshape(-1, mixture.dimension)).reshape(REPLICATES, block)
-            points, answers = np.concatenate([points, fresh], axis=1), np.concatenate([answers, found], axis=1)
+            fresh = np.stack(
+                [
+                    drawn.draw(counts, seed=seed, task="importance", replicate=r, block=number)
+                    for r in range(REPLICATES)
+                ]
+            )
+            found = evaluator.answers(fresh.reshape(-1, mixture.dimension)).reshape(
+                REPLICATES, block
+            )
+            points, answers = (
+                np.concatenate([points, fresh], axis=1),
+                np.concatenate([answers, found], axis=1),
+            )
         done += more
         draws = Draws(mixture=drawn, points=points, answers=answers)
         answer = replace(weigh(evaluator, [draws], evaluator.count - begun), draws=draws)
@@ -279,13 +343,23 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
     plain = float(np.std(weights)) / math.sqrt(weights.size)
     error = max(spread(rows), 0.0 if evaluator.integrated else HARD * plain, 1e-12 * value)
     low, high, _ = probability_ends(value, 1.0 - value, error, rows.size, weights.size)
-    estimate = Estimate(value=value, low=low, high=min(high + extra, 1.0), std_error=error, method=method,
-                        evaluations=evaluations)  # fmt: skip
+    estimate = Estimate(
+        value=value,
+        low=low,
+        high=min(high + extra, 1.0),
+        std_error=error,
+        method=method,
+        evaluations=evaluations,
+    )
     heavy = weights[weights > 0.0]
-    return ImportanceAnswer(estimate=estimate, heaviest=float(heavy.max() / heavy.sum()), order=hill(heavy))
+    return ImportanceAnswer(
+        estimate=estimate, heaviest=float(heavy.max() / heavy.sum()), order=hill(heavy)
+    )
 
 
-def nearby(evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy: float) -> ImportanceAnswer | None:
+def nearby(
+    evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy: float
+) -> ImportanceAnswer | None:
     """Probability of a failure domain inside another one, by the draws of a search for that and others nearby: weighted
     anew, else from a mixture that is fitted to them; None where the first of the draws have too few failures here."""
     known = weigh(evaluator, draws, 0)
@@ -298,5 +372,9 @@ def nearby(evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy:
     own = fitted(draws[0].mixture, points, weights)
     found = importance_sampling(evaluator, defended(own), seed=seed, accuracy=accuracy)
     now = found.estimate
-    agree = found.trusted and (now.low or 0.0) <= (before.high or 1.0) and (before.low or 0.0) <= (now.high or 1.0)
+    agree = (
+        found.trusted
+        and (now.low or 0.0) <= (before.high or 1.0)
+        and (before.low or 0.0) <= (now.high or 1.0)
+    )
     return found if agree else None

@@ -67,7 +67,9 @@ class Evaluator:
         if near.any():
             found = np.asarray(self.function(points[near]), dtype=np.float64)
             if found.shape != (near.sum(),):
-                raise ValueError(f"the limit function must return shape ({near.sum()},), found {found.shape}")
+                raise ValueError(
+                    f"the limit function must return shape ({near.sum()},), found {found.shape}"
+                )
             answers[near] = found
             self.failed += int(np.isnan(found).sum())
         return answers
@@ -101,4 +103,6 @@ def within_reach(points: Array) -> Flags:
 
 def log_normal_density(points: Array) -> Array:
     """Logarithm of the standard normal density at points (n, d)."""
-    return np.asarray(-0.5 * (points**2).sum(axis=1) - points.shape[1] * (0.5 * math.log(2.0 * math.pi)))
+    return np.asarray(
+        -0.5 * (points**2).sum(axis=1) - points.shape[1] * (0.5 * math.log(2.0 * math.pi))
+    )

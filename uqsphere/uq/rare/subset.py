@@ -35,7 +35,9 @@ class SubsetAnswer:
     levels: int
 
 
-def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000, repetitions: int = 4) -> SubsetAnswer:
+def subset_simulation(
+    evaluator: Evaluator, *, seed: int, per_level: int = 1000, repetitions: int = 4
+) -> SubsetAnswer:
     """Probability of failure with the spread of `repetitions` whole runs of `per_level` points a level.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
@@ -49,8 +51,14 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
     reached, probability = np.ones(repetitions), np.full(repetitions, np.nan)
     failures, level = [np.empty((0, size))], 0
     going = np.arange(repetitions)
-    states = np.stack([special.ndtri(sobol_points(dimension=size, count=count, seed=seed, task="subset", replicate=r))
-                       for r in range(repetitions)])  # fmt: skip
+    states = np.stack(
+        [
+            special.ndtri(
+                sobol_points(dimension=size, count=count, seed=seed, task="subset", replicate=r)
+            )
+            for r in range(repetitions)
+        ]
+    )
     with suppress(Spent):
         values = evaluator.hard(states.reshape(-1, size)).reshape(repetitions, count)
         while going.size:
@@ -69,8 +77,12 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
             reached[going] *= within[on] / count
             level += 1
             # of a plateau that holds more points than there are seeds, some at random
-            chosen = [order[r][:seeds] if within[r] == seeds else rng.permutation(order[r][: within[r]])[:seeds]
-                      for r in on]  # fmt: skip
+            chosen = [
+                order[r][:seeds]
+                if within[r] == seeds
+                else rng.permutation(order[r][: within[r]])[:seeds]
+                for r in on
+            ]
             here = np.array([states[r][rows] for r, rows in zip(on, chosen, strict=True)])
             own = np.array([values[r][rows] for r, rows in zip(on, chosen, strict=True)])
             states, values = _moved(evaluator, here, own, thresholds[on], count, rng)
@@ -91,13 +103,25 @@ def subset_simulation(evaluator: Evaluator, *, seed: int, per_level: int = 1000,
         value = float(known.mean())
         error = value * max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(repetitions)
         low, high, _ = probability_ends(value, 1.0 - value, error, repetitions, spent)
-    estimate = Estimate(value=value, low=low, high=high, std_error=error, method=method, evaluations=spent,
-                        reason=reason)  # fmt: skip
+    estimate = Estimate(
+        value=value,
+        low=low,
+        high=high,
+        std_error=error,
+        method=method,
+        evaluations=spent,
+        reason=reason,
+    )
     return SubsetAnswer(estimate=estimate, levels=level, failures=np.concatenate(failures))
 
 
 def _moved(
-    evaluator: Evaluator, states: Array, values: Array, thresholds: Array, count: int, rng: np.random.Generator
+    evaluator: Evaluator,
+    states: Array,
+    values: Array,
+    thresholds: Array,
+    count: int,
+    rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Chains of every repetition from its seeds (R, seeds, size), all in step: the sample of the next level."""
     parts, scales = [(states, values)], np.full((len(states), 1, 1), 0.6)
@@ -106,7 +130,12 @@ def _moved(
         tried = np.sqrt(1.0 - spread**2) * states + spread * rng.standard_normal(states.shape)
         found = evaluator.hard(tried.reshape(-1, states.shape[2])).reshape(values.shape)
         accepted = found <= thresholds
-        states, values = np.where(accepted[:, :, None], tried, states), np.where(accepted, found, values)
+        states, values = (
+            np.where(accepted[:, :, None], tried, states),
+            np.where(accepted, found, values),
+        )
         parts.append((states, values))
         scales *= np.exp((accepted.mean(axis=1)[:, None, None] - ACCEPTANCE) / math.sqrt(step))
-    return np.concatenate([s for s, _ in parts], axis=1), np.concatenate([v for _, v in parts], axis=1)
+    return np.concatenate([s for s, _ in parts], axis=1), np.concatenate(
+        [v for _, v in parts], axis=1
+    )
