@@ -1,7 +1,8 @@
-"""What a reader sees of shipped studies, value and interval: made by one command, compared before and after a change.
+"""What a reader sees of shipped studies, value and interval: made by one command, compared before
+and after a change.
 
-    python .ci/golden.py make OUT.json [STUDY...]      run the studies (all of STUDIES if none is named)
-    python .ci/golden.py compare BEFORE.json AFTER.json
+    python .ci/golden.py make OUT.json [STUDY...]      run the studies (all of STUDIES if none is
+    named) python .ci/golden.py compare BEFORE.json AFTER.json
 
 A change is fine where intervals overlap and no width grows by more than half (exit code 0, else 1).
 """
@@ -42,7 +43,8 @@ SEEN = (
 )
 #: intervals may grow by this factor
 GROWTH = 1.5
-#: where an interval has no width, values may differ by this share, and a width below this share of the value is none
+#: where an interval has no width, values may differ by this share, and a width below this share of
+#: the value is none
 EXACT = 1e-3
 
 Row = list[
@@ -125,7 +127,9 @@ def compare(before: Path, after: Path) -> int:
 
 
 def change(a: Row, b: Row) -> str:
-    """What is wrong with `b` beside `a`: value, low, high of the same answer; nothing if it is fine."""
+    """What is wrong with `b` beside `a`: value, low, high of the same answer; nothing if it is
+    fine.
+    """
     if None in a[1:] or None in b[1:]:
         both = isinstance(a[0], float) and isinstance(b[0], float)
         fine = abs(a[0] - b[0]) <= EXACT * abs(a[0]) if both else a[0] == b[0]

@@ -1,6 +1,8 @@
-"""The tables of study-file.md, made from what the reader itself declares: `python docs/study_file.py` writes them anew.
+"""The tables of study-file.md, made from what the reader itself declares: `python
+docs/study_file.py` writes them anew.
 
-A table stands below a comment that says what it lists: units, laws, rigs, or the keys of tables of a study.
+A table stands below a comment that says what it lists: units, laws, rigs, or the keys of tables of
+a study.
 """
 
 from __future__ import annotations
@@ -61,7 +63,10 @@ def laws() -> Rows:
         *rows,
         (
             "`discrete`",
-            "`values`, a list, and if need be `weights`, whole numbers: 2, 3 and 5 for 20, 30 and 50 %",
+            (
+                "`values`, a list, and if need be `weights`, whole numbers: 2, 3 and 5 for 20, 30 "
+                "and 50 %"
+            ),
         ),
     ]
 
@@ -75,7 +80,9 @@ def rigs() -> Rows:
 
 
 def keys(tables: list[str]) -> Rows:
-    """The keys of some tables of a study, their defaults and meanings: words, then numbers of a scene."""
+    """The keys of some tables of a study, their defaults and meanings: words, then numbers of a
+    scene.
+    """
     rows: dict[str, tuple[str, ...]] = {}
     for name in tables:
         kind = {"study": Document, "file": Observations, **Document.model_fields}[name]
@@ -101,7 +108,9 @@ def keys(tables: list[str]) -> Rows:
 
 
 def _needed(tables: list[str], key: str) -> str:
-    """Of which kinds of some tables a number is required, and the other one that may stand in its place."""
+    """Of which kinds of some tables a number is required, and the other one that may stand in its
+    place.
+    """
     having, lacking, others = dict[str, None](), dict[str, None](), dict[str, None]()
     for table in tables:
         for kind, text in FORMS.get(table, {}).items():

@@ -1,4 +1,5 @@
-"""The published pages: shipped studies, each run and kept as page, answers and study, without its samples.
+"""The published pages: shipped studies, each run and kept as page, answers and study, without its
+samples.
 
 python -m reports.publish                     all of them, to reports/
 python -m reports.publish granite             some
@@ -36,7 +37,10 @@ def publish(name: str) -> str:
         for file in KEPT:
             shutil.copyfile(Path(place) / name / file, HERE / name / file)
     verdicts = "; ".join(f"{limit}: {v['verdict']}" for limit, v in run.verdicts.items())
-    return f"| [{name}]({name}/report.html) | {question} | {run.results['accuracy']['runs']:,} | {verdicts} |"
+    return (
+        f"| [{name}]({name}/report.html) | {question} | {run.results['accuracy']['runs']:,} | "
+        f"{verdicts} |"
+    )
 
 
 def main(names: list[str]) -> None:
@@ -46,7 +50,10 @@ def main(names: list[str]) -> None:
     for name in names or REPORTS:
         print(f"{name} …", file=sys.stderr)
         rows[name] = publish(name)
-    text = "# Published pages\n\nOpen `report.html` in a browser. Made again by `python -m reports.publish`.\n\n"
+    text = (
+        "# Published pages\n\nOpen `report.html` in a browser. Made again by `python -m "
+        "reports.publish`.\n\n"
+    )
     text += "| page | question | model runs | verdict |\n|---|---|---|---|\n"
     index.write_text(
         text + "\n".join(rows[name] for name in REPORTS if name in rows) + "\n", "utf-8"

@@ -1,4 +1,6 @@
-"""The model of ``ishigami.toml``: Ishigami and Homma (1990), y = sin x1 + 7 sin² x2 + 0.1 x3⁴ sin x1."""
+"""The model of ``ishigami.toml``: Ishigami and Homma (1990), y = sin x1 + 7 sin² x2 + 0.1 x3⁴ sin
+x1.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ Array = npt.NDArray[np.float64]
 def ishigami(inputs: dict[str, Array]) -> dict[str, Array]:
     """Arrays of shape (n,) in, arrays of shape (n,) out; x1, x2, x3 uniform on (-π, π).
 
-    >>> ishigami({"x1": np.array([np.pi / 2]), "x2": np.array([0.0]), "x3": np.array([1.0])})["y"].tolist()
+    >>> one = {"x1": np.array([np.pi / 2]), "x2": np.array([0.0]), "x3": np.array([1.0])}
+    >>> ishigami(one)["y"].tolist()
     [1.1]
     """
     x1, x2, x3 = inputs["x1"], inputs["x2"], inputs["x3"]

@@ -1,4 +1,6 @@
-"""The scene that many tests begin with: theory section 3, a granite sphere of 20 mm between steel bars of 40 mm."""
+"""The scene that many tests begin with: theory section 3, a granite sphere of 20 mm between steel
+bars of 40 mm.
+"""
 
 from __future__ import annotations
 
@@ -58,9 +60,11 @@ def scaled_scene(
     horizon_in_t_c: float | None = None,
     **structure: Any,
 ) -> Scene:
-    """Scenes of mass numbers mu and pulse numbers theta; infinite bars without round trips (n, 2) over t_c.
+    """Scenes of mass numbers mu and pulse numbers theta; infinite bars without round trips (n, 2)
+    over t_c.
 
-    `ends` are the coefficients (n, 2) of the far ends; `horizon_in_t_c` is the end of the record over t_c.
+    `ends` are the coefficients (n, 2) of the far ends; `horizon_in_t_c` is the end of the record
+    over t_c.
     """
     mu, theta = np.broadcast_arrays(np.atleast_1d(np.asarray(mu, float)), np.asarray(theta, float))
     columns = {

@@ -1,4 +1,6 @@
-"""The layers of the house: a room imports only what stands before it; labs stand beside, and nothing needs them."""
+"""The layers of the house: a room imports only what stands before it; labs stand beside, and
+nothing needs them.
+"""
 
 import ast
 from pathlib import Path
@@ -19,7 +21,8 @@ LAYERS = (
     "cli",
     "__init__ __main__",
 )
-#: a run draws its own page, and an opened run its plots; a study hands rows that were answered elsewhere to a run
+#: a run draws its own page, and an opened run its plots; a study hands rows that were answered
+#: elsewhere to a run
 LATE = {("results", "report"), ("run", "report"), ("study", "results"), ("study", "run")}
 
 

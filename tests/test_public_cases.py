@@ -1,4 +1,6 @@
-"""Public questions and bug reports on what this package does, each with its right value; and their siblings."""
+"""Public questions and bug reports on what this package does, each with its right value; and their
+siblings.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,7 @@ def indices(run: Any, order: str) -> dict[str, Any]:
     return dict(table.iterrows())
 
 
-# --- right values -----------------------------------------------------------------------------------------------------
+# --- right values ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -100,7 +102,9 @@ def test_rows_without_an_answer_are_never_survival(limit: Any, truth: float) -> 
 
 
 def test_a_ball_on_a_flat_by_the_book() -> None:
-    """a_max and p_max of two textbook balls; the shortest study of platens is valid as it stands."""
+    """a_max and p_max of two textbook balls; the shortest study of platens is valid as it
+    stands.
+    """
     face = '[%s]\nE = "%%s"\nnu = 0.3\ndensity = "7850 kg/m3"\n'
     rows = PLATENS % ("1 GPa", "8 mm", "platens") + face % "platens" + 'force = "%s"\n'
     found = uqsphere.evaluate(
@@ -156,7 +160,7 @@ def test_groups_are_refused_by_name_and_copies_share_the_effect() -> None:
         assert [e.value for e in found[order].values()] == pytest.approx(right, abs=2e-3)
 
 
-# --- discrete inputs --------------------------------------------------------------------------------------------------
+# --- discrete inputs ------------------------------------------------------------------------------
 
 
 def test_a_discrete_input_has_its_indices_and_probability() -> None:
@@ -186,7 +190,7 @@ def test_a_discrete_uniform_of_other_packages_is_one() -> None:
         assert study.random["n"].data == (1.0, 2.0, 3.0)
 
 
-# --- each refusal by its own reason -----------------------------------------------------------------------------------
+# --- each refusal by its own reason ---------------------------------------------------------------
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "binomial": (

@@ -1,4 +1,6 @@
-"""Hostile and unlucky surroundings of a run, one table: what happens, exit code, what is said, which files are left."""
+"""Hostile and unlucky surroundings of a run, one table: what happens, exit code, what is said,
+which files are left.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,8 @@ RUN = f"{UQ} run s.toml --model box.py:f"
 #: the results of that, from the one run that all cases share
 DONE = "cp -r $DONE/s-results ."
 
-#: what is done in a folder with the study and its model, exit code, what is said, files of the results
+#: what is done in a folder with the study and its model, exit code, what is said, files of the
+#: results
 CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     # the terminal and the language
     "LC_ALL=C": (f"LC_ALL=C PYTHONUTF8=0 PYTHONCOERCECLOCALE=0 {RUN}", 0, r"Gr\?\?e", WHOLE),
@@ -86,21 +89,24 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
         {"thesis"},
     ),
     "two at once": (
-        f"SLOW=0.02 {RUN} >/dev/null 2>&1 & until test -e s-results/cache.sqlite; do sleep 0.1; done; "
+        f"SLOW=0.02 {RUN} >/dev/null 2>&1 & until test -e s-results/cache.sqlite; do sleep 0.1; "
+        "done; "
         f"{RUN}; code=$?; kill $!; exit $code",
         5,
         "in use by another run",
         None,
     ),
     "killed, and again": (
-        f"SLOW=0.001 {RUN} & for k in $(seq 400); do sleep 0.1; test $(cat s-results/cache* | wc -c) -gt 60000 && "
+        f"SLOW=0.001 {RUN} & for k in $(seq 400); do sleep 0.1; test $(cat s-results/cache* | wc "
+        "-c) -gt 60000 && "
         f"break; done; kill -9 $!; wait; {RUN} --json | grep reused",
         0,
         '"reused": [1-9]',
         WHOLE,
     ),
     "moved and copied": (
-        f"{DONE}; mv s-results m; cp -r m s-results; {UQ} report m && {UQ} verify m --again --model box.py:f && "
+        f"{DONE}; mv s-results m; cp -r m s-results; {UQ} report m && {UQ} verify m --again "
+        "--model box.py:f && "
         f"{UQ} compare m s-results",
         0,
         "(?s)answers are the same.*no answer moved",
@@ -119,7 +125,10 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
         WHOLE,
     ),
     "a link to elsewhere": (
-        f"mkdir t; {DONE}; rm -r s-results/figures; ln -s ../t s-results/figures; {UQ} report s-results",
+        (
+            f"mkdir t; {DONE}; rm -r s-results/figures; ln -s ../t s-results/figures; {UQ} report "
+            "s-results"
+        ),
         5,
         "is a link, which is not followed",
         WHOLE,
@@ -244,7 +253,9 @@ def test_many_and_extreme_numbers(
 
 
 def test_texts_stay_texts_on_the_page(tmp_path: Path) -> None:
-    """Markup, a formula and Hebrew in a title; the page escapes them, and answers.csv has no cell that is a formula."""
+    """Markup, a formula and Hebrew in a title; the page escapes them, and answers.csv has no cell
+    that is a formula.
+    """
     title = "<script>console.log(1)</script><img src=x onerror=alert(2)> =1+1 שלום"
     code, text = shell(tmp_path, RUN, STUDY % (title, NORMAL % "a" + NORMAL % "b"))
     assert code == 0, text
@@ -262,7 +273,7 @@ def test_texts_stay_texts_on_the_page(tmp_path: Path) -> None:
         assert not [cell for cell in cells if re.match(r"[=@+]|-[^\d.]", cell)]
 
 
-# --- compiled code ----------------------------------------------------------------------------------------------------
+# --- compiled code --------------------------------------------------------------------------------
 
 
 def double(x: float) -> float:

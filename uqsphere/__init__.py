@@ -1,4 +1,5 @@
-"""Fracture risk and uncertainty of brittle spheres under impact: contact pressure, contact duration, strength.
+"""Fracture risk and uncertainty of brittle spheres under impact: contact pressure, contact
+duration, strength.
 
 >>> import uqsphere
 >>> study = uqsphere.load_study("studies/granite.toml")

@@ -1,13 +1,17 @@
-"""Analyses of plain arrays and tables: what the runs of this package do, for rows and models of one's own.
+"""Analyses of plain arrays and tables: what the runs of this package do, for rows and models of
+one's own.
 
-* of rows that are there: `f(x, y, inputs)` with x (n, d) or a table by the inputs' names, y (n,), and their laws;
-* of a model that is called: `f(model, inputs)`, the model taking a dict of name -> (n,) and giving (n,);
+* of rows that are there: `f(x, y, inputs)` with x (n, d) or a table by the inputs' names, y (n,),
+    and their laws;
+* of a model that is called: `f(model, inputs)`, the model taking a dict of name -> (n,) and giving
+    (n,);
 * of strengths from tests: `f(values, stopped)`.
 
-`inputs` maps names to laws: of this package, their tables as in a study (`{"dist": "normal", "mean": 0, "sd": 1}`),
-distributions of scipy.stats or chaospy, observations, or a problem dict of SALib; `joint` ties them.  Every number is
-an `Estimate` with its 95 % interval; results have `to_frame()`; units are those of what is given.  All raise UsageError
-for arrays that do not go together, values that are not finite, and laws that cannot be made.
+`inputs` maps names to laws: of this package, their tables as in a study (`{"dist": "normal",
+"mean": 0, "sd": 1}`), distributions of scipy.stats or chaospy, observations, or a problem dict of
+SALib; `joint` ties them.  Every number is an `Estimate` with its 95 % interval; results have
+`to_frame()`; units are those of what is given.  All raise UsageError for arrays that do not go
+together, values that are not finite, and laws that cannot be made.
 
 >>> import numpy as np
 >>> from scipy import stats
@@ -70,7 +74,9 @@ Model: TypeAlias = Callable[[dict[str, Array]], Any]
 
 @contextlib.contextmanager
 def _refusing() -> Iterator[None]:
-    """What laws and arrays refuse is a fault of the caller; one thread of linear algebra, as in a run."""
+    """What laws and arrays refuse is a fault of the caller; one thread of linear algebra, as in a
+    run.
+    """
     from threadpoolctl import threadpool_limits
 
     try:
@@ -87,7 +93,9 @@ class Answers(dict[Any, Any]):
         return self.to_frame()[["order", "name", "value", "low", "high"]].to_string(index=False)
 
     def to_frame(self) -> DataFrame:
-        """One row for each estimate: order and name, value, low, high, std_error, evaluations, method, reason."""
+        """One row for each estimate: order and name, value, low, high, std_error, evaluations,
+        method, reason.
+        """
         from pandas import DataFrame
 
         flat = [
@@ -114,7 +122,8 @@ def joint(
 
     `copula` is "gaussian" or "student_t" with `dof` degrees of freedom.
 
-    >>> joint({"a": {"dist": "normal", "mean": 0, "sd": 1}, "b": {"dist": "normal", "mean": 0, "sd": 1}},
+    >>> normal = {"dist": "normal", "mean": 0, "sd": 1}
+    >>> joint({"a": normal, "b": normal},
     ...       {("a", "b"): 0.6}).dependent
     True
     """
@@ -144,18 +153,20 @@ def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
     return each_once(rows, values)
 
 
-# --- rows that are there ----------------------------------------------------------------------------------------
+# --- rows that are there --------------------------------------------------------------------------
 
 
 def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0) -> Expansion:
-    """A sparse polynomial chaos expansion of y (n,) at rows x (n, d), with intervals, indices and chaospy's objects.
+    """A sparse polynomial chaos expansion of y (n,) at rows x (n, d), with intervals, indices and
+    chaospy's objects.
 
-    Sets of terms and the logarithm of y compete by their error on rows left out; eight fits, each without an eighth of
-    the rows, say what it is off by: `response.error`, `response.reason`.
+    Sets of terms and the logarithm of y compete by their error on rows left out; eight fits, each
+    without an eighth of the rows, say what it is off by: `response.error`, `response.reason`.
 
     Parameters
     ----------
-    x, y : rows drawn from the laws of the inputs, by their names or in their order, and answers, n >= 16
+    x, y : rows drawn from the laws of the inputs, by their names or in their order, and answers, n
+        >= 16
     inputs : mapping of name to law, or a `Joint`
     plain : expand y itself, never its logarithm
     seed : of the order in which rows are dealt into folds
@@ -167,28 +178,33 @@ def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0)
 
 
 def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
-    """Sobol' indices {"first": {input: Estimate}, "total": ...}; of tied inputs Kucherenko's, and {"shapley": ...}.
+    """Sobol' indices {"first": {input: Estimate}, "total": ...}; of tied inputs Kucherenko's, and
+    {"shapley": ...}.
 
-    By an expansion whose residuals correct them.  What n rows cannot show, an event rarer than 3/n, is in no interval:
-    the method of every estimate says so.  Raises UsageError where the expansion leaves more than 5 % of the variance.
+    By an expansion whose residuals correct them.  What n rows cannot show, an event rarer than 3/n,
+    is in no interval: the method of every estimate says so.  Raises UsageError where the expansion
+    leaves more than 5 % of the variance.
     """
     found = chaos(x, y, inputs, seed=seed)
     assert found.response is not None
     if not found.response.usable:
         raise UsageError(
-            f"no indices from these rows: {found.response.reason}; give more rows, or call the model"
+            f"no indices from these rows: {found.response.reason}; give more rows, or call the "
+            "model"
         )
     with _refusing():
         return Answers(found.indices())
 
 
-# --- a model that is called -------------------------------------------------------------------------------------
+# --- a model that is called -----------------------------------------------------------------------
 
 
 def _called(model: Model, columns: dict[str, Array]) -> Array:
-    """The model's answers (n,); rows at which it raises when it is called with all, and by themselves, are nan.
+    """The model's answers (n,); rows at which it raises when it is called with all, and by
+    themselves, are nan.
 
-    Raises UsageError for what is no model, answers in another form, or raises at each of several rows.
+    Raises UsageError for what is no model, answers in another form, or raises at each of several
+        rows.
     """
     n = len(next(iter(columns.values())))
     if not callable(model):
@@ -230,8 +246,9 @@ def _shown(e: Estimate) -> str:
 class Failure:
     """The probability that the limit function is negative.
 
-    `sure`: whether independent searches agree, so that the interval may be believed; `warning` says why not.
-    `design_point`: the most probable failure, by input in its own unit; empty where none was found.
+    `sure`: whether independent searches agree, so that the interval may be believed; `warning` says
+    why not. `design_point`: the most probable failure, by input in its own unit; empty where none
+    was found.
     """
 
     probability: Estimate
@@ -241,10 +258,15 @@ class Failure:
 
     def __repr__(self) -> str:
         p = self.probability
-        return f"<Failure: {_shown(p)}, {'sure' if self.sure else 'not sure'}, {p.evaluations:,} model runs>"
+        return (
+            f"<Failure: {_shown(p)}, {'sure' if self.sure else 'not sure'}, {p.evaluations:,} "
+            "model runs>"
+        )
 
     def to_frame(self) -> DataFrame:
-        """One row: the probability, whether it is sure, the warning, and the design point by input."""
+        """One row: the probability, whether it is sure, the warning, and the design point by
+        input.
+        """
         frame = Answers(failure_probability=self.probability).to_frame()
         point = {f"design_point.{name}": value for name, value in self.design_point.items()}
         return frame.assign(sure=self.sure, warning=self.warning, **point)
@@ -261,16 +283,17 @@ def failure_probability(
 ) -> Failure:
     """Probability of limit(rows) < 0 for inputs of these laws, dependent or not.
 
-    Design points, subset simulation and importance sampling that certify each other; with fewer than 5,000 evaluations
-    all of them are a plain sample, whose rule of three bounds what no search has seen, and nothing is sure.  The model
-    is not called beyond 9 standard deviations.
+    Design points, subset simulation and importance sampling that certify each other; with fewer
+    than 5,000 evaluations all of them are a plain sample, whose rule of three bounds what no search
+    has seen, and nothing is sure.  The model is not called beyond 9 standard deviations.
 
     Parameters
     ----------
     limit : dict of name -> (n,) in, (n,) out
     evaluations : the most that may be spent
     accuracy : half-width of the 95 % interval over the probability at which it ends
-    on_failure : rows that are nan, or raise, count into the ends ("bound") or raise UsageError ("refuse")
+    on_failure : rows that are nan, or raise, count into the ends ("bound") or raise UsageError
+        ("refuse")
     """
     if not (accuracy > 0.0 and evaluations >= 1):
         raise UsageError(
@@ -305,7 +328,9 @@ def failure_probability(
 
 @dataclass(frozen=True, kw_only=True)
 class Fragility:
-    """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are levels by probability."""
+    """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are levels by
+    probability.
+    """
 
     curve: Array
     values: Mapping[float, Estimate]
@@ -336,7 +361,8 @@ def fragility(
 ) -> Fragility:
     """Probability that the model's answer exceeds a strength, over levels of one more input.
 
-    The strength is integrated exactly, and the same points serve every level, so that the curve is smooth.
+    The strength is integrated exactly, and the same points serve every level, so that the curve is
+    smooth.
 
     Parameters
     ----------
@@ -378,17 +404,18 @@ def fragility(
     return Fragility(curve=np.array(found.curve), values=found.values)
 
 
-# --- strengths from tests ----------------------------------------------------------------------------------------
+# --- strengths from tests -------------------------------------------------------------------------
 
 
 def weibull_fit(
     values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
 ) -> StrengthFit:
-    """The two-parameter Weibull law of strengths (n,), some of whose tests were stopped before failure (n,).
+    """The two-parameter Weibull law of strengths (n,), some of whose tests were stopped before
+    failure (n,).
 
-    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any n (D. R. Thoman,
-    L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus, `scale` in the values' unit.  `counts`
-    (n,): how many equal tests each value stands for.
+    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any
+    n (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus,
+    `scale` in the values' unit.  `counts` (n,): how many equal tests each value stands for.
     """
     return _fitted(values, stopped, counts, "weibull")
 
@@ -396,7 +423,9 @@ def weibull_fit(
 def lognormal_fit(
     values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
 ) -> StrengthFit:
-    """The lognormal law of strengths (n,), as `weibull_fit`: `shape` is the sd of the logarithm, `scale` the median."""
+    """The lognormal law of strengths (n,), as `weibull_fit`: `shape` is the sd of the logarithm,
+    `scale` the median.
+    """
     return _fitted(values, stopped, counts, "lognormal")
 
 

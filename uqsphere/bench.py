@@ -1,4 +1,6 @@
-"""Speed against error: the integrator next to a general one, and to a textbook's steps for all rows at once."""
+"""Speed against error: the integrator next to a general one, and to a textbook's steps for all rows
+at once.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +36,15 @@ _NUMBERS: Final = {
 }
 #: tolerance of the reference
 _REFERENCE: Final = 1e-12
-#: time over t_c after the pulse in which the last peak falls: what is left of the sphere's swing is smaller
+#: time over t_c after the pulse in which the last peak falls: what is left of the sphere's swing is
+#: smaller
 _AFTER: Final = 0.6
 
 
 def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: int = 0) -> Scene:
-    """Infinite bars, rectangular pulse; lognormal E, radius and speed (10, 2, 10 %) about mu and theta."""
+    """Infinite bars, rectangular pulse; lognormal E, radius and speed (10, 2, 10 %) about mu and
+    theta.
+    """
     rng = np.random.default_rng(seed)
     columns = {name: np.full(count, number) for name, number in _NUMBERS.items()}
     for name, scatter in (("sphere.E", 0.1), ("sphere.radius", 0.02), ("striker.speed", 0.1)):
@@ -52,10 +57,10 @@ def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: i
     return Scene(columns=columns, infinite=True)
 
 
-# --- contenders: each gives the largest pressure (n,) [Pa] of a scene by `scattered_scene` ----------------------------
+# --- contenders: each gives the largest pressure (n,) [Pa] of a scene by `scattered_scene` --------
 #
-# Scaled by P_c, alpha_c, t_c and V_c (docs/theory.md): x_1' = 2 f - q_1 - u, x_2' = u - q_2, mu u' = q_1 - q_2 with
-# q = max(x, 0)^(3/2), and f = 1 while the pulse lasts.
+# Scaled by P_c, alpha_c, t_c and V_c (docs/theory.md): x_1' = 2 f - q_1 - u, x_2' = u - q_2, mu u'
+# = q_1 - q_2 with q = max(x, 0)^(3/2), and f = 1 while the pulse lasts.
 
 
 def _by_kernel(scene: Scene, tolerance: float) -> Array:
@@ -69,7 +74,9 @@ def _pressure(scene: Scene, largest: Array) -> Array:
 
 
 def _by_scipy(scene: Scene, tolerance: float) -> Array:
-    """DOP853 as a good user would: a piece before and one after the end of the pulse, peaks by events."""
+    """DOP853 as a good user would: a piece before and one after the end of the pulse, peaks by
+    events.
+    """
     from scipy.integrate import solve_ivp
 
     solve: Any = solve_ivp
@@ -104,7 +111,9 @@ def _by_scipy(scene: Scene, tolerance: float) -> Array:
 
 
 def _by_numpy(scene: Scene, step: float) -> Array:
-    """Runge and Kutta's method of fourth order in steps of at most `step`; peaks by parabolas through three points."""
+    """Runge and Kutta's method of fourth order in steps of at most `step`; peaks by parabolas
+    through three points.
+    """
     mu, theta = scene.scales.mass_number, scene.scales.pulse_number
 
     def slope(f: float, y: Array) -> Array:
@@ -130,7 +139,8 @@ def _by_numpy(scene: Scene, step: float) -> Array:
     return _pressure(scene, peak)
 
 
-#: who is compared: what computes, what sets the accuracy, its values, and the share of the rows that are taken
+#: who is compared: what computes, what sets the accuracy, its values, and the share of the rows
+#: that are taken
 _CONTENDERS: Final[
     dict[str, tuple[Callable[[Scene, float], Array], str, tuple[float, ...], float]]
 ] = {
@@ -141,12 +151,14 @@ _CONTENDERS: Final[
 
 
 def bench(*, rows: int = 1024) -> pd.DataFrame:
-    """Processor time of one thread against error in p_max, between infinite bars, for every contender.
+    """Processor time of one thread against error in p_max, between infinite bars, for every
+    contender.
 
     rows : of the scene; scipy takes a hundredth, at least two.
 
-    Returns a DataFrame with a row for each contender and setting: contender, setting, microseconds_per_row [us],
-    median_error, largest_error (relative, against the integrator at 1e-12), rows.
+    Returns a DataFrame with a row for each contender and setting: contender, setting,
+    microseconds_per_row [us], median_error, largest_error (relative, against the integrator at
+    1e-12), rows.
     """
     import pandas as pd
 

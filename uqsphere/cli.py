@@ -1,4 +1,6 @@
-"""The command line: one function a command.  stdout has the answer only, progress and notes go to stderr."""
+"""The command line: one function a command.  stdout has the answer only, progress and notes go to
+stderr.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,8 @@ def _guarded(command: Callable[[], int]) -> int:
         if os.environ.get("UQSPHERE_DEBUG"):
             raise
         print(
-            f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; UQSPHERE_DEBUG=1 shows "
+            f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; "
+            "UQSPHERE_DEBUG=1 shows "
             "where it happened.",
             file=sys.stderr,
         )
@@ -204,7 +207,7 @@ def _loaded(given: argparse.Namespace) -> Any:
     return study
 
 
-# --- commands -------------------------------------------------------------------------------------------------------
+# --- commands -------------------------------------------------------------------------------------
 
 
 def _new(given: argparse.Namespace) -> None:

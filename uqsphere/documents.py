@@ -1,4 +1,6 @@
-"""Input files: TOML that pydantic validates, every fault with its line, what was found, and the way out."""
+"""Input files: TOML that pydantic validates, every fault with its line, what was found, and the way
+out.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,7 @@ def within(*at: str | int) -> Iterator[None]:
         raise Fault(str(error), *at, *error.at) from None
 
 
-# --- words -----------------------------------------------------------------------------------------------------------
+# --- words ----------------------------------------------------------------------------------------
 
 
 def path_of(place: Place) -> str:
@@ -104,7 +106,7 @@ def unknown(what: str, word: object, known: Iterable[str]) -> str:
     return f"unknown {what} {shown(word)}, known: {one_of(names[:40])}{suggestion(word, names)}"
 
 
-# --- text, syntax, lines ---------------------------------------------------------------------------------------------
+# --- text, syntax, lines --------------------------------------------------------------------------
 
 #: what a message of tomllib with the faulty line may have, and the way out
 _HINTS: Final = {
@@ -113,7 +115,9 @@ _HINTS: Final = {
     "\x00": "found a NUL byte, and a study is a text file",
     "[“”„‘’]": 'quotes are straight: "…"',
     r"=\s*([+-]?\d+),(\d+)\s*(?=[,}#]|$)": r"a decimal point is required: \1.\2",
-    r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)": r'a value with a unit stands in quotes: "\1"',
+    r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)": (
+        r'a value with a unit stands in quotes: "\1"'
+    ),
     r"=\s*([Tt]rue|[Ff]alse|TRUE|FALSE)\s*(?:#.*)?$": "write true or false",
     r"=\s*([A-Za-z_][\w.-]*)\s*(?:#.*)?$": r'a word stands in quotes: "\1"',
     r"\\": "a backslash stands in single quotes: 'a\\\\b', or write / in its place",
@@ -163,7 +167,8 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
 
 
 def lines_of(text: str) -> dict[Place, int]:
-    """Line of every table header and every key; a key of an inline table stands in the line of its table.
+    """Line of every table header and every key; a key of an inline table stands in the line of its
+    table.
 
     >>> lines_of('[sphere]\\nE = { sd = 1 }\\n[[dependence]]\\nof = []')[("dependence", 0, "of")]
     4
@@ -197,7 +202,9 @@ def _parts(text: str) -> tuple[str, ...]:
 def refusal(
     path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()
 ) -> StudyError:
-    """The error of an input file: every fault with the line of its place, or of the nearest table above it."""
+    """The error of an input file: every fault with the line of its place, or of the nearest table
+    above it.
+    """
     lines, problems = lines_of(text), set()
     for fault in faults:
         line = next(
@@ -208,11 +215,13 @@ def refusal(
     return StudyError(str(path), list(problems))
 
 
-# --- values set from outside a file, and tables as its text -----------------------------------------------------------
+# --- values set from outside a file, and tables as its text ---------------------------------------
 
 
 def set_value(data: dict[str, Any], text: str) -> Place:
-    """Put ``PATH=VALUE``, a TOML value or a text, into tables, or take out what is ``null``; returns the place."""
+    """Put ``PATH=VALUE``, a TOML value or a text, into tables, or take out what is ``null``;
+    returns the place.
+    """
     path, sign, value = (part.strip() for part in text.partition("="))
     parts, place = _parts(path), list[str | int]()
     if not sign or not parts:
@@ -243,7 +252,8 @@ def set_value(data: dict[str, Any], text: str) -> Place:
 
 
 def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) -> str:
-    """The text of a file that holds some tables; `default` makes what TOML has of any other value, or raises.
+    """The text of a file that holds some tables; `default` makes what TOML has of any other value,
+    or raises.
 
     UsageError with the place of a value for which that raises a ValueError.
 
@@ -275,7 +285,7 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
         raise UsageError(f"tables that no file can hold: {error}") from None
 
 
-# --- what pydantic finds, in these words -----------------------------------------------------------------------------
+# --- what pydantic finds, in these words ----------------------------------------------------------
 
 _MEMBER: Final = re.compile(
     r"\[key\]|(literal|tuple|list|dict|nullable|function-[a-z]+|constrained-[a-z]+)\[.*\]"
@@ -287,12 +297,16 @@ _WORDS: Final = {
     "a valid boolean": "true or false",
     "a valid string": "a text in quotes",
     " after validation.*": "",
-    "it must match pattern.*": "a name takes up to 64 letters, digits, _ and -, and begins with a letter",
+    "it must match pattern.*": (
+        "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
+    ),
 }
 
 
 def load_document(path: Path, kind: type[Kind]) -> Kind:
-    """An input file as its document; StudyError with every fault, AccessError where it cannot be read."""
+    """An input file as its document; StudyError with every fault, AccessError where it cannot be
+    read.
+    """
     text = read_text(path)
     data = parse_text(text, path)
     try:
@@ -313,7 +327,8 @@ def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
     """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
     found: dict[Place, Fault] = {}
     for fault in error.errors(include_url=False):
-        # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys, "[key]"
+        # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys,
+        # "[key]"
         place = tuple(part for part in fault["loc"] if not _MEMBER.fullmatch(str(part)))
         if not any(other[: len(place)] == place for other in found):
             at = getattr(fault.get("ctx", {}).get("error"), "at", ())

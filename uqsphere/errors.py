@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 
 def as_text(value: object, longest: int = 300) -> str:
-    """What something from outside says of itself, as one line that can be printed: never raises, and is not long.
+    """What something from outside says of itself, as one line that can be printed: never raises,
+    and is not long.
 
     >>> as_text("a\\x1b[2J  b"), as_text("x" * 1000, 5)
     ('a?[2J b', 'xxxx…')

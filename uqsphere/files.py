@@ -21,10 +21,11 @@ class TooLarge(UsageError):
 
 @contextlib.contextmanager
 def open_given(path: Path, largest: int) -> Iterator[BinaryIO]:
-    """A file that the user named, open for reading: plain, or a link to a plain one, of at most `largest` bytes.
+    """A file that the user named, open for reading: plain, or a link to a plain one, of at most
+    `largest` bytes.
 
-    Raises AccessError for a pipe or a device, and where the system refuses or there is no such file; UsageError for a
-    folder, and a file that is larger.
+    Raises AccessError for a pipe or a device, and where the system refuses or there is no such
+    file; UsageError for a folder, and a file that is larger.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -44,7 +45,8 @@ def open_given(path: Path, largest: int) -> Iterator[BinaryIO]:
         size = os.fstat(stream.fileno()).st_size
         if size > largest:
             raise TooLarge(
-                f"{path}: it has {size / 2**20:,.0f} MiB, and {largest / 2**20:,.0f} MiB are read at most"
+                f"{path}: it has {size / 2**20:,.0f} MiB, and {largest / 2**20:,.0f} MiB are "
+                "read at most"
             )
         yield stream
 

@@ -1,4 +1,6 @@
-"""The material library: typical values with their scatter and their source, read from ``materials.toml``."""
+"""The material library: typical values with their scatter and their source, read from
+``materials.toml``.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,9 @@ PROPERTIES: Final[dict[str, str]] = {
     "fracture_toughness": "toughness",
     "fracture_energy": "specific_energy",
 }
-#: property -> what its value hangs on: key -> dimension.  A tensile strength is that of a volume under tension, and
-#: the median fracture energy of particles of diameter d is value (1 + (size/d)^exponent) (Tavares and King 1998)
+#: property -> what its value hangs on: key -> dimension.  A tensile strength is that of a volume
+#: under tension, and the median fracture energy of particles of diameter d is value (1 +
+#: (size/d)^exponent) (Tavares and King 1998)
 FURTHER: Final[dict[str, dict[str, str]]] = {
     "tensile_strength": {"volume": "volume"},
     "fracture_energy": {"size": "length", "exponent": "number"},
@@ -40,10 +43,10 @@ FURTHER: Final[dict[str, dict[str, str]]] = {
 class Property:
     """One value of a material.
 
-    `value` is in SI (fracture toughness: Pa m^0.5), `text` as the library writes it, `cov` the coefficient of variation
-    between specimens, `seen` whether the value was read in the document that `source` names.  `range` are the two ends
-    between which the value of a rock of that name lies with 95 %, None where that is not given; `further` what
-    `FURTHER` names.
+    `value` is in SI (fracture toughness: Pa m^0.5), `text` as the library writes it, `cov` the
+    coefficient of variation between specimens, `seen` whether the value was read in the document
+    that `source` names.  `range` are the two ends between which the value of a rock of that name
+    lies with 95 %, None where that is not given; `further` what `FURTHER` names.
     """
 
     value: float
@@ -58,7 +61,9 @@ class Property:
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A material of the library, for a sphere, for bars or for plates; `rock`: it has several ways to break."""
+    """A material of the library, for a sphere, for bars or for plates; `rock`: it has several ways
+    to break.
+    """
 
     name: str
     title: str
@@ -84,7 +89,9 @@ def library() -> dict[str, dict[str, Material]]:
 
 
 def _material(name: str, table: Mapping[str, Json]) -> Material:
-    """One table of the library, which the tests hold to be complete: anything strange in it raises."""
+    """One table of the library, which the tests hold to be complete: anything strange in it
+    raises.
+    """
     properties = {}
     for key, entry in table.items():
         if key in ("title", "rock"):

@@ -1,8 +1,9 @@
 """The nomenclature: every number by its name, and how its values are written for people.
 
-Numbers of a scene are declared in `uqsphere.mechanics.scene`, quantities of interest in `uqsphere.mechanics.outputs`,
-demands of criteria in `uqsphere.mechanics.criteria`.  Result tables, axis labels and the documentation all read them
-here, so that a quantity has one name and one unit everywhere.
+Numbers of a scene are declared in `uqsphere.mechanics.scene`, quantities of interest in
+`uqsphere.mechanics.outputs`, demands of criteria in `uqsphere.mechanics.criteria`.  Result tables,
+axis labels and the documentation all read them here, so that a quantity has one name and one unit
+everywhere.
 """
 
 from __future__ import annotations
@@ -34,12 +35,15 @@ SMALLER = {"m": "mm", "kN": "N"}
 
 
 def lookup(name: str) -> Quantity:
-    """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
+    """The nomenclature entry of an input or an output; a black-box name gets a plain entry without
+    unit.
+    """
     found = INPUTS.get(name) or OUTPUTS.get(name)
     if found is None and (
         entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)
     ):
-        # the demand of a criterion goes by the names of criterion and limit, and what is carried of a quantity too
+        # the demand of a criterion goes by the names of criterion and limit, and what is carried of
+        # a quantity too
         return replace(entry, name=name)
     return found or plain_quantity(name)
 
@@ -68,8 +72,8 @@ def format_bounds(quantity: Quantity) -> str:
 
 
 def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
-    """The unit people read for a quantity, and the factor that turns an SI value into it; a `magnitude` (SI) below one
-    such unit chooses a smaller one.
+    """The unit people read for a quantity, and the factor that turns an SI value into it; a
+    `magnitude` (SI) below one such unit chooses a smaller one.
 
     >>> display_unit("striker.length"), display_unit("striker.length", 0.03)
     (('m', 1.0), ('mm', 1000.0))
@@ -82,8 +86,8 @@ def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
 
 
 def format_value(value: float, name: str, digits: int = 4) -> str:
-    """`value` (SI) of the named quantity for people, in its display unit, to `digits` significant digits; no power of
-    ten where the digits before the point say it.
+    """`value` (SI) of the named quantity for people, in its display unit, to `digits` significant
+    digits; no power of ten where the digits before the point say it.
 
     >>> format_value(2.5541e9, "p_max"), format_value(0.001091, "contact_duration", 3)
     ('2.554 GPa', '1091 us')
@@ -110,8 +114,8 @@ def format_conservative(value: float, name: str, *, least: bool, digits: int = 2
 
 
 def format_probability(value: float | None, high: float | None = None) -> str:
-    """A probability for people: percent to two digits, more near 100 %, a power of ten below 0.01 %, "above" 99.99 %;
-    never rounded to 0 or 100 %.
+    """A probability for people: percent to two digits, more near 100 %, a power of ten below 0.01
+    %, "above" 99.99 %; never rounded to 0 or 100 %.
 
     Without a value its upper bound, if there is one.
 
@@ -133,8 +137,9 @@ def format_probability(value: float | None, high: float | None = None) -> str:
 def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:
     """``value (low to high) unit``, every number rounded to what the interval supports.
 
-    The half-width keeps two significant digits, the value the same decimal and at most `most` digits; where that would
-    round the value away, an interval that is far longer to one side has the digits of its shorter one.
+    The half-width keeps two significant digits, the value the same decimal and at most `most`
+    digits; where that would round the value away, an interval that is far longer to one side has
+    the digits of its shorter one.
 
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
@@ -159,7 +164,9 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
 
 
 def _decimals(value: float, low: float, high: float) -> int:
-    """Decimals of the second significant digit of a half-width, or six digits of the value where there is none."""
+    """Decimals of the second significant digit of a half-width, or six digits of the value where
+    there is none.
+    """
     half_width = 0.5 * abs(high - low)
     if not (half_width > 0.0 and math.isfinite(half_width)):
         return 5 - (math.floor(math.log10(abs(value))) if value else 0)

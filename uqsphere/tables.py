@@ -1,7 +1,9 @@
-"""The one reader of tables: CSV with comma, semicolon or tab, and .xlsx, as they come from instruments and Excel.
+"""The one reader of tables: CSV with comma, semicolon or tab, and .xlsx, as they come from
+instruments and Excel.
 
-Decimal point or comma; UTF-8 with or without mark, UTF-16, else Windows' cp1252 with a note.  Units stand in a heading
-(``force [kN]``, ``force_kN``, ``force in kN``), in a row below it, or are given.  All faults of a kind are one message.
+Decimal point or comma; UTF-8 with or without mark, UTF-16, else Windows' cp1252 with a note.  Units
+stand in a heading (``force [kN]``, ``force_kN``, ``force in kN``), in a row below it, or are given.
+All faults of a kind are one message.
 """
 
 from __future__ import annotations
@@ -65,7 +67,8 @@ _MARKED: Final = re.compile(
 )
 _PERHAPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 _SUMMARY: Final = re.compile(
-    r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard deviation|cov|cv|mittelwert|mittel|mw|standardabweichung|"
+    r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard "
+    r"deviation|cov|cv|mittelwert|mittel|mw|standardabweichung|"
     r"stabw|varianz|variance|anzahl)\b.*|(min|max|minimum|maximum|sum|summe|total)\W*",
     re.IGNORECASE,
 )
@@ -95,7 +98,9 @@ _ALL_UNITS: Final = {"", "-", *_SPELLED} | {
 
 
 class TableError(UsageError):
-    """A table cannot be used: every fault, one a line; `key` is what the caller named the first bad column by."""
+    """A table cannot be used: every fault, one a line; `key` is what the caller named the first bad
+    column by.
+    """
 
     def __init__(self, message: str, key: str = "") -> None:
         super().__init__(message)
@@ -136,7 +141,9 @@ def _decimal_mark(texts: Iterable[str]) -> str:
 
 @dataclass(kw_only=True)
 class Table:
-    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to be told of them."""
+    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to
+    be told of them.
+    """
 
     name: str
     headings: list[str]
@@ -164,7 +171,9 @@ class Table:
         }
 
     def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
-        """Where a column stands, by its heading with or without its unit, or its number from 1 on; TableError else."""
+        """Where a column stands, by its heading with or without its unit, or its number from 1 on;
+        TableError else.
+        """
         column = str(column)
         bare = [
             next((name for d in (dimension, *UNITS) if (name := unit_in_heading(h, d)[0]) != h), h)
@@ -180,7 +189,8 @@ class Table:
         hint = f"; did you mean {near[0]!r}?" if near and not twice else ""
         known = ", ".join(repr(h[:24]) for h in self.headings[:12])
         raise TableError(
-            f"the column {column!r} is {'twice or more' if twice else 'not'} in {self.name!r}, which has "
+            f"the column {column!r} is {'twice or more' if twice else 'not'} in {self.name!r}, "
+            "which has "
             f"{known}{hint}",
             key,
         )
@@ -205,7 +215,8 @@ class Table:
     ) -> Array:
         """A column in SI, (n,); nan where a cell is empty and may be, or faulty, which is noted.
 
-        unit : of the column; None: that of its heading.  TableError at `key` without any, or with a contradiction.
+        unit : of the column; None: that of its heading.  TableError at `key` without any, or with a
+            contradiction.
         """
         at = self.place(column, dimension, key)
         if dimension == "number":
@@ -228,7 +239,9 @@ class Table:
         return units[unit or own or ""] * self._parsed(at, column, key, blank)
 
     def _parsed(self, at: int, column: str, key: str, blank: bool) -> Array:
-        """Numbers of a column without its unit: which mark is the decimal one, and what is no number."""
+        """Numbers of a column without its unit: which mark is the decimal one, and what is no
+        number.
+        """
         texts = [row[at] for row in self.rows]
         bad, certain = np.logical_or.reduce([*self._no_data.values()]), _decimal_mark(texts)
 
@@ -264,7 +277,10 @@ class Table:
         empty = _each(lambda text: text.lower() in NOTHING if blank else not text, texts)
         if (strange := ~(number | empty | bad)).any():
             refuse(
-                f"found {as_text(texts[int(np.argmax(strange))], 60)!r}, where a number is required",
+                (
+                    f"found {as_text(texts[int(np.argmax(strange))], 60)!r}, where a number is "
+                    "required"
+                ),
                 strange,
             )
         if not blank:
@@ -277,7 +293,9 @@ class Table:
         return found
 
     def refuse(self, key: str, said: str, wrong: Flags) -> None:
-        """Note that rows are wrong, (n,), which say what the others do not; each line is told of once for one fault."""
+        """Note that rows are wrong, (n,), which say what the others do not; each line is told of
+        once for one fault.
+        """
         if wrong.any():
             lines = [*self.faults.get((key, said), []), *np.array(self.lines)[wrong].tolist()]
             self.faults[key, said] = list(dict.fromkeys(lines))
@@ -290,7 +308,10 @@ class Table:
         strange = _each(lambda text: text not in words, texts) & ~np.logical_or.reduce(
             [*self._no_data.values()]
         )
-        said = f"{column}: found {as_text(texts[int(np.argmax(strange))], 60)!r}, where {meant} is required"
+        said = (
+            f"{column}: found {as_text(texts[int(np.argmax(strange))], 60)!r}, where {meant} is "
+            "required"
+        )
         self.refuse(key, said, strange)
         return _each(lambda text: words.get(text, False), texts)
 
@@ -305,12 +326,15 @@ class Table:
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:
-        """Check, and note rows that seem to be no further data: repeated ones, and sums of the others."""
+        """Check, and note rows that seem to be no further data: repeated ones, and sums of the
+        others.
+        """
         self.check()
         first: dict[tuple[str, ...], int] = {}
         back = [k - first.setdefault(tuple(row), k) for k, row in enumerate(self.rows)]
         again = [k for k, shift in enumerate(back) if shift]
-        # a block that was pasted twice repeats rows in their order; tests stopped at one load are one row many times
+        # a block that was pasted twice repeats rows in their order; tests stopped at one load are
+        # one row many times
         pasted = 2 * sum(back[k] == back[k - 1] for k in again) > len(again) > 1
         if pasted or (
             0 < len(again) <= _MOST_LINES and (len(again) > 1 or len(set(self.rows[again[0]])) > 2)
@@ -368,7 +392,8 @@ def read_table(path: Path, *, decimal: str = "") -> Table:
 
 
 def read_lines(path: Path, largest: int = LARGEST) -> tuple[dict[int, str], list[str]]:
-    """Lines of a CSV or .xlsx file by their numbers, empty ones left out, and notes; cells of a sheet end with tabs.
+    """Lines of a CSV or .xlsx file by their numbers, empty ones left out, and notes; cells of a
+    sheet end with tabs.
 
     Raises TableError for what is no text or sheet, AccessError as `uqsphere.files.read_given`.
     """
@@ -399,8 +424,8 @@ def is_comment(line: str) -> bool:
 def cells_of(
     lines: Mapping[int, str], divider: str, name: str, strict: bool = True
 ) -> dict[int, list[str]]:
-    """Cells of lines by their numbers, divided by a character, or by blanks; `strict`: quotes must close, or TableError
-    is raised."""
+    """Cells of lines by their numbers, divided by a character, or by blanks; `strict`: quotes must
+    close, or TableError is raised."""
 
     def divided(line: str) -> list[str]:
         if divider == " ":
@@ -422,7 +447,9 @@ def cells_of(
 def table_of(
     name: str, rows: Mapping[int, list[str]], notes: list[str], decimal: str = ""
 ) -> Table:
-    """The table of rows by the numbers of their lines: headings, their units where they are a row, and data."""
+    """The table of rows by the numbers of their lines: headings, their units where they are a row,
+    and data.
+    """
     if not rows:
         raise TableError(f"{name!r} is empty")
     (_, headings), *numbered = rows.items()
@@ -459,7 +486,9 @@ def are_units(row: list[str]) -> bool:
 
 
 def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, str]:
-    """Rows of the first sheet of a workbook that has any, by their numbers, a tab behind each cell."""
+    """Rows of the first sheet of a workbook that has any, by their numbers, a tab behind each
+    cell.
+    """
     from zipfile import ZipFile
 
     from openpyxl import load_workbook
@@ -493,7 +522,9 @@ def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, str]:
 
 
 def _cell_text(cell: object) -> str:
-    """A cell as it is shown, on one line and in quotes where it has some: Excel may keep 7.4199999999999999 of 7.42."""
+    """A cell as it is shown, on one line and in quotes where it has some: Excel may keep
+    7.4199999999999999 of 7.42.
+    """
     if isinstance(cell, float):
         return str(int(cell)) if cell.is_integer() else f"{cell:.12g}"
     text = "" if cell is None else " ".join(str(cell).split())

@@ -118,21 +118,25 @@ _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number by its name: an entry of the nomenclature, with all that is known of a quantity of interest.
+    """One number by its name: an entry of the nomenclature, with all that is known of a quantity of
+    interest.
 
     dimension : A key of `UNITS`.
     display : the unit that people read, all values inside the code being SI.
     lower, upper : what has a meaning at all; the bounds themselves are refused unless `closed`.
     plausible : (low, high); the range outside which a value is worth a second look.
-    follows : `force` or `energy` if a quantity of interest rises with the largest one so far; else empty.
+    follows : `force` or `energy` if a quantity of interest rises with the largest one so far; else
+        empty.
     fracture : its exceedance can mean that the sphere breaks.
     early : only what comes before the first reflected wave counts.
-    place : what of the sphere it is a load of: `contact`, the circle's `rim`, the `core` of the sphere, the place
-    `below` a contact; else empty.  Loads of contact and rim fall where the bars yield, since the circle widens; those
-    of the core and below a contact are computed for equal forces at both faces.
+    place : what of the sphere it is a load of: `contact`, the circle's `rim`, the `core` of the
+    sphere, the place `below` a contact; else empty.  Loads of contact and rim fall where the bars
+    yield, since the circle widens; those of the core and below a contact are computed for equal
+    forces at both faces.
     censored : column that says where the record ended before it was decided; empty if it always is.
     needs : columns that `formula` reads.
-    formula : the quantity, (n,), from columns of the scene, of the scales, of the integrator and other quantities.
+    formula : the quantity, (n,), from columns of the scene, of the scales, of the integrator and
+        other quantities.
     """
 
     name: str
@@ -172,9 +176,10 @@ def typed_units(dimension: str) -> str:
 def parse_value(text: object, dimension: str, example: str = "") -> float:
     """Number with unit → SI value.
 
-    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a dimensionless quantity
-    only, which may also be ``"15 %"``.  A speed may be that of a rotor's tip, ``"1450 rpm at 0.9 m"``.  No expression
-    is evaluated.  A message shows the unit `example`, SI without one.
+    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a
+    dimensionless quantity only, which may also be ``"15 %"``.  A speed may be that of a rotor's
+    tip, ``"1450 rpm at 0.9 m"``.  No expression is evaluated.  A message shows the unit `example`,
+    SI without one.
 
     Raises UnitError with what was found, what is allowed, and the fix.
 
@@ -185,7 +190,8 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     >>> parse_value(25, "length", "mm")
     Traceback (most recent call last):
     ...
-    uqsphere.units.UnitError: 25 has no unit: write it as a string, such as "25 mm" (units: m, cm, mm, um, in, ft)
+    uqsphere.units.UnitError: 25 has no unit: write it as a string, such as "25 mm" (units: m, cm,
+    mm, um, in, ft)
     """
     table = UNITS[dimension]
     example = example or next(iter(table))
@@ -201,13 +207,15 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             type(None): "nothing",
         }
         raise UnitError(
-            f"expected a number{with_unit}, found {names.get(type(text), f'a {type(text).__name__}')}"
+            f"expected a number{with_unit}, found "
+            f"{names.get(type(text), f'a {type(text).__name__}')}"
         )
     if isinstance(text, (int, float)):
         if dimension != "number":
             bare = bare_number(text)
             raise UnitError(
-                f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: {allowed})'
+                f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: '
+                f"{allowed})"
             )
         return _finite(text, repr(text))
     stripped = text.strip()
@@ -249,7 +257,9 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
 
 
 def likely_unit(raw: Any, quantity: Quantity) -> str:
-    """The unit to suggest for a number without one: that people read, or the first that makes it usual."""
+    """The unit to suggest for a number without one: that people read, or the first that makes it
+    usual.
+    """
     try:
         bare = float(raw)
     except (TypeError, ValueError, OverflowError):

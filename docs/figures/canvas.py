@@ -1,4 +1,6 @@
-"""What the drawings of the documentation share: one style, and the way from a figure to the text of an SVG."""
+"""What the drawings of the documentation share: one style, and the way from a figure to the text of
+an SVG.
+"""
 
 from __future__ import annotations
 

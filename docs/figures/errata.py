@@ -1,4 +1,5 @@
-"""What the paper's printed equations would give, beside the right ones, as the figure of the errata.
+"""What the paper's printed equations would give, beside the right ones, as the figure of the
+errata.
 
 python -m docs.figures.errata docs/figures/errata.svg
 """
@@ -78,8 +79,10 @@ def errata_figure() -> Picture:
         name="errata",
         title="Printed equations beside the right ones",
         figure=figure,
-        finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls"
-        " twice as fast, the oscillation of a linear contact never dies, its plateau is twice as high, and"
+        finding="As printed the massless sphere is unloaded by a sine although it never loses "
+        "contact, the tail falls"
+        " twice as fast, the oscillation of a linear contact never dies, its plateau is twice as "
+        "high, and"
         " the pressure keeps the largest contact radius and is too low in the centre.",
     )
 

@@ -1,12 +1,15 @@
-"""The paper's "numerical instability" (end of its section 4), reproduced: a step too long for a stiff oscillation.
+"""The paper's "numerical instability" (end of its section 4), reproduced: a step too long for a
+stiff oscillation.
 
-The linear contact under a step pulse, theory (14), integrated by the classical Runge-Kutta method of order 4 with a
-fixed step, as one would by hand.  The difference of the approaches swings with w = sqrt(2/mu - 1/4) per t_c; the
-method is stable up to a step of about 2.8/w, whatever the accuracy that is wanted.
+The linear contact under a step pulse, theory (14), integrated by the classical Runge-Kutta method
+of order 4 with a fixed step, as one would by hand.  The difference of the approaches swings with w
+= sqrt(2/mu - 1/4) per t_c; the method is stable up to a step of about 2.8/w, whatever the accuracy
+that is wanted.
 
-The paper says that the instability vanishes for lambda_1 = 0.  It does not: without the bars' damping the limit is
-2 sqrt(2)/w with w = sqrt(2/mu), a little less than before, and the oscillation, which the bars would have damped,
-goes on for ever while both approaches grow without bound.
+The paper says that the instability vanishes for lambda_1 = 0.  It does not: without the bars'
+damping the limit is 2 sqrt(2)/w with w = sqrt(2/mu), a little less than before, and the
+oscillation, which the bars would have damped, goes on for ever while both approaches grow without
+bound.
 
     python -m docs.figures.instability docs/figures/instability.svg
 """
@@ -33,10 +36,11 @@ _END = 1.5
 
 
 def fixed_steps(mu: float, step: float, end: float, *, bars: bool = True) -> tuple[Array, Array]:
-    """Times and difference of the approaches, linear contact, step pulse, by Runge-Kutta steps of one length.
+    """Times and difference of the approaches, linear contact, step pulse, by Runge-Kutta steps of
+    one length.
 
-    bars: False for lambda_1 = 0 in (2.9) of the paper, where no wave carries anything away.  Ends early where an
-    approach has grown beyond a hundred times what it should come to.
+    bars: False for lambda_1 = 0 in (2.9) of the paper, where no wave carries anything away.  Ends
+    early where an approach has grown beyond a hundred times what it should come to.
     """
 
     def slopes(y: Array) -> Array:  # approaches, and their rates where the bars do not give them
@@ -60,7 +64,9 @@ def fixed_steps(mu: float, step: float, end: float, *, bars: bool = True) -> tup
 
 
 def exact_difference(mu: float, times: Array, *, bars: bool = True) -> Array:
-    """Difference of the approaches that `fixed_steps` should find: theory (14), or 2 sin(w s)/w without the bars."""
+    """Difference of the approaches that `fixed_steps` should find: theory (14), or 2 sin(w s)/w
+    without the bars.
+    """
     if bars:
         first, second = linear_approaches(times, mu)
         return np.asarray(first - second)
@@ -69,7 +75,9 @@ def exact_difference(mu: float, times: Array, *, bars: bool = True) -> Array:
 
 
 def instability_figure() -> Picture:
-    """Difference of the approaches with steps below and above the limit, with the bars and for lambda_1 = 0."""
+    """Difference of the approaches with steps below and above the limit, with the bars and for
+    lambda_1 = 0.
+    """
     from docs.figures.canvas import BLUE, GREY, ORANGE, RED, Picture, new_figure
 
     figure, panels = new_figure(5.6, rows=2, sharex=True)
@@ -103,7 +111,8 @@ def instability_figure() -> Picture:
         name="instability",
         title="The numerical instability of the paper's section 4",
         figure=figure,
-        finding="A step of 0.07 t_c, ample for the rise of the force, runs away with the bars and without them;"
+        finding="A step of 0.07 t_c, ample for the rise of the force, runs away with the bars and "
+        "without them;"
         " 0.06 t_c does not, but is no better than no oscillation at all; 0.01 t_c follows it.",
     )
 

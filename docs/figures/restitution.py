@@ -1,4 +1,5 @@
-"""Restitution of alumina spheres on an aluminium alloy: measured, and by the law of yielding contacts with no fit.
+"""Restitution of alumina spheres on an aluminium alloy: measured, and by the law of yielding
+contacts with no fit.
 
     python -m docs.figures.restitution docs/figures/restitution.svg
 
@@ -24,16 +25,17 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: speeds [m/s] and restitution of 5 mm alumina spheres on a thick plate: points digitised in the public repository
-#: nilot-pal/Particle-breakage-models; material, speeds and values are those of Kharaz and Gorham, Phil. Mag. Lett. 80
-#: (2000) 549, of which the abstract was seen
+#: speeds [m/s] and restitution of 5 mm alumina spheres on a thick plate: points digitised in the
+#: public repository nilot-pal/Particle-breakage-models; material, speeds and values are those of
+#: Kharaz and Gorham, Phil. Mag. Lett. 80 (2000) 549, of which the abstract was seen
 SPEEDS: Final = np.array(
     [0.456, 0.641, 0.984, 1.385, 1.829, 2.316, 3.033, 3.463, 3.822, 3.980, 5.430, 5.846]
 )
 MEASURED: Final = np.array(
     [0.834, 0.799, 0.762, 0.728, 0.699, 0.681, 0.649, 0.631, 0.622, 0.616, 0.587, 0.576]
 )
-#: alumina: E [Pa], nu, density [kg/m³], radius [m]; alloy: E [Pa], nu, density [kg/m³], yield strength [Pa]
+#: alumina: E [Pa], nu, density [kg/m³], radius [m]; alloy: E [Pa], nu, density [kg/m³], yield
+#: strength [Pa]
 ALUMINA: Final = (360e9, 0.22, 3890.0, 2.5e-3)
 ALLOY: Final = (70e9, 0.35, 2700.0, 310e6)
 
@@ -43,8 +45,9 @@ def computed(
 ) -> Array:
     """Restitution at `speeds` [m/s] by (R23) of docs/theory.md.
 
-    flow: hardness over yield strength; 0 makes hardness and onset the same, which is Thornton's law with pile_up = 1.
-    waves: less the energy that an elastic blow would radiate into the plate, (R14), which is an upper bound.
+    flow: hardness over yield strength; 0 makes hardness and onset the same, which is Thornton's law
+    with pile_up = 1. waves: less the energy that an elastic blow would radiate into the plate,
+    (R14), which is an upper bound.
     """
     E, nu, density, radius = ALUMINA
     plate_E, plate_nu, plate_density, strength = ALLOY
@@ -101,7 +104,10 @@ def restitution_figure() -> Picture:
         name="restitution",
         title="Alumina spheres of 5 mm on an aluminium alloy",
         figure=figure,
-        finding="With the yield strength alone, nothing fitted, the law lies within 3 % of the measured restitution.",
+        finding=(
+            "With the yield strength alone, nothing fitted, the law lies within 3 % of the "
+            "measured restitution."
+        ),
     )
 
 
@@ -117,7 +123,8 @@ def main() -> None:
         computed(SPEEDS, flow=0.0, pile_up=1.0),
     )
     print(
-        "| speed m/s | measured | law | less waves, at most | Thornton, H at onset |\n|---|---|---|---|---|"
+        "| speed m/s | measured | law | less waves, at most | Thornton, H at onset "
+        "|\n|---|---|---|---|---|"
     )
     for row in zip(*columns, strict=True):
         print("| " + " | ".join(f"{value:.3f}" for value in row) + " |")

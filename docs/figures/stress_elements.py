@@ -24,10 +24,13 @@ _CELLS: Final = (28, 36)
 
 
 def _on_grid(comparison: Comparison) -> tuple[Array, Array, Array, Array]:
-    """Series and elements over the core tension on a grid in distance and angle, and its points (across, along)."""
+    """Series and elements over the core tension on a grid in distance and angle, and its points
+    (across, along).
+    """
     from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-    # fine below the surface and around the contact; the ends lie on points, and are drawn where the section ends
+    # fine below the surface and around the contact; the ends lie on points, and are drawn where the
+    # section ends
     least = np.hypot(*comparison.place.T).min() * 1.05
     radius = np.concatenate([np.linspace(least, 0.8, 30), 1.0 - np.geomspace(0.19, 0.002, 30)])
     angle = np.concatenate(
@@ -47,7 +50,9 @@ def _on_grid(comparison: Comparison) -> tuple[Array, Array, Array, Array]:
 
 
 def _largest_in_cells(comparison: Comparison) -> tuple[Array, Array, Array]:
-    """Edges over radius and angle, and the largest size of the difference in each cell, NaN where there is none."""
+    """Edges over radius and angle, and the largest size of the difference in each cell, NaN where
+    there is none.
+    """
     radius, angle = np.hypot(*comparison.place.T), np.arctan2(*comparison.place.T)
     edges = (
         np.sqrt(np.linspace(0.0, 1.0, _CELLS[0] + 1)),
@@ -63,7 +68,9 @@ def _largest_in_cells(comparison: Comparison) -> tuple[Array, Array, Array]:
 
 
 def elements_figure(comparison: Comparison | None = None) -> Picture:
-    """Series on the left, elements on the right; below, the largest difference in each part of the section."""
+    """Series on the left, elements on the right; below, the largest difference in each part of the
+    section.
+    """
     from matplotlib import colormaps
     from matplotlib.colors import BoundaryNorm, LogNorm
 
@@ -114,18 +121,23 @@ def elements_figure(comparison: Comparison | None = None) -> Picture:
         name="stress-elements",
         title="Stress inside the sphere by series and by finite elements",
         figure=figure,
-        finding=f"Outside {RIM_ZONE:g} a around the rim of the contact the two differ by at most {found.worst:.2g} of "
-        f"the larger of the stress there and the core tension, in the median by {found.median:.2g}.",
+        finding=f"Outside {RIM_ZONE:g} a around the rim of the contact the two differ by at most "
+        f"{found.worst:.2g} of "
+        "the larger of the stress there and the core tension, in the median by "
+        f"{found.median:.2g}.",
     )
 
 
 def main() -> None:
-    """Write the figure to the file named, and the numbers of it and of coarser meshes to the terminal."""
+    """Write the figure to the file named, and the numbers of it and of coarser meshes to the
+    terminal.
+    """
     finest: Comparison | None = None
     for count, first in MESHES:
         finest = compare(count=count, finest=first)
         print(
-            f"{count} rings, {len(finest.place):,} points: worst {finest.worst:.2g}, median {finest.median:.2g}"
+            f"{count} rings, {len(finest.place):,} points: worst {finest.worst:.2g}, median "
+            f"{finest.median:.2g}"
         )
     with style():
         Path(sys.argv[1]).write_text(render(elements_figure(finest)), encoding="utf-8")

@@ -1,4 +1,6 @@
-"""Evidence: measurements too long for a test, each run by `python -m tests.campaigns.NAME` (docs/validation.md)."""
+"""Evidence: measurements too long for a test, each run by `python -m tests.campaigns.NAME`
+(docs/validation.md).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ def options(
     words: Iterable[str] | None = None,
     **defaults: Any,
 ) -> argparse.Namespace:
-    """What a campaign is asked: `words` one after the other (those allowed; any if none are), and options by defaults.
+    """What a campaign is asked: `words` one after the other (those allowed; any if none are), and
+    options by defaults.
 
     A default of False is a flag, a list takes one or more, a type has no default.
     """

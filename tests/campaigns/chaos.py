@@ -1,15 +1,18 @@
-"""Twenty-two analytical models that surrogates are commonly tried on, with the laws of their inputs.
+"""Twenty-two analytical models that surrogates are commonly tried on, with the laws of their
+inputs.
 
-Sources: Ishigami and Homma (ISUMA 1990); borehole: Harper and Gupta (ONWI-516, 1983) with radii and ranges as in
-Morris, Mitchell and Ylvisaker (Technometrics 35, 1993, 243); OTL circuit and piston: Ben-Ari and Steinberg (Quality
-Engineering 19, 2007, 327); wing weight: Forrester, Sobester and Keane (Engineering Design via Surrogate Modelling,
-2008); g-function: Saltelli and Sobol' (1995); function of 20 inputs: Morris (Technometrics 33, 1991, 161), with the
-random small coefficients left out; short column and steel column: Kuschel and Rackwitz (1997), here with independent
-inputs; flood: Iooss and Lemaitre (2015), the overflow, whose bathtub of a dyke gives the kinked cost; cantilever with
-two beta inputs, tube under bending, Chaboche's law and the stressed rod: use cases of OpenTURNS 1.27; truss: Lee and
-Kwak (Struct. Multidisc. Optim. 31, 2006, 145) with the laws of Blatman and Sudret (2011); Friedman (Ann. Statist. 19,
-1991, 1); robot arm: An and Owen (J. Complexity 17, 2001, 588); discontinuous: Genz (1984) in two inputs; damped
-oscillator: Igusa and Der Kiureghian (1985); quadratic form of 15 normal numbers: all 136 terms of the second degree.
+Sources: Ishigami and Homma (ISUMA 1990); borehole: Harper and Gupta (ONWI-516, 1983) with radii and
+ranges as in Morris, Mitchell and Ylvisaker (Technometrics 35, 1993, 243); OTL circuit and piston:
+Ben-Ari and Steinberg (Quality Engineering 19, 2007, 327); wing weight: Forrester, Sobester and
+Keane (Engineering Design via Surrogate Modelling, 2008); g-function: Saltelli and Sobol' (1995);
+function of 20 inputs: Morris (Technometrics 33, 1991, 161), with the random small coefficients left
+out; short column and steel column: Kuschel and Rackwitz (1997), here with independent inputs;
+flood: Iooss and Lemaitre (2015), the overflow, whose bathtub of a dyke gives the kinked cost;
+cantilever with two beta inputs, tube under bending, Chaboche's law and the stressed rod: use cases
+of OpenTURNS 1.27; truss: Lee and Kwak (Struct. Multidisc. Optim. 31, 2006, 145) with the laws of
+Blatman and Sudret (2011); Friedman (Ann. Statist. 19, 1991, 1); robot arm: An and Owen (J.
+Complexity 17, 2001, 588); discontinuous: Genz (1984) in two inputs; damped oscillator: Igusa and
+Der Kiureghian (1985); quadratic form of 15 normal numbers: all 136 terms of the second degree.
 """
 
 from __future__ import annotations
@@ -232,10 +235,13 @@ def _steel_column(x: Array) -> Array:
 
 
 def _truss(x: Array) -> Array:
-    """Deflection of the middle of a truss of 23 bars: 6 panels of 4 m, 2 m high, loads on the upper chord."""
+    """Deflection of the middle of a truss of 23 bars: 6 panels of 4 m, 2 m high, loads on the upper
+    chord.
+    """
     chord, diagonal, area, slender = x[:, 6:].T
     place = 2.0 + 4.0 * np.arange(6)  # of the loads
-    # shear and moment of a simply supported beam of 24 m carry over to the bars (method of sections)
+    # shear and moment of a simply supported beam of 24 m carry over to the bars (method of
+    # sections)
     shear = np.array(
         [[(24.0 - p) / 24.0 - (p < at) for p in place] for at in np.arange(1.0, 24.0, 2.0)]
     )
@@ -275,7 +281,9 @@ def _discontinuous(x: Array) -> Array:
 
 
 def _oscillator(x: Array) -> Array:
-    """Force on the spring of a secondary system on a primary one, both shaken by white noise: its peak."""
+    """Force on the spring of a secondary system on a primary one, both shaken by white noise: its
+    peak.
+    """
     mass, second, stiffness, soft, damping, own, shaking = x.T
     omega, other = np.sqrt(stiffness / mass), np.sqrt(soft / second)
     ratio, mean = second / mass, 0.5 * (omega + other)
@@ -497,11 +505,13 @@ def relative_error(predicted: Array, outputs: Array) -> float:
     return float(np.mean((predicted - outputs) ** 2) / np.var(outputs))
 
 
-# --- what is measured ---------------------------------------------------------------------------------------
+# --- what is measured -----------------------------------------------------------------------------
 
 
 def measured(name: str, samples: int, seed: int) -> tuple[float, float, float, str]:
-    """True and reported relative mean square error of a fit, its CPU seconds (one thread), and what it is."""
+    """True and reported relative mean square error of a fit, its CPU seconds (one thread), and what
+    it is.
+    """
     model = MODELS[name]
     points, (unseen, truth) = design(model, samples, seed), checked(model)
     outputs = model(points)
@@ -516,15 +526,17 @@ def measured(name: str, samples: int, seed: int) -> tuple[float, float, float, s
     )
 
 
-# --- OpenTURNS on the same points (the extra `peers`) -----------------------------------------------------------
+# --- OpenTURNS on the same points (the extra `peers`) ---------------------------------------------
 
 
 def peer_errors(name: str, samples: int, seed: int) -> tuple[float, float]:
-    """True errors of OpenTURNS: on the basis that it takes by itself, and on the one of its least own error.
+    """True errors of OpenTURNS: on the basis that it takes by itself, and on the one of its least
+    own error.
 
-    LARS with the corrected leave-one-out error, in our germs where they are normal or uniform, else in the polynomials
-    that it finds for the law.  Its own basis has as many terms as points, of norm 1/2; the other is the best by its own
-    error of degrees 1 to 15 and norms 1, 3/4 and 1/2, of at most 4 N terms.
+    LARS with the corrected leave-one-out error, in our germs where they are normal or uniform, else
+    in the polynomials that it finds for the law.  Its own basis has as many terms as points, of
+    norm 1/2; the other is the best by its own error of degrees 1 to 15 and norms 1, 3/4 and 1/2, of
+    at most 4 N terms.
     """
     import openturns as ot
 
@@ -587,7 +599,9 @@ def _peer_law(ot: Any, law: Law, germ: GermLike) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Medians over the seeds of each model and size, `--openturns` with those of OpenTURNS; progress goes to stderr."""
+    """Medians over the seeds of each model and size, `--openturns` with those of OpenTURNS;
+    progress goes to stderr.
+    """
     given = options(
         "Sparse polynomial chaos on 22 analytical models",
         arguments,
@@ -632,7 +646,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.openturns:
         counts = ", ".join(f"{number} at {samples}" for samples, number in level.items())
         print(
-            f"\nNo worse than the better of both by 5 % or 1e-10, of {len(given.models)} models: {counts}."
+            f"\nNo worse than the better of both by 5 % or 1e-10, of {len(given.models)} models: "
+            f"{counts}."
         )
     else:
         print(f"\nReported within a factor 3 of the true error: {honest} of {count}.")

@@ -1,9 +1,11 @@
-"""How often the intervals of a run hold the truth: seeds of one study against one run of far more points.
+"""How often the intervals of a run hold the truth: seeds of one study against one run of far more
+points.
 
     python -m tests.campaigns.coverage [--seeds 200] [CASE...]
 
-Cases: granite, limestone, ishigami, rare (a black box with a far event in 0.2 % of its rows) and slow (Ishigami's
-function as a slow model of 128 runs).  Printed by kind of answer: intervals that hold, over all, and their share.
+Cases: granite, limestone, ishigami, rare (a black box with a far event in 0.2 % of its rows) and
+slow (Ishigami's function as a slow model of 128 runs).  Printed by kind of answer: intervals that
+hold, over all, and their share.
 """
 
 from __future__ import annotations
@@ -67,8 +69,9 @@ def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
 
 
 def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
-    """The truth: of a black box by four million points, and Ishigami's indices in closed form; of the impact model by a
-    run of sixteen times the points and broken spheres, at four times the values of the free number."""
+    """The truth: of a black box by four million points, and Ishigami's indices in closed form; of
+    the impact model by a run of sixteen times the points and broken spheres, at four times the
+    values of the free number."""
     if name in ("granite", "limestone"):
         study, model = case(name, 987_654)
         larger = {

@@ -1,4 +1,5 @@
-"""The equivalent contact duration against quadrature of dense histories, over random scenes of bars and other rigs.
+"""The equivalent contact duration against quadrature of dense histories, over random scenes of bars
+and other rigs.
 
 python -m tests.campaigns.durations --rows 300 --seed 1
 """
@@ -28,7 +29,9 @@ def scenes(rows: int, seed: int, law: str = "hertz") -> list[Scene]:
 
 
 def rig_scenes(rows: int, seed: int) -> list[Scene]:
-    """Random scenes of weights and of bars that are struck, elastic and yielding: `rows` of each."""
+    """Random scenes of weights and of bars that are struck, elastic and yielding: `rows` of
+    each.
+    """
     rng = np.random.default_rng(seed)
 
     def spread(low: float, high: float) -> Array:
@@ -73,7 +76,9 @@ def rig_scenes(rows: int, seed: int) -> list[Scene]:
 
 
 def quadrature(course: Motion) -> float:
-    """t_eq/t_c of a motion that ends with its record: Gauss over every step, the tail between infinite bars closed."""
+    """t_eq/t_c of a motion that ends with its record: Gauss over every step, the tail between
+    infinite bars closed.
+    """
     begin, end = course.start, np.minimum(course.start + course.length, course.end)
     inside = end > begin
     middle, half = 0.5 * (begin + end)[inside, None], 0.5 * (end - begin)[inside, None]
@@ -92,7 +97,9 @@ def quadrature(course: Motion) -> float:
 
 
 def _largest(course: Motion, of: Callable[[Array], Array], times: Array, width: float) -> float:
-    """The largest value of a function of both forces: about the highest node, on finer and finer grids."""
+    """The largest value of a function of both forces: about the highest node, on finer and finer
+    grids.
+    """
     at, top = times[int(np.argmax(of(course.forces_at(times))))], 0.0
     for _ in range(40):
         grid = np.clip(at + width * np.linspace(-1.0, 1.0, 41), 0.0, course.end * course.unit)
@@ -102,7 +109,9 @@ def _largest(course: Motion, of: Callable[[Array], Array], times: Array, width: 
 
 
 def _dents(course: Motion, times: Array, width: float) -> Array:
-    """What stays of both faces, by their law at the largest force of each; nothing yet of one that still yields."""
+    """What stays of both faces, by their law at the largest force of each; nothing yet of one that
+    still yields.
+    """
     law = course.scene.faces
     if law is None or course.forces is None:
         return np.zeros(2)
@@ -115,9 +124,11 @@ def _dents(course: Motion, times: Array, width: float) -> Array:
 
 
 def compare(found: list[Scene], tolerance: float, fidelity: str = "full") -> Array:
-    """Errors over the tolerance of all rows that have an answer: of t_eq, or of t_c where t_eq is shorter.
+    """Errors over the tolerance of all rows that have an answer: of t_eq, or of t_c where t_eq is
+    shorter.
 
-    The integrator keeps approaches to a share of alpha_c: what a record of a hundredth of t_c has of impulse is less.
+    The integrator keeps approaches to a share of alpha_c: what a record of a hundredth of t_c has
+    of impulse is less.
     """
     errors, kept, finer = [], ("contact_duration",), max(1e-2 * tolerance, 1e-12)
     for scene in found:

@@ -2,8 +2,9 @@
 
     python -m tests.campaigns.fuzz [--studies 20000] [--seed 1]
 
-A study is a shipped one with one to four edits of its lines and values: taken out, doubled, swapped, taken from another
-study, or replaced by a value of another kind.  Printed: how often each code was met, and every other one with its file.
+A study is a shipped one with one to four edits of its lines and values: taken out, doubled,
+swapped, taken from another study, or replaced by a value of another kind.  Printed: how often each
+code was met, and every other one with its file.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Total Sobol' indices of peak contact pressure and contact duration: chaos from 256 runs beside pairs, by SALib.
+"""Total Sobol' indices of peak contact pressure and contact duration: chaos from 256 runs beside
+pairs, by SALib.
 
 python -m tests.campaigns.indices [--base 8192]
 """
@@ -19,7 +20,9 @@ QUANTITIES: Final = ("p_max", "contact_duration")
 
 
 def compare(name: str, base: int) -> list[list[str]]:
-    """Rows of a study: an index by 256 runs with its interval, and by `base` pairs with SALib's own."""
+    """Rows of a study: an index by 256 runs with its interval, and by `base` pairs with SALib's
+    own.
+    """
     study = uqsphere.load_study(shipped_studies()[name])
     few, pairs = study.design(256), study.to_salib(base)
     names = pairs.problem["names"]

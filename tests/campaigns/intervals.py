@@ -1,9 +1,11 @@
-"""Do 95 % intervals hold the truth in 95 % of the cases?  Counted on analytical models with known answers.
+"""Do 95 % intervals hold the truth in 95 % of the cases?  Counted on analytical models with known
+answers.
 
-A repetition is what a run does: R = 16 randomisations of a scrambled Sobol' sequence, the model at its points, and the
-functions of `uqsphere.uq` that make the estimates.  Moments and indices of the models are closed forms, those of the
-borehole apart; the quantiles of three are converged references.  The model "far event" has what no few runs can show:
-its truth is not held, and every answer says so (`response.unseen`).
+A repetition is what a run does: R = 16 randomisations of a scrambled Sobol' sequence, the model at
+its points, and the functions of `uqsphere.uq` that make the estimates.  Moments and indices of the
+models are closed forms, those of the borehole apart; the quantiles of three are converged
+references.  The model "far event" has what no few runs can show: its truth is not held, and every
+answer says so (`response.unseen`).
 
     python -m tests.campaigns.intervals [sampling] [pairs] [response] [--repetitions N]
 """
@@ -29,7 +31,8 @@ from uqsphere.uq.points import sobol_points
 from uqsphere.uq.response import cross_fit, describe_corrected, index_shares, unseen
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
-#: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with 2^20 points each of 16
+#: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with
+#: 2^20 points each of 16
 _ISHIGAMI_QUANTILES: Final = (-2.29904, 3.5, 9.29992)
 _G_QUANTILES: Final = (0.089697, 0.89784, 2.28888)
 _BOREHOLE: Final[dict[str, tuple[float, ...]]] = {
@@ -60,7 +63,9 @@ _BOREHOLE: Final[dict[str, tuple[float, ...]]] = {
 
 @dataclass(frozen=True)
 class CoverageModel:
-    """A model of uniforms (..., d) -> (...), its exact answers, and the germs that suit its inputs."""
+    """A model of uniforms (..., d) -> (...), its exact answers, and the germs that suit its
+    inputs.
+    """
 
     name: str
     function: Callable[[Array], Array]
@@ -89,7 +94,9 @@ def _ishigami(u: Array) -> Array:
 
 
 def _ishigami_model() -> CoverageModel:
-    """Ishigami and Homma, ISUMA 1990, 398, with a = 7 and b = 0.1; the first index of x3 is zero."""
+    """Ishigami and Homma, ISUMA 1990, 398, with a = 7 and b = 0.1; the first index of x3 is
+    zero.
+    """
     v1, v2 = 0.5 * (1.0 + 0.1 * math.pi**4 / 5.0) ** 2, 49.0 / 8.0
     v13 = 0.01 * math.pi**8 * 8.0 / 225.0
     v = v1 + v2 + v13
@@ -110,7 +117,9 @@ def _g_function(u: Array) -> Array:
 
 
 def _g_model() -> CoverageModel:
-    """Sobol' (Math. Comput. Simul. 55, 2001, 271): each factor has variance 1/(3 (1 + a)²) about 1."""
+    """Sobol' (Math. Comput. Simul. 55, 2001, 271): each factor has variance 1/(3 (1 + a)²) about
+    1.
+    """
     v = 1.0 / (3.0 * (1.0 + _G_WEIGHTS) ** 2)
     every = float(np.prod(1.0 + v))
     quantiles = dict(zip(QUANTILES, _G_QUANTILES, strict=True))
@@ -149,7 +158,9 @@ def _product(u: Array) -> Array:
 
 
 def _product_quantile(p: float) -> float:
-    """Given z1 the output is normal with variance z1² + 1/4: bisection of the mean over z1, by the midpoint rule."""
+    """Given z1 the output is normal with variance z1² + 1/4: bisection of the mean over z1, by the
+    midpoint rule.
+    """
     z = np.asarray(ndtri((np.arange(200_000) + 0.5) / 200_000))
     low, high = -20.0, 20.0
     for _ in range(60):
@@ -241,7 +252,9 @@ def _borehole(u: Array) -> Array:
 
 
 def _borehole_model() -> CoverageModel:
-    """Water through a borehole (Harper and Gupta 1983; inputs as in Morris, Mitchell, Ylvisaker 1993)."""
+    """Water through a borehole (Harper and Gupta 1983; inputs as in Morris, Mitchell, Ylvisaker
+    1993).
+    """
     quantiles = dict(zip(QUANTILES, _BOREHOLE["quantiles"], strict=True))
     first, total = _BOREHOLE["first"], _BOREHOLE["total"]
     germs = ("normal", "normal", *("uniform",) * 6)
@@ -291,7 +304,7 @@ def far_event_model() -> CoverageModel:
     )
 
 
-# --- counting -----------------------------------------------------------------------------------------------
+# --- counting -------------------------------------------------------------------------------------
 
 SIZES: Final[Mapping[str, tuple[int, ...]]] = {
     "sampling": (128, 1024),
@@ -299,7 +312,8 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = {
     "response": (64, 128, 256),
 }
 
-#: model, kind of answer, size, whether the interval holds the truth, half-width over the truth's scale
+#: model, kind of answer, size, whether the interval holds the truth, half-width over the truth's
+#: scale
 Hit = tuple[str, str, int, bool, float]
 
 
@@ -330,7 +344,9 @@ def sampling(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
 
 
 def pairs(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
-    """Indices of 16 replicates of n base points; those of inputs without effect are points, and not counted."""
+    """Indices of 16 replicates of n base points; those of inputs without effect are points, and not
+    counted.
+    """
     blocks = Blocks(inputs_count=model.dimension)
     rows = [
         blocks.mix(*base_points(blocks, count=n, seed=seed, task="coverage", replicate=r))
@@ -376,7 +392,9 @@ WAYS: Final[Mapping[str, Callable[[CoverageModel, int, int], Iterator[Hit]]]] = 
 
 
 def coverage_text(way: str, repetitions: int) -> str:
-    """The table of one way: a row for each kind of answer and size, all models but the last pooled; then that model."""
+    """The table of one way: a row for each kind of answer and size, all models but the last pooled;
+    then that model.
+    """
     hits = [
         h
         for model in (*coverage_models(), far_event_model())

@@ -2,9 +2,10 @@
 
     python -m tests.campaigns.mutants [ROOM...] [--number 12] [--seed 1]
 
-A comparison is turned or its boundary moved, a sign, an operator or a number changed, a condition negated, in a copy of
-the tree; the tests of the room that name the module (all, if none does) run until the first that fails.  One that hangs
-is caught.  Survivors are printed with their places.  Modules with compiled kernels are left out.
+A comparison is turned or its boundary moved, a sign, an operator or a number changed, a condition
+negated, in a copy of the tree; the tests of the room that name the module (all, if none does) run
+until the first that fails.  One that hangs is caught.  Survivors are printed with their places.
+Modules with compiled kernels are left out.
 """
 
 from __future__ import annotations
@@ -123,7 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 path.write_text(text)
                 if not found[-1]:
                     tell(
-                        f"{path.relative_to(tree)}:{getattr(node, 'lineno', 0)}: {before} -> {ast.unparse(node)}"
+                        f"{path.relative_to(tree)}:{getattr(node, 'lineno', 0)}: {before} -> "
+                        f"{ast.unparse(node)}"
                     )
             rows.append([room, len(found), sum(found), f"{sum(found) / len(found):.0%}"])
             tell(table(["room", "mutants", "caught", "share"], rows))

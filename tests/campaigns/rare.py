@@ -1,8 +1,9 @@
-"""Public reliability problems with reference probabilities, as functions of standard normal variables.
+"""Public reliability problems with reference probabilities, as functions of standard normal
+variables.
 
-RP numbers are those of the TNO black-box reliability challenge (Rózsás and Slobbe 2019), with the formulas as
-openturns/otbenchmark has them.  `published` is the probability printed there; where it is not that of the formula
-our own stands as reference, and the difference is shown.
+RP numbers are those of the TNO black-box reliability challenge (Rózsás and Slobbe 2019), with the
+formulas as openturns/otbenchmark has them.  `published` is the probability printed there; where it
+is not that of the formula our own stands as reference, and the difference is shown.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ Array = npt.NDArray[np.float64]
 class Problem:
     """A limit function of `dimension` standard normals, failure where negative.
 
-    `reference` is its probability, found by `how`: "closed form", "quadrature" (`integrate_plane` in two inputs)
-    or "long run": randomised Sobol' points with one input integrated exactly, 16 times 65,536, joined with a
-    million points of importance sampling where those are as good (relative standard error in `error`).  `modes`
-    counts what matters of its failure domain.
+    `reference` is its probability, found by `how`: "closed form", "quadrature" (`integrate_plane`
+    in two inputs) or "long run": randomised Sobol' points with one input integrated exactly, 16
+    times 65,536, joined with a million points of importance sampling where those are as good
+    (relative standard error in `error`).  `modes` counts what matters of its failure domain.
     """
 
     name: str
@@ -99,7 +100,9 @@ def _rp60(a: Array, b: Array, c: Array, d: Array, e: Array) -> Array:
 def _roof_truss(
     q: Array, span: Array, steel: Array, concrete: Array, e_steel: Array, e_concrete: Array
 ) -> Array:
-    """Deflection of 30 mm at the top of a truss; Zhao and Ono 2001, as in much of the literature since."""
+    """Deflection of 30 mm at the top of a truss; Zhao and Ono 2001, as in much of the literature
+    since.
+    """
     return 0.03 - q * span**2 / 2.0 * (3.81 / (concrete * e_concrete) + 1.13 / (steel * e_steel))
 
 
@@ -160,7 +163,9 @@ def _rp91(a: Array, b: Array, c: Array, d: Array, e: Array) -> Array:
 
 
 def _oscillator(m: Array, c1: Array, c2: Array, r: Array, f: Array, t: Array) -> Array:
-    """A mass between two springs under a pulse, beyond three times the yield of one; Bucher and Bourgund 1990."""
+    """A mass between two springs under a pulse, beyond three times the yield of one; Bucher and
+    Bourgund 1990.
+    """
     w = np.sqrt((c1 + c2) / m)
     return np.asarray(3.0 * r - np.abs(2.0 * f / (m * w**2) * np.sin(0.5 * w * t)))
 
@@ -527,14 +532,14 @@ def problem(name: str) -> Problem:
     return {entry.name: entry for entry in PROBLEMS}[name]
 
 
-# --- what is measured ---------------------------------------------------------------------------------------
+# --- what is measured -----------------------------------------------------------------------------
 
 
 def measured(
     entry: Problem, seeds: Sequence[int], budget: int
 ) -> tuple[float, float, float, float]:
-    """Root mean square of the relative error, share of the intervals that hold the reference, the share that is sure,
-    and mean evaluations."""
+    """Root mean square of the relative error, share of the intervals that hold the reference, the
+    share that is sure, and mean evaluations."""
     errors, holds, sure, spent = [], [], [], []
     for seed in seeds:
         found = failure_probability(
@@ -595,12 +600,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def integrate_plane(
     function: Callable[[Array], Array], *, panels: int = 720, grid: int = 2001
 ) -> float:
-    """Probability that a function of two standard normals is negative, by quadrature: the reference of the table.
+    """Probability that a function of two standard normals is negative, by quadrature: the reference
+    of the table.
 
-    Gauss–Legendre points in the first variable; along the second the edges of the failure domain are bisected
-    from a grid and the normal distribution is exact between them.
+    Gauss–Legendre points in the first variable; along the second the edges of the failure domain
+    are bisected from a grid and the normal distribution is exact between them.
 
-    >>> bool(abs(integrate_plane(lambda u: 3.0 - u[:, 0], panels=180, grid=401) / 1.3498980316e-3 - 1.0) < 1e-3)
+    >>> found = integrate_plane(lambda u: 3.0 - u[:, 0], panels=180, grid=401)
+    >>> bool(abs(found / 1.3498980316e-3 - 1.0) < 1e-3)
     True
     """
     from scipy.special import ndtr

@@ -1,9 +1,10 @@
-"""Random scenes of every rig against a second integrator of another method: errors over the tolerance, by stratum.
+"""Random scenes of every rig against a second integrator of another method: errors over the
+tolerance, by stratum.
 
     python -m tests.campaigns.rigs --rows 400 --seed 1
 
-A row is wrong where an answer is off by more than a hundred tolerances.  Times of losses jump where contact is nearly
-kept.
+A row is wrong where an answer is off by more than a hundred tolerances.  Times of losses jump where
+contact is nearly kept.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Random test sets through the reader of a study: does the range of the share broken hold the truth, does any crash?
+"""Random test sets through the reader of a study: does the range of the share broken hold the
+truth, does any crash?
 
-2 to 60 tests of a Weibull, a lognormal or a normal law, on spheres of one or two sizes, some stopped at the failure
-before them or at a force; the share that the true law breaks at a random force is 0.5 % to 80 %.  The size laws are the
-product's: the weakest link for Weibull, equal tension else.
+2 to 60 tests of a Weibull, a lognormal or a normal law, on spheres of one or two sizes, some
+stopped at the failure before them or at a force; the share that the true law breaks at a random
+force is 0.5 % to 80 %.  The size laws are the product's: the weakest link for Weibull, equal
+tension else.
 
     python -m tests.campaigns.strengths [--repetitions N]
 """
@@ -46,7 +48,9 @@ STOPS = ("none", "at a failure", "at a force")
 
 
 def one_set(rng: np.random.Generator, folder: Path) -> tuple[str, str, bool | None, str]:
-    """Law, kind of stops, whether the range holds or None where the set is refused, and why it was."""
+    """Law, kind of stops, whether the range holds or None where the set is refused, and why it
+    was.
+    """
     kind = LAWS[rng.integers(3)]
     n = int(np.exp(rng.uniform(np.log(2), np.log(60.5))))
     shape = np.exp(rng.uniform(np.log(2.5), np.log(15.0)))

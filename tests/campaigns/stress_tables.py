@@ -1,6 +1,8 @@
-"""What the tables of stress hold, computed from the series: largest stresses on the axis, weakest-link integrals.
+"""What the tables of stress hold, computed from the series: largest stresses on the axis,
+weakest-link integrals.
 
-``python -m tests.campaigns.stress_tables`` computes `uqsphere/mechanics/stress_tables.json` anew (minutes).
+``python -m tests.campaigns.stress_tables`` computes `uqsphere/mechanics/stress_tables.json` anew
+(minutes).
 """
 
 from __future__ import annotations
@@ -30,14 +32,14 @@ from uqsphere.mechanics.stress import (
 )
 
 # --- Weakest-link integrals of the hoop tension over the volume and the surface of the sphere.
-# A flaw on a meridian plane is opened by sigma_phi alone, and cracks on meridian planes are what splits a sphere
-# between two faces.  The integral therefore takes the hoop tension,
+# A flaw on a meridian plane is opened by sigma_phi alone, and cracks on meridian planes are what
+# splits a sphere between two faces.  The integral therefore takes the hoop tension,
 #
 #     I_V = ∫ max(sigma_phi/p_0, 0)^m dV / V,      I_S = ∫ max(sigma_phi/p_0, 0)^m dS / S,
 #
-# so that the rim of the contact, whose tension is radial and cuts rings, not halves, is no part of it (theory section
-# 6); it has a criterion of its own.  Equal forces, or a force at one pole and the body's inertia against it; V and S
-# are those of the whole sphere.
+# so that the rim of the contact, whose tension is radial and cuts rings, not halves, is no part of
+# it (theory section 6); it has a criterion of its own.  Equal forces, or a force at one pole and
+# the body's inertia against it; V and S are those of the whole sphere.
 
 
 def _gauss(edges: Array, nodes: int) -> tuple[Array, Array]:
@@ -53,7 +55,9 @@ def _graded(first: float, last: float, growth: float) -> Array:
 
 
 def _refined(edges: Array, nodes: int) -> tuple[Array, Array]:
-    """Matrix (finer, nodes) of the polynomial through Gauss points at finer points; sin(t) dt there."""
+    """Matrix (finer, nodes) of the polynomial through Gauss points at finer points; sin(t) dt
+    there.
+    """
     coarse, _ = np.polynomial.legendre.leggauss(nodes)
     fine, weight = _gauss(np.linspace(-1.0, 1.0, 13), nodes)
     vander = np.polynomial.legendre.legvander
@@ -63,11 +67,12 @@ def _refined(edges: Array, nodes: int) -> tuple[Array, Array]:
 
 
 class HoopField:
-    """Where and with which weights sigma_phi is integrated for one a/r; the Poisson ratio is left open.
+    """Where and with which weights sigma_phi is integrated for one a/r; the Poisson ratio is left
+    open.
 
-    The sums over degrees are two matrix products, because the points form a grid in radius and angle.  A blow on one
-    pole has half the even degrees of a squeeze and odd ones, which change their sign from the struck hemisphere to the
-    other.
+    The sums over degrees are two matrix products, because the points form a grid in radius and
+    angle.  A blow on one pole has half the even degrees of a squeeze and odd ones, which change
+    their sign from the struck hemisphere to the other.
     """
 
     def __init__(
@@ -83,22 +88,26 @@ class HoopField:
             3.0 * (depth_weight * self.radius**2)[:, None] * (angle_weight * np.sin(angle))
         )
         self.nodes = nodes
-        #: from the Gauss points of a panel to finer ones, and the share of the surface at those, (panels, finer)
+        #: from the Gauss points of a panel to finer ones, and the share of the surface at those,
+        #: (panels, finer)
         self.finer, self.surface_weight = _refined(_graded(0.5 * a, 0.5 * math.pi, growth), nodes)
         self._caps = (
             Load(contact_ratio=(a, a), pressure=(1.0, 0.0)) if one_sided else Load.balanced(a)
         )
         p = load_coefficients(self._caps, terms)
         self._mean = float(p[0])
-        #: around the pole that nothing presses the hoop stress is compressive; what two sums that are cut off leave of
-        #: each other there may be a tension above that of a small contact anywhere on the surface
+        #: around the pole that nothing presses the hoop stress is compressive; what two sums that
+        #: are cut off leave of each other there may be a tension above that of a small contact
+        #: anywhere on the surface
         self._far_pole = angle < min(5.0 * a, 0.8)
         self._parts = [_Degrees(p, 2, self.radius, angle)]
         if one_sided:
             self._parts.append(_Degrees(p, 1, self.radius, angle))
 
     def hoop(self, nu: float) -> Array:
-        """sigma_phi/p_0 on the grid, (radii, angles); of a one-sided blow on both hemispheres, (2, radii, angles)."""
+        """sigma_phi/p_0 on the grid, (radii, angles); of a one-sided blow on both hemispheres, (2,
+        radii, angles).
+        """
         even, *odd = [part.inside(nu) for part in self._parts]
         return (
             np.stack([even + odd[0], even - odd[0]]) - self._mean
@@ -107,7 +116,9 @@ class HoopField:
         )
 
     def surface_hoop(self, nu: float) -> Array:
-        """sigma_phi/p_0 at r = 1, (angles,) or (2, angles), with the closed parts of `surface_stress`."""
+        """sigma_phi/p_0 at r = 1, (angles,) or (2, angles), with the closed parts of
+        `surface_stress`.
+        """
         even, *odd = [part.on_surface(nu) for part in self._parts]
         found = []
         for angle, sign in ((self.angle, 1.0), (math.pi - self.angle, -1.0))[: 1 + len(odd)]:
@@ -123,12 +134,15 @@ class HoopField:
 
 
 class _Degrees:
-    """What the degrees of one parity from `first` on (2: even, 1: odd) add to the hoop tension on a grid."""
+    """What the degrees of one parity from `first` on (2: even, 1: odd) add to the hoop tension on a
+    grid.
+    """
 
     def __init__(self, load: Array, first: int, radius: Array, angle: Array) -> None:
         terms = len(load) - 1
         self.degree = np.arange(3 if first == 1 else 2, terms + 1, 2, dtype=float)
-        # a smooth cut-off: near the surface the powers do not end the sum, and away from the rim this is exact
+        # a smooth cut-off: near the surface the powers do not end the sum, and away from the rim
+        # this is exact
         self.load = load[int(self.degree[0]) :: 2] * np.exp(-36.0 * (self.degree / terms) ** 8)
         self.value, self.slope = _legendre(np.cos(angle), terms, int(self.degree[0]))
         self.power = np.exp(np.outer(np.log(radius), self.degree - 2.0))
@@ -153,7 +167,8 @@ class _Degrees:
         b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
         value = 2.0 * nu + a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu) + b * n
         slope = a * (n + 5.0 - 4.0 * nu) + b + (2.0 * nu - 1.0) / (n * (n + 1.0))
-        # degree 1 as in `series._rest`: its own pressure, less what the closed form of the cross term has of it
+        # degree 1 as in `series._rest`: its own pressure, less what the closed form of the cross
+        # term has of it
         inertia = (1.0 - 2.0 * nu) * 0.5 * self.inertia
         return np.asarray(
             (self.load * value) @ self.value - (self.load * slope) @ self.slope + inertia
@@ -176,20 +191,25 @@ def _legendre(x: Array, terms: int, first: int) -> tuple[Array, Array]:
 def hoop_field(
     contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False
 ) -> HoopField:
-    """The grid of one a/r, in (0, 1): `nodes` Gauss points in panels that grow by `growth` away from the contact."""
+    """The grid of one a/r, in (0, 1): `nodes` Gauss points in panels that grow by `growth` away
+    from the contact.
+    """
     if not 0.0 < contact_ratio < 1.0:
         raise ValueError(f"contact_ratio must lie between 0 and 1, found {contact_ratio}")
     return HoopField(contact_ratio, nodes=nodes, growth=growth, one_sided=one_sided)
 
 
 def volume_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Array:
-    """I_V^(1/m) of every modulus: the uniform tension over p_0 that would be as dangerous as the field; (k,)."""
+    """I_V^(1/m) of every modulus: the uniform tension over p_0 that would be as dangerous as the
+    field; (k,).
+    """
     return _equivalent(field.hoop(nu), field.weight, moduli)
 
 
 def surface_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Array:
     """I_S^(1/m) of every modulus; (k,)."""
-    # where the tension begins the integrand bends: the polynomial through each panel is summed on finer panels
+    # where the tension begins the integrand bends: the polynomial through each panel is summed on
+    # finer panels
     hoop = field.surface_hoop(nu).reshape(-1, field.nodes) @ field.finer.T
     return _equivalent(hoop, field.surface_weight, moduli)
 
@@ -205,10 +225,11 @@ def _equivalent(stress: Array, weight: Array, moduli: npt.ArrayLike) -> Array:
     return np.array(found)
 
 
-# --- Stress on the axis, as a power series in u, the squared distance from the centre, and on the equator.
-# On the axis P_n = 1 and P_n' = n (n + 1)/2, so that the two transverse stresses are one, and under equal forces every
-# stress is a power series in u = (distance/r)².  It makes sense for u < 0 too: the place of the largest tension
-# moves along the axis into the centre and, in this variable, through it without a bend.
+# --- Stress on the axis, as a power series in u, the squared distance from the centre, and on the
+# equator. On the axis P_n = 1 and P_n' = n (n + 1)/2, so that the two transverse stresses are one,
+# and under equal forces every stress is a power series in u = (distance/r)².  It makes sense for u
+# < 0 too: the place of the largest tension moves along the axis into the centre and, in this
+# variable, through it without a bend.
 
 
 def load_on_axis(contact_ratio: float) -> Array:
@@ -242,7 +263,9 @@ def one_sided_load(contact_ratio: float) -> Array:
 
 
 def _odd_axis_series(load: Array, nu: float) -> Array:
-    """Coefficients in powers of u of sigma_phi on the axis over the distance from the centre, of the odd degrees."""
+    """Coefficients in powers of u of sigma_phi on the axis over the distance from the centre, of
+    the odd degrees.
+    """
     n = np.arange(3, len(load), 2, dtype=float)
     a = load[3::2] / (2.0 * (n * n + n + 1.0 + nu * (2.0 * n + 1.0)))
     b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
@@ -255,9 +278,11 @@ def _odd_axis_series(load: Array, nu: float) -> Array:
 
 
 def largest_one_sided(load: Array, contact_ratio: float, nu: float) -> float:
-    """Largest hoop tension on the axis over p_0 where one pole alone is pressed, from `one_sided_load`.
+    """Largest hoop tension on the axis over p_0 where one pole alone is pressed, from
+    `one_sided_load`.
 
-    >>> round(largest_one_sided(one_sided_load(0.2), 0.2, 0.25) / largest_hoop(load_on_axis(0.2), 0.2, 0.25)[0], 4)
+    >>> one_sided = largest_one_sided(one_sided_load(0.2), 0.2, 0.25)
+    >>> round(one_sided / largest_hoop(load_on_axis(0.2), 0.2, 0.25)[0], 4)
     0.8898
     """
     even, odd = axis_series(load, nu)[0], _odd_axis_series(load, nu)
@@ -300,7 +325,8 @@ def _first_guess(series: Array, contact_ratio: float) -> float:
 
 
 def largest_hoop(load: Array, contact_ratio: float, nu: float) -> tuple[float, float]:
-    """Largest hoop tension on the axis over p_0 and its place u, which is negative once the centre has it.
+    """Largest hoop tension on the axis over p_0 and its place u, which is negative once the centre
+    has it.
 
     >>> load = load_on_axis(0.1)
     >>> tension, u = largest_hoop(load, 0.1, 0.25)
@@ -322,8 +348,8 @@ def largest_shear(load: Array, contact_ratio: float, nu: float) -> tuple[float, 
 def equatorial_hoop(load: Array, nu: float) -> float:
     """sigma_phi on the surface half-way between the contacts, over p_0.
 
-    The series of the surface with its closed parts, which vanish there, and P_n(0) = -(n-1)/n P_(n-2)(0); a smooth
-    cut-off, exact to high order far from the contacts, ends it.
+    The series of the surface with its closed parts, which vanish there, and P_n(0) = -(n-1)/n
+    P_(n-2)(0); a smooth cut-off, exact to high order far from the contacts, ends it.
 
     >>> round(equatorial_hoop(load_on_axis(0.1), 0.25) / 0.01, 6)
     0.276737
@@ -340,15 +366,17 @@ def equatorial_hoop(load: Array, nu: float) -> float:
 
 
 # --- Radial tension on the surface around the contacts, and its weakest-link integral.
-# Around the contact the half space has sigma_t = (1 - 2 nu)/3 p_0 (a/rho)².  A finite contact has less of it: from the
-# rim on it falls faster, turns to compression at some place, and for a large contact there is none at all.  While the
-# force rises, p_0 in proportion with a, the contact grows over places that were at its rim before.  A place counts with
-# the largest tension that it has seen,
+# Around the contact the half space has sigma_t = (1 - 2 nu)/3 p_0 (a/rho)².  A finite contact has
+# less of it: from the rim on it falls faster, turns to compression at some place, and for a large
+# contact there is none at all.  While the force rises, p_0 in proportion with a, the contact grows
+# over places that were at its rim before.  A place counts with the largest tension that it has
+# seen,
 #
 # I_rim = ∫ max over a' <= min(a, rho) of (a'/a sigma_t(rho; a')/p_0(a'))^m dS / S,
 #
-# over the whole surface, S = 4 pi r², so that the demand never falls while the force rises.  In the half space that is
-# [(1 - 2 nu)/3]^m a²/(2 r²) 3 m/((m - 1) (m + 2)), of which a²/(2 r² (m - 1)) lies outside of the contacts.
+# over the whole surface, S = 4 pi r², so that the demand never falls while the force rises.  In the
+# half space that is [(1 - 2 nu)/3]^m a²/(2 r²) 3 m/((m - 1) (m + 2)), of which a²/(2 r² (m - 1))
+# lies outside of the contacts.
 
 #: number of polynomials in z, a/r and nu for the field that the integrals are taken of
 _SHAPE: Final = (24, 16, 8)
@@ -360,9 +388,10 @@ _STEPS: Final = 160
 def rim_tension(contact_ratio: float, places: npt.ArrayLike, nu: npt.ArrayLike) -> Array:
     """sigma_t/p_0 at `places` z (k,) for Poisson ratios (n,), from the series: (k, n).
 
-    z runs from 0 at the rim to 1 at the equator, ln(rho/a) = z² ln(r/a); in z the rim is smooth, where the field goes
-    with (rho - a)^(3/2).  The sum is cut off smoothly at 800 over a/r and at half of that; at the rim it errs by
-    n^(-3/2), which is taken out, and leaves an error below 1e-6.
+    z runs from 0 at the rim to 1 at the equator, ln(rho/a) = z² ln(r/a); in z the rim is smooth,
+    where the field goes with (rho - a)^(3/2).  The sum is cut off smoothly at 800 over a/r and at
+    half of that; at the rim it errs by n^(-3/2), which is taken out, and leaves an error below
+    1e-6.
 
     >>> float(rim_tension(0.01, [0.0], [0.25])[0, 0].round(3))  # 0.167 in the half space
     0.16
@@ -410,13 +439,16 @@ def field_of_the_table() -> Array:
 
 
 def _tension(contact_ratio: Array, sine: Array, nu: float) -> Array:
-    """sigma_t/p_0 at sines rho/r, both of one shape, from the coefficients; between them and the half space below."""
+    """sigma_t/p_0 at sines rho/r, both of one shape, from the coefficients; between them and the
+    half space below.
+    """
     c = field_of_the_table()
     chebyshev = np.polynomial.chebyshev
     low, high = (math.log(bound) for bound in CONTACT_RATIO)
     known = np.clip(contact_ratio, *CONTACT_RATIO)
     over = np.maximum(sine / contact_ratio, 1.0)
-    # a smaller contact than the smallest has its field in rho/a, and a smaller share of what it lacks
+    # a smaller contact than the smallest has its field in rho/a, and a smaller share of what it
+    # lacks
     z = np.sqrt(np.minimum(np.log(over) / np.log(1.0 / known), 1.0))
     in_nu = np.tensordot(c, chebyshev.chebval(4.0 * nu - 1.0, np.eye(_SHAPE[2])), axes=(2, 0))
     scale = np.asarray((2.0 * np.log(known) - low - high) / (high - low))
@@ -488,7 +520,9 @@ _UNITS: Final = {2: 1e-10, 3: 2e-9}
 
 
 def exact(name: str, contact_ratio: float, nu: float, load: Array | None = None) -> float:
-    """The value that a table in a/r and nu holds, from the series; `load` of `load_on_axis`, if at hand."""
+    """The value that a table in a/r and nu holds, from the series; `load` of `load_on_axis`, if at
+    hand.
+    """
     if name == "core_one":
         return largest_one_sided(
             one_sided_load(contact_ratio) if load is None else load, contact_ratio, nu
@@ -515,7 +549,9 @@ def _two_way(name: str) -> Array:
 
 
 def _three_way(one_sided: bool = False) -> dict[str, Array]:
-    """Weakest-link integrals of equal forces, or of one force alone, by the names of their stress."""
+    """Weakest-link integrals of equal forces, or of one force alone, by the names of their
+    stress.
+    """
     last = "_one" if one_sided else ""
     shape = SHAPES["volume" + last]
     ratios, poisson, moduli = chebyshev_nodes(shape)

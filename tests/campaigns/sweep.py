@@ -1,9 +1,10 @@
 """Scenes spread over everything that can be asked of the model, balanced and reproducible.
 
-Every stratum is one structure (shape of the pulse, infinite or finite bars, ...); inside it a Latin hypercube
-spreads mu, theta and the inputs over their ranges, logarithmically where they span decades.  What is left over
-is solved for: the bar's diameter, or the sphere's density where the bar would be thinner than the sphere, gives
-mu; the pulse's duration gives theta; the bars' lengths follow from the pulse.
+Every stratum is one structure (shape of the pulse, infinite or finite bars, ...); inside it a Latin
+hypercube spreads mu, theta and the inputs over their ranges, logarithmically where they span
+decades.  What is left over is solved for: the bar's diameter, or the sphere's density where the bar
+would be thinner than the sphere, gives mu; the pulse's duration gives theta; the bars' lengths
+follow from the pulse.
 """
 
 from __future__ import annotations
@@ -64,13 +65,16 @@ _SHORT: Final[Ranges] = {
     "ratio": (0.1, 10.0, True),
     "incident": (1.0, 30.0, True),
 }
-#: ends of the bars that have names; every second row has one of these, the others any number between
+#: ends of the bars that have names; every second row has one of these, the others any number
+#: between
 _NAMED_ENDS: Final = np.array([1.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stratum:
-    """One structure of scenes.  `rounded`: bar ends with a radius; `by_striker`: the striker's length gives theta."""
+    """One structure of scenes.  `rounded`: bar ends with a radius; `by_striker`: the striker's
+    length gives theta.
+    """
 
     shape: str = "rectangular"
     infinite: bool = False
@@ -141,7 +145,8 @@ def _columns(
     end_radius = columns.pop("bars.end_radius") * columns["sphere.radius"]
     if stratum.rounded:
         columns["bars.end_radius"] = end_radius
-    # mu goes with diameter^(-10/3) and with the density; measured on a bar twice as wide as the sphere
+    # mu goes with diameter^(-10/3) and with the density; measured on a bar twice as wide as the
+    # sphere
     columns["bars.diameter"] = 4.0 * columns["sphere.radius"]
     trial = Scene(
         columns={**columns, "pulse.duration": np.ones(count)},
@@ -218,7 +223,8 @@ def design(
 ) -> list[Scene]:
     """`count` rows, as evenly over the strata as can be; the same for the same count and seed.
 
-    narrower: entries of RANGES to put in their place, to keep a sweep short: light spheres under long pulses cost most.
+    narrower: entries of RANGES to put in their place, to keep a sweep short: light spheres under
+    long pulses cost most.
     """
     scenes: list[Scene] = []
     for index, share in enumerate(np.array_split(np.arange(count), len(strata))):
@@ -229,7 +235,9 @@ def design(
 
 
 def as_inputs(scene: Scene, row: int) -> dict[str, Any]:
-    """One row as a dict that builds it again: `Scene(**{**found, "columns": {name: np.array([value]) ...}})`."""
+    """One row as a dict that builds it again: `Scene(**{**found, "columns": {name:
+    np.array([value]) ...}})`.
+    """
     return {
         "columns": {name: float(column[row]) for name, column in scene.columns.items()},
         "shape": scene.shape,
@@ -241,14 +249,15 @@ def as_inputs(scene: Scene, row: int) -> dict[str, Any]:
     }
 
 
-# --- The kernel over the whole range of inputs: against the second integrator, or itself at a closer tolerance.
-# A row is wrong if it has an answer and a quantity is off by more than five times the tolerance.  It is silent unless
-# the kernel marks that its contact grazes zero, and nothing but what follows from the first loss is wrong.
+# --- The kernel over the whole range of inputs: against the second integrator, or itself at a
+# closer tolerance. A row is wrong if it has an answer and a quantity is off by more than five times
+# the tolerance.  It is silent unless the kernel marks that its contact grazes zero, and nothing but
+# what follows from the first loss is wrong.
 
 #: an error may be this many times the tolerance that was asked for
 ALLOWED: Final = 5.0
-#: quantities that follow from others row by row: their errors are those of the pressure, or of the energy; the mean of
-#: both forces is held in `tests.mechanics.test_rigs_kernel`
+#: quantities that follow from others row by row: their errors are those of the pressure, or of the
+#: energy; the mean of both forces is held in `tests.mechanics.test_rigs_kernel`
 _DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place) - {
     "p_max",
     "first_peak",
@@ -259,7 +268,8 @@ _DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.pla
 }
 #: what a loss of contact that is a swing sooner or later changes
 _TIMES: Final = frozenset({"time_to_first_loss", "contact_duration"})
-#: sums that an error is measured by, where it is not the quantity itself: the approach, and the work done on the faces
+#: sums that an error is measured by, where it is not the quantity itself: the approach, and the
+#: work done on the faces
 _UNITS: Final = MappingProxyType(
     {"dent": ("alpha_max",), "plastic_work": ("plastic_work", "energy")}
 )
@@ -267,8 +277,8 @@ _UNITS: Final = MappingProxyType(
 
 @dataclass(frozen=True, kw_only=True)
 class Wrong:
-    """A row that is wrong: inputs, similarity numbers, (found, expected, error over tolerance) by quantity; whether the
-    kernel has marked it."""
+    """A row that is wrong: inputs, similarity numbers, (found, expected, error over tolerance) by
+    quantity; whether the kernel has marked it."""
 
     inputs: dict[str, Any]
     mu: float
@@ -281,8 +291,8 @@ class Wrong:
 class Comparison:
     """Errors of n rows over the tolerance, (n, quantities), NaN where there is nothing to compare.
 
-    `status` (n,) are those of the kernel, `marked` (n,) whether contact grazes zero; `judged` (n,) says where the other
-    side has an answer; `mu`, `theta` (n,).
+    `status` (n,) are those of the kernel, `marked` (n,) whether contact grazes zero; `judged` (n,)
+    says where the other side has an answer; `mu`, `theta` (n,).
     """
 
     names: tuple[str, ...]
@@ -302,17 +312,18 @@ class Comparison:
         )
 
 
-#: values and which times were cut off by the record's end, by name (n,), and in which rows there are any
+#: values and which times were cut off by the record's end, by name (n,), and in which rows there
+#: are any
 _Answer = tuple[Mapping[str, Any], Mapping[str, Any], npt.NDArray[np.bool_]]
 
 
 def _error(name: str, found: Answers, truth: _Answer, tolerance: float) -> Array:
     """Error of one quantity over the tolerance (n,).
 
-    It is relative, but for the force imbalance, a difference of two forces over the largest: absolute, and for what is
-    left of larger numbers that it is the difference of: dent and plastic work, nothing at the onset (`_UNITS`).  A time
-    that one side says was cut off by the record's end and the other says was not differs without bound, unless
-    both times agree.
+    It is relative, but for the force imbalance, a difference of two forces over the largest:
+    absolute, and for what is left of larger numbers that it is the difference of: dent and plastic
+    work, nothing at the onset (`_UNITS`).  A time that one side says was cut off by the record's
+    end and the other says was not differs without bound, unless both times agree.
     """
     value, expected = np.asarray(found.values[name]), np.asarray(truth[0][name])
     unit = np.abs(sum(np.asarray(truth[0][part]) for part in _UNITS.get(name, (name,))))
@@ -404,7 +415,9 @@ def against_itself(
 def against_reference(
     plan: Sequence[Scene], *, tolerance: float = 1e-6, budget: int = 4000, rtol: float = 1e-12
 ) -> Comparison:
-    """The kernel against the second integrator; a row that takes that more than `budget` steps is not judged."""
+    """The kernel against the second integrator; a row that takes that more than `budget` steps is
+    not judged.
+    """
     from tests.independent.motion import Reference, Unaffordable, refer
 
     def judge(scene: Scene, found: Answers) -> _Answer:
@@ -426,7 +439,9 @@ def against_reference(
 
 
 def report(found: Comparison) -> str:
-    """The comparison as text: errors over the tolerance by quantity, rows by status, wrong and silent rows."""
+    """The comparison as text: errors over the tolerance by quantity, rows by status, wrong and
+    silent rows.
+    """
     compared = found.judged & answered(found.status)
     rows = []
     for name, column in zip(found.names, found.errors[compared].T, strict=True):
@@ -457,7 +472,8 @@ def report(found: Comparison) -> str:
         "",
         table(["status", "rows", "not judged", "meaning"], states),
         "",
-        f"wrong and silent: {len(found.silent)} rows; contact grazes zero in {int(found.marked[compared].sum())}, "
+        f"wrong and silent: {len(found.silent)} rows; contact grazes zero in "
+        f"{int(found.marked[compared].sum())}, "
         f"of which {len(found.wrong) - len(found.silent)} differ",
     ]
     for wrong in found.silent:
@@ -468,12 +484,12 @@ def report(found: Comparison) -> str:
     return "\n".join(lines)
 
 
-# --- faces with laws of their own -----------------------------------------------------------------------
+# --- faces with laws of their own -----------------------------------------------------------------
 
 
 def with_law(plan: Sequence[Scene], seed: int) -> list[Scene]:
-    """The same scenes with faces that yield: first yield at 1e-4 to 1.2 of the approach at P_0, H/p_y = 1 to 4, C = 1
-    to 2.9 (one in six is Thornton's)."""
+    """The same scenes with faces that yield: first yield at 1e-4 to 1.2 of the approach at P_0,
+    H/p_y = 1 to 4, C = 1 to 2.9 (one in six is Thornton's)."""
     rng, made = np.random.default_rng(seed), []
     for scene in plan:
         count, scales = len(scene), scene.scales
@@ -492,15 +508,17 @@ def with_law(plan: Sequence[Scene], seed: int) -> list[Scene]:
 
 
 def unbalanced(scene: Scene, row: int, tolerance: float) -> float:
-    """Work of the bars less what is in the sphere and its faces at the end of a motion, over the most that was in them.
+    """Work of the bars less what is in the sphere and its faces at the end of a motion, over the
+    most that was in them.
 
-    The sums run over the series of the motion, at Gauss points; what is lost to yield follows from the
-    largest forces by the laws themselves. (C15).
+    The sums run over the series of the motion, at Gauss points; what is lost to yield follows from
+    the largest forces by the laws themselves. (C15).
     """
     found = motions(scene, np.array([row]), tolerance=tolerance)[0]
     if isinstance(found, int):
         return math.nan
-    # the first step, from a touch, is a cubic between ends that are closer: what it holds counts from its end
+    # the first step, from a touch, is a cubic between ends that are closer: what it holds counts
+    # from its end
     starts, lengths = (
         found.start[1:] * found.unit,
         np.minimum(found.length, found.end - found.start)[1:] * found.unit,
@@ -536,7 +554,9 @@ SLICE: Final = 110
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table after every slice.  `--room`: steps that a reflection still needs, at most."""
+    """Prints the table after every slice.  `--room`: steps that a reflection still needs, at
+    most.
+    """
     asked = options(
         "N hard scenes against a tighter tolerance, or the second integrator",
         arguments,
@@ -564,7 +584,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             known = (found := np.concatenate(off))[np.isfinite(found)]
             print(
                 f"{len(found)} scenes, {len(known)} motions; energy lacking over the tolerance: "
-                f"median {np.median(known):.2g}, 99 % {np.quantile(known, 0.99):.2g}, worst {known.max():.2g}"
+                f"median {np.median(known):.2g}, 99 % {np.quantile(known, 0.99):.2g}, worst "
+                f"{known.max():.2g}"
             )
             for row in np.flatnonzero(off[-1] > 2.0 * ALLOWED):
                 print(f"- seed {asked.seed + k}, motion {row}: {off[-1][row]:.3g}")

@@ -1,7 +1,9 @@
-"""Every command, output and `>>>` line of README.md and the tutorials is executed, in order, in one folder a page.
+"""Every command, output and `>>>` line of README.md and the tutorials is executed, in order, in one
+folder a page.
 
-A ```console block has commands behind "$ " and what they print; "..." stands for anything.  A ```toml or ```python
-block whose first line is a comment with a file's name is that file.  In ```python blocks `>>>` lines are doctests.
+A ```console block has commands behind "$ " and what they print; "..." stands for anything.  A
+```toml or ```python block whose first line is a comment with a file's name is that file.  In
+```python blocks `>>>` lines are doctests.
 """
 
 import contextlib

@@ -1,4 +1,6 @@
-"""The published pages, drawn again from their results: valid in what a browser and a reader rely on."""
+"""The published pages, drawn again from their results: valid in what a browser and a reader rely
+on.
+"""
 
 import json
 import re
@@ -15,7 +17,9 @@ VOID = {"meta", "br", "path", "use", "rect", "image"}
 
 
 class Outline(HTMLParser):
-    """Open elements, ids, and what a reader who sees nothing is told of figures, tables and regions."""
+    """Open elements, ids, and what a reader who sees nothing is told of figures, tables and
+    regions.
+    """
 
     def __init__(self, html: str) -> None:
         super().__init__()

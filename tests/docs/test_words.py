@@ -1,4 +1,6 @@
-"""House words that stand for a term of the field: in no name of a function, class or field, and in no message."""
+"""House words that stand for a term of the field: in no name of a function, class or field, and in
+no message.
+"""
 
 import ast
 import re
@@ -12,7 +14,8 @@ NAMES = re.compile(
     re.IGNORECASE,
 )
 MESSAGES = re.compile(
-    r"\b(told|said|asked|chance|alone|dear|lacking|heeds?|granted|likeliest|is due|ways? to break)\b"
+    r"\b(told|said|asked|chance|alone|dear|lacking|heeds?|granted|likeliest|is due|ways? to "
+    r"break)\b"
 )
 #: fields of the compiled record of lanes
 LEFT = {("mechanics", "alone"), ("mechanics", "asked")}

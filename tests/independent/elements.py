@@ -1,8 +1,10 @@
-"""The stress inside the sphere once more by finite elements, which share nothing with the series but the load.
+"""The stress inside the sphere once more by finite elements, which share nothing with the series
+but the load.
 
-A quarter of the section through the axis, between axis and equator, is meshed by quadratic elements in distance from
-the centre and angle from the axis: rings of nine-node quadrilaterals, finer towards the surface and towards the rim
-of the contact, and six-node triangles around the centre.  Lengths are over the sphere's radius, stresses over p_0.
+A quarter of the section through the axis, between axis and equator, is meshed by quadratic elements
+in distance from the centre and angle from the axis: rings of nine-node quadrilaterals, finer
+towards the surface and towards the rim of the contact, and six-node triangles around the centre.
+Lengths are over the sphere's radius, stresses over p_0.
 
 python -m tests.independent.elements docs/figures/stress-elements.svg
 """
@@ -26,7 +28,8 @@ Index = npt.NDArray[np.int64]
 #: the case of the picture and of docs/validation.md
 CONTACT_RATIO: Final = 0.2
 NU: Final = 0.25
-#: what is left out of the comparison: this far from the rim, over the contact radius, and from the centre, over r
+#: what is left out of the comparison: this far from the rim, over the contact radius, and from the
+#: centre, over r
 RIM_ZONE: Final = 0.1
 CENTRE_ZONE: Final = 0.01
 #: meshes that `main` compares: rings, and the finest step over the contact radius
@@ -50,7 +53,9 @@ class Mesh:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """Stress at points of the elements, over p_0: place (m, 2), and (sigma_rho, sigma_z, sigma_phi, tau) (m, 4)."""
+    """Stress at points of the elements, over p_0: place (m, 2), and (sigma_rho, sigma_z, sigma_phi,
+    tau) (m, 4).
+    """
 
     place: Array
     stress: Array
@@ -79,7 +84,8 @@ def _edges(count: int, first: float, length: float) -> Array:
 
 
 def make_mesh(contact_ratio: float, count: int = 40, finest: float = 2e-3) -> Mesh:
-    """`count` rings and as many sectors outside the contact, as many inside, from steps of `finest` a on.
+    """`count` rings and as many sectors outside the contact, as many inside, from steps of `finest`
+    a on.
 
     >>> make_mesh(0.2, 8, 0.05).quads.shape
     (112, 9)
@@ -91,7 +97,8 @@ def make_mesh(contact_ratio: float, count: int = 40, finest: float = 2e-3) -> Me
     depth = _edges(count, first, 1.0)
     radius = _halved(1.0 - depth[::-1])[2:]
     rows, columns = len(radius), len(angle)
-    # the ring nearest to the centre is one of triangles: its inner nodes are half-way, and one in the centre
+    # the ring nearest to the centre is one of triangles: its inner nodes are half-way, and one in
+    # the centre
     radius = np.concatenate([[0.5 * radius[0]], radius])
     rows += 1
     grid = np.arange(rows * columns).reshape(rows, columns)
@@ -142,7 +149,9 @@ def _nine(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _six(x: Array, y: Array) -> tuple[Array, Array]:
-    """The same of the triangle (0, 0), (1, 0), (0, 1), then the middles of its sides: (points, 6), (points, 2, 6)."""
+    """The same of the triangle (0, 0), (1, 0), (0, 1), then the middles of its sides: (points, 6),
+    (points, 2, 6).
+    """
     w = 1.0 - x - y
     value = np.stack(
         [w * (2 * w - 1), x * (2 * x - 1), y * (2 * y - 1), 4 * w * x, 4 * x * y, 4 * w * y], axis=1
@@ -160,7 +169,9 @@ def _square(nodes: int) -> tuple[Array, Array, Array]:
 
 
 def _triangle() -> tuple[Array, Array, Array]:
-    """Points and weights exact to degree 4 (Dunavant, Int. J. Numer. Methods Eng. 21, 1985, 1129)."""
+    """Points and weights exact to degree 4 (Dunavant, Int. J. Numer. Methods Eng. 21, 1985,
+    1129).
+    """
     a, b = 0.445948490915965, 0.091576213509771
     x = np.array([a, 1 - 2 * a, a, b, 1 - 2 * b, b])
     y = np.array([a, a, 1 - 2 * a, b, b, 1 - 2 * b])
@@ -170,7 +181,9 @@ def _triangle() -> tuple[Array, Array, Array]:
 def _strains(
     nodes: Array, elements: Index, shape: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """Strain from displacements (k, points, 4, 2 per node), places (k, points, 2) and areas per unit (k, points)."""
+    """Strain from displacements (k, points, 4, 2 per node), places (k, points, 2) and areas per
+    unit (k, points).
+    """
     value, slope = shape
     corners = nodes[elements]
     place = np.einsum("pa,kad->kpd", value, corners)
@@ -196,7 +209,9 @@ def _stiffness(nu: float) -> Array:
 def _load(
     mesh: Mesh, contact_ratio: float, pressure: Callable[[Array], Array] | None = None
 ) -> Array:
-    """Forces on the nodes under sqrt(1 - (sin t/a)²), or a pressure over sin t, (2 n,); per radian around the axis."""
+    """Forces on the nodes under sqrt(1 - (sin t/a)²), or a pressure over sin t, (2 n,); per radian
+    around the axis.
+    """
     points, weights = np.polynomial.legendre.leggauss(16)
     value = np.stack(
         [0.5 * points * (points - 1.0), 1.0 - points**2, 0.5 * points * (points + 1.0)], axis=1
@@ -221,14 +236,16 @@ def _load(
 def solve_elements(
     contact_ratio: float, nu: float, mesh: Mesh, *, pressure: Callable[[Array], Array] | None = None
 ) -> Field:
-    """Stress at the 2 x 2 points of every quadrilateral, where that of quadratic elements is most accurate.
+    """Stress at the 2 x 2 points of every quadrilateral, where that of quadratic elements is most
+    accurate.
 
     `pressure` over the sine of the angle takes the place of Hertz's.
 
     Raises
     ------
     ValueError
-        For a Poisson ratio at which the displacements alone do not give the stress, or a/r outside (0, 1).
+        For a Poisson ratio at which the displacements alone do not give the stress, or a/r outside
+        (0, 1).
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
@@ -282,8 +299,8 @@ def solve_elements(
 class Comparison:
     """Series and elements at the same points.
 
-    place (m, 2); series and elements (m,) the largest principal stress over p_0; difference (m,) of the two over the
-    larger of its size there and the core tension; core : that tension over p_0.
+    place (m, 2); series and elements (m,) the largest principal stress over p_0; difference (m,) of
+    the two over the larger of its size there and the core tension; core : that tension over p_0.
     """
 
     place: Array
@@ -340,7 +357,8 @@ def main() -> None:
     for count, first in MESHES:
         found = compare(count=count, finest=first)
         print(
-            f"{count} rings, {len(found.place):,} points: worst {found.worst:.2g}, median {found.median:.2g}"
+            f"{count} rings, {len(found.place):,} points: worst {found.worst:.2g}, median "
+            f"{found.median:.2g}"
         )
 
 

@@ -1,8 +1,10 @@
-"""A second integrator of every scene, (9), (R3), (C14): a sphere with a partner at each pole; slow, of another method.
+"""A second integrator of every scene, (9), (R3), (C14): a sphere with a partner at each pole; slow,
+of another method.
 
-SciPy's DOP853 with events follows faces that yield, part and touch again; waves that leave the faces are kept at
-Chebyshev points of every step and come back from far ends.  The law of a face is written out anew, answers are read off
-the steps.  Nothing is shared with the product but the inputs.  Everything is scaled.
+SciPy's DOP853 with events follows faces that yield, part and touch again; waves that leave the
+faces are kept at Chebyshev points of every step and come back from far ends.  The law of a face is
+written out anew, answers are read off the steps.  Nothing is shared with the product but the
+inputs.  Everything is scaled.
 """
 
 from __future__ import annotations
@@ -113,8 +115,8 @@ class Law:
 
 @dataclass(kw_only=True)
 class Pole:
-    """What stands at a pole: zeta, mu_i (inf: does not move by itself), V_i(0), law of the face; of a bar the round
-    trip and the reflection coefficient of its far end."""
+    """What stands at a pole: zeta, mu_i (inf: does not move by itself), V_i(0), law of the face; of
+    a bar the round trip and the reflection coefficient of its far end."""
 
     gives: float = 0.0
     mass: float = math.inf
@@ -170,9 +172,11 @@ class Piece:
 
 @dataclass(kw_only=True)
 class Motion:
-    """A motion from first touch on: `end`, the face that let go first or None and when, the last state.
+    """A motion from first touch on: `end`, the face that let go first or None and when, the last
+    state.
 
-    state : x_A, x_B, u, U_A, U_B, integrals of zeta q² and of q at both faces, and of the work of incoming waves.
+    state : x_A, x_B, u, U_A, U_B, integrals of zeta q² and of q at both faces, and of the work of
+        incoming waves.
     """
 
     pieces: list[Piece] = field(default_factory=list)
@@ -213,10 +217,13 @@ class Motion:
         ]
 
     def crossing(self, of: Kind, level: float, since: float = -math.inf) -> float:
-        """First time from `since` on at which a function of the rows reaches a level; NaN if it never does."""
+        """First time from `since` on at which a function of the rows reaches a level; NaN if it
+        never does.
+        """
         for piece, values in self._looks(of, math.inf):
             later = piece.times >= since * (1.0 - 1e-14)
-            # between two looks a top may be above the level, where one course falls as another rises
+            # between two looks a top may be above the level, where one course falls as another
+            # rises
             near = [
                 i
                 for i in _tops(values)
@@ -266,7 +273,8 @@ def march(
 ) -> Motion:
     """Integrate one scene.
 
-    pulse : incoming wave at A, of the time and of a time inside of the step; jumps : where steps end.
+    pulse : incoming wave at A, of the time and of a time inside of the step; jumps : where steps
+        end.
     stop : "loss" of the first face, "parting" for good, or "end" of the record.
     fade : from here on the motion also ends where both forces stay below 1 % of the largest.
 
@@ -280,7 +288,9 @@ def march(
     middle = 0.0
 
     def back(k: int, t: float) -> float:
-        """What the far end of bar k sends back at t: the wave that left its face one round trip before."""
+        """What the far end of bar k sends back at t: the wave that left its face one round trip
+        before.
+        """
         pole = poles[k]
         if pole.end == 0.0 or middle <= pole.trip:
             return 0.0
@@ -463,7 +473,9 @@ def _faded(laws: list[Law | None], peak: float) -> Any:
 
 
 def quiet(laws: Any, peak: float) -> float:
-    """Approach above the dents below which no force can be more than 1 % of the largest: the stiffer face's."""
+    """Approach above the dents below which no force can be more than 1 % of the largest: the
+    stiffer face's.
+    """
     return float((0.01 * peak / max(law.spring for law in laws if law)) ** (2.0 / 3.0))
 
 
@@ -504,7 +516,8 @@ def jumps_of(edges: list[float], trips: list[float], ends: list[float], most: fl
 def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-11) -> Reference:
     """Answers of one row of a scene of two bars, by the formulas of the theory.
 
-    Raises ValueError for a row outside the domain, Unaffordable for one that takes more than `budget` steps.
+    Raises ValueError for a row outside the domain, Unaffordable for one that takes more than
+        `budget` steps.
     """
     if scene.status[row] != 0:
         raise ValueError(f"row {row} lies outside the domain of the model")
@@ -578,7 +591,9 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
         return np.maximum(rows[2], rows[3])
 
     def peak_of(x: float) -> dict[str, float]:
-        """Centre pressure, a² over r_eff alpha_c, dent and plastic work of a face pressed to x, (C8), (C11), (C12)."""
+        """Centre pressure, a² over r_eff alpha_c, dent and plastic work of a face pressed to x,
+        (C8), (C11), (C12).
+        """
         if x <= law.onset:
             return {
                 "centre": p_y * math.sqrt(x / law.onset),

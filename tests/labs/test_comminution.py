@@ -1,4 +1,6 @@
-"""Laws of single particles, their posterior, and a feed under blows against closed forms and `feed_cases.json`."""
+"""Laws of single particles, their posterior, and a feed under blows against closed forms and
+`feed_cases.json`.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,7 @@ def one_draw(**parameters: float) -> Posterior:
     )
 
 
-# --- laws ---------------------------------------------------------------------------------------------------------
+# --- laws -----------------------------------------------------------------------------------------
 
 
 def test_energy_of_a_force_and_the_share_of_the_particle() -> None:
@@ -113,7 +115,8 @@ def test_thresholds_of_equal_blows(gamma: str) -> None:
     np.testing.assert_allclose(found, CASES["thresholds"][gamma], rtol=1e-11)
     equal = [float(laws.survivor_bound(np.ones(n), float(gamma))) for n in range(1, 6)]
     np.testing.assert_allclose(equal, found[1:6], rtol=1e-11)
-    # blow by blow: what is just below the bound breaks at the last blow, what is just above does not
+    # blow by blow: what is just below the bound breaks at the last blow, what is just above does
+    # not
     for wide, breaks in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
         left = wide * found[5]
         for _ in range(4):
@@ -154,7 +157,7 @@ def test_other_finenesses_from_t10(case: dict[str, float]) -> None:
     assert float(laws.t_n(0.5, case["t10"])) == 1.0
 
 
-# --- tests to a posterior -----------------------------------------------------------------------------------------
+# --- tests to a posterior -------------------------------------------------------------------------
 
 
 def test_thirty_tests_of_one_size_have_the_exact_intervals() -> None:
@@ -198,7 +201,9 @@ def test_intervals_of_go_no_go_come_from_the_tail_that_both_ends_lie_in() -> Non
 
 
 def made_up(rng: np.random.Generator, each: int = 12) -> Specimens:
-    """Energies at failure of 2 to 20 mm, of E_inf 60 J/kg, d0 6 mm, phi 1.1, sigma 0.55, E_max/E50 4."""
+    """Energies at failure of 2 to 20 mm, of E_inf 60 J/kg, d0 6 mm, phi 1.1, sigma 0.55, E_max/E50
+    4.
+    """
     d = np.repeat([0.002, 0.005, 0.01, 0.02], each)
     median = laws.median_energy("tavares", d, 60.0, 1.1, 0.006)
     return specimens(d, laws.energy_at("lognormal", rng.random(len(d)), median, 0.55, 4.0))
@@ -374,7 +379,7 @@ def test_only_breaks_of_go_no_go_bound_nothing_and_odd_rows_are_named(tmp_path: 
         table(tmp_path, head.replace("outcome", "outcome,s") + "10,5,1,a\n10,5,1,a\n", specimen="s")
 
 
-# --- feed ---------------------------------------------------------------------------------------------------------
+# --- feed -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("blows", "key"), [(1, "blows1"), (3, "blows3"), (10, "blows10")])

@@ -1,4 +1,6 @@
-"""The labs stand beside the product: nothing of it imports them, and they import public names only."""
+"""The labs stand beside the product: nothing of it imports them, and they import public names
+only.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,8 @@ def test_the_lab_commands_need_no_heavy_import_for_their_help() -> None:
         "import sys, uqsphere.labs.comminution.cli, uqsphere.labs.shpb.cli as lab\n"
         "try: lab.main(['--help'])\n"
         "except SystemExit: "
-        "print([m for m in ('pandas', 'matplotlib', 'scipy.stats', 'scipy.optimize') if m in sys.modules])"
+        "print([m for m in ('pandas', 'matplotlib', 'scipy.stats', 'scipy.optimize') if m in "
+        "sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOUSE.parent
@@ -67,13 +70,16 @@ def test_the_lab_commands_need_no_heavy_import_for_their_help() -> None:
 
 
 def test_the_product_stands_without_the_labs(tmp_path: Path) -> None:
-    """Every module imports, a study loads, and the labs' commands are unknown, where `labs/` is deleted."""
+    """Every module imports, a study loads, and the labs' commands are unknown, where `labs/` is
+    deleted.
+    """
     shutil.copytree(
         HOUSE, tmp_path / "uqsphere", ignore=shutil.ignore_patterns("labs", "__pycache__")
     )
     code = (
         "import pkgutil, importlib, sys, uqsphere; "
-        "names = [m.name for m in pkgutil.walk_packages(uqsphere.__path__, 'uqsphere.') if '__main__' not in m.name]; "
+        "names = [m.name for m in pkgutil.walk_packages(uqsphere.__path__, 'uqsphere.') if "
+        "'__main__' not in m.name]; "
         "[importlib.import_module(name) for name in names]; "
         "from uqsphere.cli import main; "
         "print(uqsphere.__file__, len(uqsphere.load_study(sys.argv[1]).limits)); main(['shpb'])"

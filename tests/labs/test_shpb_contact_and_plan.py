@@ -110,7 +110,7 @@ def test_fit_contact_from_the_command_line(
     assert "diameter" in capsys.readouterr().err
 
 
-# --- plan ---------------------------------------------------------------------------------------------------------
+# --- plan -----------------------------------------------------------------------------------------
 
 STUDY = """
 title = "A ball between bars"

@@ -1,4 +1,6 @@
-"""Records of a test with known forces: every fault mended, doubted or refused, never wrong and sound."""
+"""Records of a test with known forces: every fault mended, doubted or refused, never wrong and
+sound.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ BARS: dict[str, Any] = {
 
 
 def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFrame:
-    """Time [us] and strains of both gauges: a pulse of 120 us, a force of 25 kN at both faces; compression negative.
+    """Time [us] and strains of both gauges: a pulse of 120 us, a force of 25 kN at both faces;
+    compression negative.
 
     Waves change their shape on their way by the first mode of the bars.
     """
@@ -83,7 +86,9 @@ def steps(test: Reading) -> list[str]:
 
 
 def check_sound(test: Reading, share: float = 0.03) -> None:
-    """Every number without a doubt is right, and inside its interval (widened by the error of a smoothed top)."""
+    """Every number without a doubt is right, and inside its interval (widened by the error of a
+    smoothed top).
+    """
     for peak in test.peaks.values():
         if not peak.doubts:
             assert peak.value == pytest.approx(PEAK, rel=share)
@@ -179,7 +184,8 @@ def late(name: str, samples: int) -> Any:
     return lambda f: f.assign(**{name: np.roll(f[name], samples)})
 
 
-#: what happens to a record or is said of it: frame, keys, and words of the doubt or refusal; empty where it is mended
+#: what happens to a record or is said of it: frame, keys, and words of the doubt or refusal; empty
+#: where it is mended
 FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "sign of one bar": (scaled(INC, -1.0), {}, ""),
     "sign of the other": (scaled(REC, -1.0), {}, ""),
@@ -435,7 +441,9 @@ def test_volts_of_a_bridge(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("polarity", "sign"), [("tension", 1.0), ("compression", -1.0)])
 def test_a_polarity_that_is_given_is_taken(polarity: str, sign: float, tmp_path: Path) -> None:
-    """The sign of compression in the file is what it is said to be, and a wave that then pulls is refused."""
+    """The sign of compression in the file is what it is said to be, and a wave that then pulls is
+    refused.
+    """
     frame = waves() * [1.0, sign, sign]
     check_sound(read(tmp_path, frame, record={"polarity": polarity}), 0.015)
     with pytest.raises(UsageError, match="does not press"):
@@ -525,8 +533,10 @@ def test_the_sheet_the_forces_and_the_pulse(
 ) -> None:
     waves().to_csv(tmp_path / "one.csv", index=False)
     text = (
-        'title = "A <b>test</b>"\n[incident_bar]\nE = "200 GPa"\ndensity = "7850 kg/m3"\ndiameter = "20 mm"\n'
-        'length = "1.5 m"\ngauge = "0.75 m"\n[receiving_bar]\ngauge = "0.6 m"\n[record]\nfile = "one.csv"\n'
+        'title = "A <b>test</b>"\n[incident_bar]\nE = "200 GPa"\ndensity = "7850 '
+        'kg/m3"\ndiameter = "20 mm"\n'
+        'length = "1.5 m"\ngauge = "0.75 m"\n[receiving_bar]\ngauge = "0.6 m"\n[record]\nfile = '
+        '"one.csv"\n'
     )
     (tmp_path / "one.toml").write_text(text)
     assert (

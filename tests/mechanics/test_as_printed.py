@@ -1,4 +1,6 @@
-"""The paper's formulas as printed: they must stay wrong in the way the errata say, and be reported so."""
+"""The paper's formulas as printed: they must stay wrong in the way the errata say, and be reported
+so.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def table():
 
 
 def test_where_6_715_comes_from():
-    """Twice the time to 0.8904 alpha_max; the integral as it is printed, with x³/2, makes it 4.726."""
+    """Twice the time to 0.8904 alpha_max; the integral as it is printed, with x³/2, makes it
+    4.726.
+    """
     assert 4.0 * loading_time(0.8904) == pytest.approx(as_printed.DURATION_FACTOR, abs=1e-3)
     literal, _ = quad(lambda x: 1.0 / (1.0 - 0.5 * x**3), 0.0, 1.0)
     assert 4.0 * literal == pytest.approx(4.726, abs=1e-3)

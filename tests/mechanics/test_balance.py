@@ -1,4 +1,6 @@
-"""Energy and impulse, theory (6) and (7), from the waves and forces of a history: nothing gets lost."""
+"""Energy and impulse, theory (6) and (7), from the waves and forces of a history: nothing gets
+lost.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ class Balance:
         self.end = self.motion.end * self.unit
 
     def integrals(self, begin: float, end: float) -> np.ndarray:
-        """∫ f_in, g_A, k_B and their squares; Gauss on every step and between the kinks that come back."""
+        """∫ f_in, g_A, k_B and their squares; Gauss on every step and between the kinks that come
+        back.
+        """
         begin = max(begin, 0.0)
         if end <= begin:
             return np.zeros((2, 3))
@@ -102,7 +106,7 @@ def test_the_other_models_keep_the_balance(fidelity):
     assert abs(energy) < 1e-7
 
 
-# --- the same of every rig and law, as `history` shows it ---------------------------------------------------------
+# --- the same of every rig and law, as `history` shows it -----------------------------------------
 
 STEEL = {"E": 205e9, "nu": 0.29, "density": 7850.0}
 BALL = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.008, "sphere.density": 2600.0}

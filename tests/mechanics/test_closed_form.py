@@ -1,4 +1,6 @@
-"""Closed forms: oracles, inverse pairs, and agreement with the integrator that knows nothing of them."""
+"""Closed forms: oracles, inverse pairs, and agreement with the integrator that knows nothing of
+them.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def test_relaxation_is_the_inverse_of_its_time(start, share):
 
 
 def test_massless_approach_obeys_its_equation():
-    """x' = 1 - x^1.5 in the pulse and -x^1.5 after it, by central differences; (3.16) as printed does not."""
+    """x' = 1 - x^1.5 in the pulse and -x^1.5 after it, by central differences; (3.16) as printed
+    does not.
+    """
     theta, h = 0.8, 1e-5
     for s in (0.02, 0.4, 0.79, 0.81, 3.0, 30.0):
         slope = (massless_approach(s + h, theta) - massless_approach(s - h, theta)) / (2.0 * h)
@@ -133,8 +137,8 @@ def test_where_the_closed_form_applies():
 
 @pytest.mark.parametrize(
     ("shape", "order"),
-    # boundary layer of width mu^(2/5) (mu^(1/3) where the pulse rises from zero) and the decline of the swing
-    # with the root of its frequency: mu^(9/20) and mu^(3/4)
+    # boundary layer of width mu^(2/5) (mu^(1/3) where the pulse rises from zero) and the decline of
+    # the swing with the root of its frequency: mu^(9/20) and mu^(3/4)
     [("rectangular", 0.45), ("half_sine", 0.75)],
 )
 def test_full_tends_to_massless_with_the_expected_order(shape, order):
@@ -144,7 +148,8 @@ def test_full_tends_to_massless_with_the_expected_order(shape, order):
     massless = dynamics.solve(scene, fidelity="massless", tolerance=1e-9)
     imbalance = np.polyfit(np.log(mu), np.log(full.values["force_imbalance"]), 1)[0]
     assert imbalance == pytest.approx(order, abs=0.03)
-    # the peak meets the swing at any phase, so that its error scatters below an envelope of the same order
+    # the peak meets the swing at any phase, so that its error scatters below an envelope of the
+    # same order
     error = np.abs(full.values["p_max"] / massless.values["p_max"] - 1.0)
     observed = np.polyfit(np.log(mu), np.log(error), 1)[0]
     print(f"{shape}: force imbalance mu^{imbalance:.3f}, error of p_max mu^{observed:.3f}")
@@ -157,7 +162,9 @@ def test_full_tends_to_massless_with_the_expected_order(shape, order):
 
 @pytest.mark.parametrize("mu", [1e-3, 0.3, 7.9999, 8.0, 8.0001, 40.0, 4e4])
 def test_linear_approaches_obey_their_equations(mu):
-    """x_1' = 2 f - x_1 - u, x_2' = u - x_2, mu u' = x_1 - x_2, eliminated to sums and differences."""
+    """x_1' = 2 f - x_1 - u, x_2' = u - x_2, mu u' = x_1 - x_2, eliminated to sums and
+    differences.
+    """
     theta, h = 1.2, 2e-4
     for s in (0.3, 1.1, 1.7, 5.0):
         before, here, after = (np.array(linear_approaches(s + d, mu, theta)) for d in (-h, 0.0, h))
@@ -171,7 +178,8 @@ def test_linear_approaches_obey_their_equations(mu):
 @pytest.mark.parametrize(("mu", "theta"), [(0.03, 3.0), (1.0, 0.7), (12.0, 2.0)])
 def test_linear_closed_form_against_the_integrator(mu, theta):
     tolerance = 1e-9
-    # a horizon beyond the first loss of contact, which the forces' fall below 1 % may otherwise precede
+    # a horizon beyond the first loss of contact, which the forces' fall below 1 % may otherwise
+    # precede
     scene = scaled_scene(mu, theta, horizon_in_t_c=60.0)
     found = dynamics.solve(scene, fidelity="linear", tolerance=tolerance)
     time, force = float(scene.scales.time[0]), float(scene.scales.force[0])

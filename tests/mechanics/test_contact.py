@@ -1,4 +1,6 @@
-"""Hertz contact: identities, Johnson's formulas, and impacts whose outcome is known in closed form."""
+"""Hertz contact: identities, Johnson's formulas, and impacts whose outcome is known in closed
+form.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Criteria of fracture: units, monotone demands, ranges, size and rate, and the exceedance of a weakest link."""
+"""Criteria of fracture: units, monotone demands, ranges, size and rate, and the exceedance of a
+weakest link.
+"""
 
 from __future__ import annotations
 
@@ -131,7 +133,9 @@ def test_core_tension_lies_between_centre_and_practice() -> None:
 
 
 def test_the_weakest_of_many_links_breaks_with_the_weibull_probability() -> None:
-    """P_f = 1 - exp(-(sigma_eq/sigma_0)^m) is the chance that the weakest of many links breaks: by drawing them."""
+    """P_f = 1 - exp(-(sigma_eq/sigma_0)^m) is the chance that the weakest of many links breaks: by
+    drawing them.
+    """
     modulus, reference = 6.0, 1e-6
     columns = rows(30e3)
     parameters = {"modulus": modulus, "reference_volume": reference}
@@ -157,7 +161,9 @@ def test_the_weakest_of_many_links_breaks_with_the_weibull_probability() -> None
 
 
 def test_size_effect() -> None:
-    """Spheres of one shape of load, twice the size: the demand grows by 8^(1/m), as strength would fall."""
+    """Spheres of one shape of load, twice the size: the demand grows by 8^(1/m), as strength would
+    fall.
+    """
     small, large = rows(10e3), rows(40e3, radius=0.02)
     assert small["p_max"] == pytest.approx(large["p_max"], rel=1e-12)
     parameters = {"modulus": 9.0, "reference_volume": 1e-6}
@@ -181,7 +187,9 @@ def test_rate_raises_the_strength_of_its_own_sample() -> None:
 
 
 def test_a_truncated_energy_is_lognormal_after_the_change() -> None:
-    """Probability at E of the bounded law is that of a lognormal at E_max E/(E_max - E); all break at E_max."""
+    """Probability at E of the bounded law is that of a lognormal at E_max E/(E_max - E); all break
+    at E_max.
+    """
     columns = {"specific_energy": np.array([1.0, 100.0, 499.999, 500.0, 9e9])}
     found = demand(CRITERIA["specific_energy"], columns, {"largest_energy": 500.0})
     assert found[:2] == pytest.approx([500.0 / 499.0, 125.0], rel=1e-12)

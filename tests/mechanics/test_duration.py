@@ -1,4 +1,6 @@
-"""The equivalent contact duration: against quadrature of dense histories, and its limits (theory, contact duration)."""
+"""The equivalent contact duration: against quadrature of dense histories, and its limits (theory,
+contact duration).
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ def test_a_massless_sphere_keeps_the_impulse_of_the_pulse() -> None:
 def test_a_light_sphere_is_lost_late_and_its_duration_is_finite(
     theta: float, expected: float, rel: float
 ) -> None:
-    """Over t_c: theta^(-1/2) of a pulse that gives the approach alpha_c theta at once; a long pulse's own duration."""
+    """Over t_c: theta^(-1/2) of a pulse that gives the approach alpha_c theta at once; a long
+    pulse's own duration.
+    """
     scene = scaled_scene(1e-3, theta)
     found = (solve if theta > 1.0 else solve_closed)(
         scene, quantities=("contact_duration",)
@@ -95,7 +99,9 @@ def test_a_free_blow_has_half_of_its_contact() -> None:
 
 
 def test_the_whole_record_counts_what_comes_after_the_first_loss() -> None:
-    """Forces, energies and duration are over the same record: the duration is the quadrature up to the horizon."""
+    """Forces, energies and duration are over the same record: the duration is the quadrature up to
+    the horizon.
+    """
     kept = ("p_max", "contact_duration", "time_to_first_loss", "energy")
     first, whole = (
         example(rows=3, striker_speed=[0.5, 1.0, 2.0], whole_record=followed)
@@ -115,7 +121,9 @@ def test_the_whole_record_counts_what_comes_after_the_first_loss() -> None:
 
 
 def short_striker(**changes: object) -> Scene:
-    """A striker of 30 mm: the sphere rattles, and is pressed harder by a later echo than before the first loss."""
+    """A striker of 30 mm: the sphere rattles, and is pressed harder by a later echo than before the
+    first loss.
+    """
     return example(
         "trapezoid",
         striker_length=0.03,

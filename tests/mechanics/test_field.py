@@ -1,4 +1,6 @@
-"""Stress and velocity anywhere in the bars: the wave equation, the boundaries, and where tension comes first."""
+"""Stress and velocity anywhere in the bars: the wave equation, the boundaries, and where tension
+comes first.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def scene(request):
 
 
 def test_the_far_ends_reflect_as_said(scene):
-    """Free: no stress; fixed: no velocity; absorbing: sigma = -rho c0 v; in between the impedance (1-R)/(1+R)."""
+    """Free: no stress; fixed: no velocity; absorbing: sigma = -rho c0 v; in between the impedance
+    (1-R)/(1+R).
+    """
     _, history = scene
     times = np.linspace(0.0, 0.9 * history.horizon, 400)
     for bar, length, end in (
@@ -41,7 +45,9 @@ def test_the_far_ends_reflect_as_said(scene):
 
 
 def test_the_faces_move_with_sphere_and_approach(scene):
-    """d(alpha_1)/dt = v_A - w and d(alpha_2)/dt = w - v_B, from the field and from the states of the integrator."""
+    """d(alpha_1)/dt = v_A - w and d(alpha_2)/dt = w - v_B, from the field and from the states of
+    the integrator.
+    """
     _, history = scene
     t = np.linspace(0.03, 0.45, 150) * history.horizon + 1.234e-6
     h = 2e-8
@@ -57,7 +63,9 @@ def test_the_faces_move_with_sphere_and_approach(scene):
 
 
 def test_the_field_obeys_the_wave_equation(scene):
-    """Momentum and compatibility over a cell, by its edges: ∮ rho v dx + sigma dt = 0 and ∮ sigma/E dx + v dt = 0."""
+    """Momentum and compatibility over a cell, by its edges: ∮ rho v dx + sigma dt = 0 and ∮ sigma/E
+    dx + v dt = 0.
+    """
     _, history = scene
     points, weights = np.polynomial.legendre.leggauss(400)
     for bar, turn in (("incident", -1.0), ("receiving", 1.0)):
@@ -78,7 +86,9 @@ def test_the_field_obeys_the_wave_equation(scene):
 
 
 def test_tension_begins_where_the_tail_meets_the_reflection():
-    """A rectangle's tail meets the front of its own reflection l_0 from the sphere, t_i/2 after first touch."""
+    """A rectangle's tail meets the front of its own reflection l_0 from the sphere, t_i/2 after
+    first touch.
+    """
     found = first_tension(history_with().motion, "incident")
     assert found.position == pytest.approx(BASE["striker.length"], rel=1e-7)
     assert found.time == pytest.approx(BASE["striker.length"] / C0, rel=1e-7)
@@ -93,7 +103,9 @@ def test_tension_begins_where_the_tail_meets_the_reflection():
     ],
 )
 def test_the_first_tension_against_a_plain_search(bar, shape, numbers, share, near):
-    """Nothing a little earlier anywhere, tension somewhere a little later, and at the place found at once."""
+    """Nothing a little earlier anywhere, tension somewhere a little later, and at the place found
+    at once.
+    """
     history = history_with(shape, **numbers)
     found, level = first_tension(history.motion, bar, share=share), share * 0.5 * 7850.0 * C0
     d = np.linspace(0.0, {"incident": 1.5, "receiving": 1.2}[bar], 3001)

@@ -1,4 +1,6 @@
-"""Fracture on the loading path: crossing times in closed form, the state there, and whole runs with several limits."""
+"""Fracture on the loading path: crossing times in closed form, the state there, and whole runs with
+several limits.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,13 @@ def scene(rows: int = 1, shape: str = "rectangular", **settings: Any) -> Scene:
     return example(shape, rows, **settings)
 
 
-# --- crossing times ---------------------------------------------------------------------------------------
+# --- crossing times -------------------------------------------------------------------------------
 
 
 def test_massless_step_in_closed_form() -> None:
-    """Under a step a sphere without mass reaches the approach x alpha_c at t_c s(x), theory section 4."""
+    """Under a step a sphere without mass reaches the approach x alpha_c at t_c s(x), theory section
+    4.
+    """
     x = np.array([0.05, 0.1, 0.5, 0.9, 0.99])
     one = scene(len(x), "step", infinite=True, horizon=0.02)
     largest = solve(one, fidelity="massless", tolerance=1e-10, quantities=("P_max", "energy"))
@@ -64,7 +68,9 @@ def test_refining_the_integration_converges() -> None:
 
 
 def test_against_the_history_of_the_scene() -> None:
-    """The same moments read off a history on a fine grid, which shares neither the search nor the levels."""
+    """The same moments read off a history on a fine grid, which shares neither the search nor the
+    levels.
+    """
     one = scene()
     history = trace(one, points=40_001)
     kept = history.time <= history.record_end

@@ -1,4 +1,6 @@
-"""Gauge signals, bar forces, equilibrium and energies against the forces of the contacts and the paper's (3.17)."""
+"""Gauge signals, bar forces, equilibrium and energies against the forces of the contacts and the
+paper's (3.17).
+"""
 
 from __future__ import annotations
 
@@ -49,9 +51,11 @@ def test_strain_at_the_faces_is_the_contact_force(fidelity):
 
 
 def test_the_signals_are_those_of_the_paper_corrected():
-    """(3.17) with the errata, against the closed form of the massless sphere on endless bars after the pulse.
+    """(3.17) with the errata, against the closed form of the massless sphere on endless bars after
+    the pulse.
 
-    x(s) after the pulse is [x_*^(-1/2) + (s - theta)/2]^(-2), theory (13), in units of alpha_c and t_c.
+    x(s) after the pulse is [x_*^(-1/2) + (s - theta)/2]^(-2), theory (13), in units of alpha_c and
+    t_c.
     """
     history = history_with(fidelity="massless", infinite=True)
     scales = history.motion.scene.scales
@@ -88,7 +92,9 @@ def test_the_signals_are_those_of_the_paper_corrected():
 
 @pytest.mark.parametrize("end", [1.0, -0.5, 0.3])
 def test_without_a_sphere_the_pulse_runs_to_and_fro(end):
-    """A sphere next to nothing: d'Alembert's solution of a free face, f_in every round trip and turned at the end."""
+    """A sphere next to nothing: d'Alembert's solution of a free face, f_in every round trip and
+    turned at the end.
+    """
     history = history_with(
         bars_incident_end=end, fidelity="massless", horizon=4e-3, sphere_radius=1e-5, sphere_E=1e8
     )

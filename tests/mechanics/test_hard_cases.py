@@ -1,4 +1,6 @@
-"""Scenes from the ends of everything that can be asked: right to the tolerance, or a status that says why not."""
+"""Scenes from the ends of everything that can be asked: right to the tolerance, or a status that
+says why not.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,9 @@ def test_a_first_loss_that_errors_decide_is_found_by_a_closer_look() -> None:
 
 
 def test_a_first_loss_that_rounding_decides_is_marked_and_said() -> None:
-    """What is left of the approach between two echoes is 1e-9 of the largest: the error of the finest tolerance."""
+    """What is left of the approach between two echoes is 1e-9 of the largest: the error of the
+    finest tolerance.
+    """
     scene = _of_sweep(5, 4, 2.38e-2)
     found = solve(scene)
     assert found.grazes[0]

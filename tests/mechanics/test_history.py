@@ -1,4 +1,6 @@
-"""Histories: the example of theory section 3, contacts lost and found again, waves, jumps, pressures."""
+"""Histories: the example of theory section 3, contacts lost and found again, waves, jumps,
+pressures.
+"""
 
 from __future__ import annotations
 

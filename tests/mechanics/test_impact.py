@@ -22,7 +22,9 @@ def numbers(sphere: dict[str, float]) -> tuple[float, float, float]:
 
 
 def solved(lam: float) -> tuple[float, float, float]:
-    """Restitution, peak force and duration of x'' + lam (x^1.5)' + x^1.5 = 0, x(0) = 0, x'(0) = 1, (R13)."""
+    """Restitution, peak force and duration of x'' + lam (x^1.5)' + x^1.5 = 0, x(0) = 0, x'(0) = 1,
+    (R13).
+    """
 
     def motion(t, state):
         x = max(state[0], 0.0)
@@ -64,7 +66,9 @@ def test_the_table_of_plates_solves_its_equation(lam):
 
 
 def test_a_free_blow_is_hertz():
-    """P_max = 1.25^0.6 beta^0.4 M^0.6 v^1.2; the often quoted 3.2145 of the duration is 3.2180655."""
+    """P_max = 1.25^0.6 beta^0.4 M^0.6 v^1.2; the often quoted 3.2145 of the duration is
+    3.2180655.
+    """
     found = closed_form.blow(2e10, 0.02, 5.0)
     assert found.force == pytest.approx(1.25**0.6 * 2e10**0.4 * 0.02**0.6 * 5.0**1.2, rel=1e-11)
     assert found.duration == pytest.approx(3.2180655 * (0.02**2 / (2e10**2 * 5.0)) ** 0.2, rel=1e-8)

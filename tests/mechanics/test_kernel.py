@@ -1,6 +1,7 @@
 """The integrator against oracles, independent integrations, and the properties it must have.
 
-SOLVER: an error may be five times the tolerance that was asked for; EXACT: identities hold to rounding.
+SOLVER: an error may be five times the tolerance that was asked for; EXACT: identities hold to
+rounding.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def test_reference_scenes_between_finite_bars() -> None:
     columns = {name: np.array([row["scene"][name] for row in rows]) for name in rows[0]["scene"]}
     found = solve(Scene(columns=columns), tolerance=1e-8)
     assert (found.status == 0).all()
-    # the reference is converged to about 1e-8, its times to 1e-7; its force_imbalance, a small difference, to 1e-6
+    # the reference is converged to about 1e-8, its times to 1e-7; its force_imbalance, a small
+    # difference, to 1e-6
     for name, tolerance in (
         ("p_max", 5e-8),
         ("P_max", 5e-8),
@@ -295,7 +297,9 @@ def test_rows_outside_the_domain_do_not_touch_the_others() -> None:
 
 
 def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
-    """Face B lets go for less than a step: the first loss of contact is there at every tolerance."""
+    """Face B lets go for less than a step: the first loss of contact is there at every
+    tolerance.
+    """
     numbers = {
         **EXAMPLE,
         "striker.speed": 7.415575271957043,
@@ -315,7 +319,9 @@ def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
 
 
 def test_every_function_is_compiled_in_one_form() -> None:
-    """None is compiled for other arguments, but for series of lanes, of faces and of the one step that is searched."""
+    """None is compiled for other arguments, but for series of lanes, of faces and of the one step
+    that is searched.
+    """
     solve(random_scene(1, 1))
     for module in (events, faces, kernel, searches, step):
         for function in vars(module).values():

@@ -157,7 +157,8 @@ BASE = EXAMPLE | {
 
 
 def impact(ratio: float, cells: int, turns: int) -> np.ndarray:
-    """Velocity of a bar's end over v0/2 after each cell time, by waves moved cell by cell in striker and bar.
+    """Velocity of a bar's end over v0/2 after each cell time, by waves moved cell by cell in
+    striker and bar.
 
     Contact carries no tension: once it would, the striker is off.
     """
@@ -167,7 +168,8 @@ def impact(ratio: float, cells: int, turns: int) -> np.ndarray:
     )  # velocity (right + left)/2 of each cell, v0 = 1
     course, together = [], True
     for _ in range(turns * cells):
-        # what arrives at the interface from the striker, nothing from the long bar: force Z_s (r - v) = Z v
+        # what arrives at the interface from the striker, nothing from the long bar: force Z_s (r -
+        # v) = Z v
         arrives = right[-1]
         velocity = ratio * arrives / (1.0 + ratio)
         if together and ratio * (arrives - velocity) < -1e-12:

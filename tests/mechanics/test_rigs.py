@@ -1,4 +1,6 @@
-"""Scenes of every rig: converged ones, closed forms against the integrator, laws of powers, one contact and two."""
+"""Scenes of every rig: converged ones, closed forms against the integrator, laws of powers, one
+contact and two.
+"""
 
 from __future__ import annotations
 
@@ -166,7 +168,9 @@ def test_every_answer_is_a_power_of_the_inputs() -> None:
 
 
 def test_lengths_scale() -> None:
-    """All lengths by k at one speed: times k, forces k², energies k³, pressures and restitution 1."""
+    """All lengths by k at one speed: times k, forces k², energies k³, pressures and restitution
+    1.
+    """
     for kind, numbers in {
         "thick": {},
         "plate": {"thickness": 0.01},
@@ -200,7 +204,9 @@ def test_limits_of_partners() -> None:
 
 
 def test_a_crushed_pole_takes_more_speed_for_the_same_force() -> None:
-    """(R23), poles of 0.75/1.5 GPa: +11, +15, +24, +27 % at 2.5, 4.2, 9.8, 13.1 kN against Hertz."""
+    """(R23), poles of 0.75/1.5 GPa: +11, +15, +24, +27 % at 2.5, 4.2, 9.8, 13.1 kN against
+    Hertz.
+    """
     speeds, forces = np.linspace(1.0, 25.0, 2000), np.array([2500.0, 4200.0, 9800.0, 13100.0])
     numbers = {**LIMESTONE, **of("target"), "rig.speed": speeds}
     pole = {"sphere.onset_pressure": 0.75e9, "sphere.hardness": 1.5e9}
@@ -259,7 +265,9 @@ def test_oblique_blows_count_by_their_normal_speed() -> None:
 
 @pytest.mark.parametrize(("ratio", "more"), [(360.0, 0.0485), (30.0, 0.138)])
 def test_a_light_sphere_under_a_weight(ratio: float, more: float) -> None:
-    """(R15), (R16): the force is that of two springs in series, and more by 0.70 (M/m)^0.45 of itself."""
+    """(R15), (R16): the force is that of two springs in series, and more by 0.70 (M/m)^0.45 of
+    itself.
+    """
     mass = float(contact.sphere_mass(0.01, 2600.0))
     given = scene(
         "drop_weight",
@@ -383,7 +391,9 @@ def test_one_contact_has_half_of_what_lives_at_the_centre() -> None:
 
 
 def test_tensions_around_a_dent_are_those_of_its_mean_pressure() -> None:
-    """A Hertz pressure of the same force on the same circle: p_0 = 3 P/(2 pi a²), whatever the peak of the true one."""
+    """A Hertz pressure of the same force on the same circle: p_0 = 3 P/(2 pi a²), whatever the peak
+    of the true one.
+    """
     found = solved(struck(np.array([1.0, 4.0]), law="plastic", yield_strength=834e6)).values
     field = 1.5 * found["P_max"] / (math.pi * found["a_max"] ** 2)
     assert (field > 1.01 * found["p_max"]).any()
@@ -393,7 +403,9 @@ def test_tensions_around_a_dent_are_those_of_its_mean_pressure() -> None:
 
 
 def test_unequal_forces_lie_between_one_and_two() -> None:
-    """A weight on soft ground: each face has its own circle, and the other's force counts by its share."""
+    """A weight on soft ground: each face has its own circle, and the other's force counts by its
+    share.
+    """
     given = converged_scene("07_drop_weight_chatter")
     found = solved(
         given, "core_tension", "centre_tension", "P_max", "mean_force_max", "p_max", "a_max"
@@ -456,7 +468,8 @@ def grade(given: Scene, name: str) -> int | None:
 
 
 def test_every_rig_has_its_checks() -> None:
-    # two bodies that are nearly as hard, or whose hardness is the other way round: the law is only a bound
+    # two bodies that are nearly as hard, or whose hardness is the other way round: the law is only
+    # a bound
     for onset, hardness, wanted in ((1.5e9, 3e9, 1), (2.5e9, 6e9, 0), (2.5e9, 2e9, 1)):
         soft = struck(3.6, law="plastic", onset_pressure=1.2e9, hardness=2.4e9)
         own = {"sphere.onset_pressure": np.array([onset]), "sphere.hardness": np.array([hardness])}

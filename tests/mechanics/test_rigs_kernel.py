@@ -1,4 +1,6 @@
-"""The integrator for every rig, (R3): a second integrator, balances, limits and symmetries, on scaled scenes."""
+"""The integrator for every rig, (R3): a second integrator, balances, limits and symmetries, on
+scaled scenes.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
 from uqsphere.mechanics.scene import Scene
 
-#: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa, onset, b, C; a pole
-#: that is not named is free
+#: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa,
+#: onset, b, C; a pole that is not named is free
 RIGID: dict[str, float] = {
     "zeta": 0.0,
     "mu": math.inf,
@@ -133,7 +135,9 @@ STEEL = {"E": 210e9, "nu": 0.3, "density": 7850.0}
 @pytest.mark.parametrize("end", [1.0, -1.0, 0.4])
 @pytest.mark.parametrize("kind", ["impact", "load_cell"])
 def test_echoes_of_a_rod_agree_with_a_second_integrator(kind: str, end: float) -> None:
-    """Waves that come back while the sphere is pressed, many times: (R3) as an equation with delay."""
+    """Waves that come back while the sphere is pressed, many times: (R3) as an equation with
+    delay.
+    """
     table = "target" if kind == "impact" else "rod"
     numbers = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2600.0}
     numbers |= {
@@ -235,7 +239,9 @@ def random_rigs(count: int, seed: int) -> list[Row]:
 
 
 def test_energy_and_momentum_of_random_rigs() -> None:
-    """(R8) and (R9): what the bodies lose is carried off or is plastic; nothing is stored after parting."""
+    """(R8) and (R9): what the bodies lose is carried off or is plastic; nothing is stored after
+    parting.
+    """
     rows, tolerance = random_rigs(500, 3), 1e-7
     found = kernel(rows, tolerance)
     assert (found.status == 0).all()
@@ -291,7 +297,9 @@ def test_mirrored_rigs_have_mirrored_answers() -> None:
 
 
 def test_blows_that_yield_agree_with_their_closed_form() -> None:
-    """300 spheres on thick metals, most of them far beyond yield, against (R23) with its own quadrature of times."""
+    """300 spheres on thick metals, most of them far beyond yield, against (R23) with its own
+    quadrature of times.
+    """
     draw = np.random.default_rng(7)
     columns = {
         "sphere.E": 10.0 ** draw.uniform(9.5, 11.6, 300),

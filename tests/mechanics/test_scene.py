@@ -1,4 +1,6 @@
-"""Scenes: what is refused, the status of every violation, scales and their change under a change of units."""
+"""Scenes: what is refused, the status of every violation, scales and their change under a change of
+units.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,8 @@ def test_a_bad_row_does_not_touch_the_others():
 
 def test_scales_by_hand():
     scales = granite().scales
-    # P_0 = Z v0/2, alpha_c = (P_0/beta)^(2/3), t_c = 2 alpha_c/v0: the stiffness at alpha_c over Z is 1/t_c
+    # P_0 = Z v0/2, alpha_c = (P_0/beta)^(2/3), t_c = 2 alpha_c/v0: the stiffness at alpha_c over Z
+    # is 1/t_c
     np.testing.assert_allclose(scales.force, 0.5 * scales.impedance, rtol=EXACT)
     np.testing.assert_allclose(
         scales.hertz_constant * np.sqrt(scales.approach) / scales.impedance,

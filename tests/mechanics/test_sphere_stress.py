@@ -1,4 +1,6 @@
-"""The stress inside the sphere: field equations, boundary values, limits, and values with a source."""
+"""The stress inside the sphere: field equations, boundary values, limits, and values with a
+source.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ NODES = 14
 
 
 def differentiation(low: float, high: float) -> tuple[Array, Array]:
-    """Chebyshev points on [low, high] and the matrix that differentiates a polynomial through them."""
+    """Chebyshev points on [low, high] and the matrix that differentiates a polynomial through
+    them.
+    """
     x = np.cos(np.pi * np.arange(NODES) / (NODES - 1))
     ends = np.where((np.arange(NODES) == 0) | (np.arange(NODES) == NODES - 1), 2.0, 1.0) * (
         -1.0
@@ -169,7 +173,9 @@ def test_core_tension_has_the_values_of_an_independent_code(ratio: float, value:
 
 @pytest.mark.parametrize("nu", [0.0, 0.25, 0.4])
 def test_small_contacts_tend_to_the_half_space(nu: float) -> None:
-    """Hertz on the axis, Johnson (3.45): both stresses, extrapolated from two contacts to a/r = 0."""
+    """Hertz on the axis, Johnson (3.45): both stresses, extrapolated from two contacts to a/r =
+    0.
+    """
     depth = np.array([1.0, 1.5, 1.97, 3.0])
     ratios = (0.002, 0.001, 0.0005)
     values = []
@@ -297,7 +303,9 @@ def test_tables_of_the_weakest_link(name: str) -> None:
 
 
 def test_fields_of_one_force_are_those_of_the_theory() -> None:
-    """Rounded values of an independent calculation: R_1 on the axis (R20), H^(1/m) of the volume (R21)."""
+    """Rounded values of an independent calculation: R_1 on the axis (R20), H^(1/m) of the volume
+    (R21).
+    """
     for nu, wanted in {
         0.2: (1.0012, 1.0052, 1.0010, 0.9675, 0.9092, 0.7629),
         0.25: (1.0018, 1.0074, 0.9992, 0.9557, 0.8898, 0.7399),
@@ -341,7 +349,9 @@ def test_outside_the_nearest_ratio_is_taken_and_said() -> None:
 
 
 def test_the_rim_against_the_series_step_by_step() -> None:
-    """A contact that grows in steps of 5 % up to a/r = 0.3: the largest tension at each place, summed by trapezoids."""
+    """A contact that grows in steps of 5 % up to a/r = 0.3: the largest tension at each place,
+    summed by trapezoids.
+    """
     grown, poisson = 0.3 * np.exp(-0.05 * np.arange(36)), [0.1, 0.25]
     sine = np.concatenate([grown[::-1], np.geomspace(0.3, 1.0, 150)[1:]])
     seen = np.zeros((len(sine), 2))
@@ -379,7 +389,8 @@ def fine() -> elements.Comparison:
 
 def test_series_and_elements_meet_as_the_mesh_is_refined(fine: elements.Comparison) -> None:
     coarse = compare(count=12, finest=0.08)
-    # every stress is compared, that of the core and that of the rim's surroundings, and the two come together
+    # every stress is compared, that of the core and that of the rim's surroundings, and the two
+    # come together
     assert len(fine.place) > 3 * len(coarse.place)
     assert fine.median < 4e-4
     assert fine.worst < 0.03

@@ -1,4 +1,6 @@
-"""A short sweep over hard scenes: nothing wrong and silent, and a sweep that would notice if something were."""
+"""A short sweep over hard scenes: nothing wrong and silent, and a sweep that would notice if
+something were.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,9 @@ def test_no_answer_of_the_second_integrator_rather_than_a_doubtful_one() -> None
 
 
 def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel whose contact time is off by ten tolerances in one row is caught, with inputs that build it again."""
+    """A kernel whose contact time is off by ten tolerances in one row is caught, with inputs that
+    build it again.
+    """
 
     def spoiled(scene: Scene, **request: object) -> Answers:
         found = solve(scene, **request)  # type: ignore[arg-type]
@@ -88,7 +92,9 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_energy_is_kept_where_a_face_yields_at_its_first_touch() -> None:
-    """(C15), over the tolerance.  Faces that yield within the touch had 4,000; depths told by the force, 28."""
+    """(C15), over the tolerance.  Faces that yield within the touch had 4,000; depths told by the
+    force, 28.
+    """
     heavy = {"mu": (1.0, 1e3, True), "theta": (0.1, 30.0, True)}
     picked = (STRATA[0], STRATA[7], STRATA[9])
     lacking = balances(with_law(design(33, 1, strata=picked, narrower=heavy), 1), 1e-6)
@@ -97,7 +103,9 @@ def test_energy_is_kept_where_a_face_yields_at_its_first_touch() -> None:
 
 
 def test_the_forces_of_a_motion_keep_its_energy_to_the_end_of_a_step() -> None:
-    """(C15) of heavy spheres under a step: the series of the force, cut off sooner than the approach, had 83."""
+    """(C15) of heavy spheres under a step: the series of the force, cut off sooner than the
+    approach, had 83.
+    """
     plan = design(
         110,
         22,
@@ -113,13 +121,17 @@ def test_the_forces_of_a_motion_keep_its_energy_to_the_end_of_a_step() -> None:
 
 
 def test_errors_of_many_steps_to_one_side_do_not_add_up() -> None:
-    """(C15) of 6,368 steps, nearly all at rest: with the same error allowed in each of them it lacked 18."""
+    """(C15) of 6,368 steps, nearly all at rest: with the same error allowed in each of them it
+    lacked 18.
+    """
     scene = with_law(design(110, 25, narrower=sweep._SHORT), 25)[11]
     assert unbalanced(scene, 5, 1e-6) < 10.0 * 1e-6
 
 
 def test_the_largest_difference_of_forces_is_found_where_one_of_them_ends() -> None:
-    """The series of a force that falls to zero errs there: the place of the largest difference was missed by 11."""
+    """The series of a force that falls to zero errs there: the place of the largest difference was
+    missed by 11.
+    """
     plan = with_law(design(110, 78, narrower=sweep._SHORT), 78)
     scene = next(
         scene for scene in plan if np.isclose(scene.scales.mass_number, 4.8793376446694).any()

@@ -1,4 +1,6 @@
-"""Validity checks: each trips where it should, keeps quiet where it should, and says so with numbers."""
+"""Validity checks: each trips where it should, keeps quiet where it should, and says so with
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ BASE = EXAMPLE | {
     "pulse.rise": 50e-6,
     "pulse.fall": 50e-6,
 }
-#: infinite bars, told how long they are: waves would be back after 580 us, 193 us in the receiving bar
+#: infinite bars, told how long they are: waves would be back after 580 us, 193 us in the receiving
+#: bar
 SHORT = {"infinite": True, "horizon": 570e-6, "bars_receiving_length": 0.5}
 
 
@@ -79,7 +82,9 @@ def test_thresholds_of_the_answers(name, quantity, ok, warning, failure):
 
 
 def test_what_yields_is_told_with_what_the_static_law_says():
-    """The bars begin at c(nu) Y, the sphere at its onset; pressure and dent come from the force alone."""
+    """The bars begin at c(nu) Y, the sphere at its onset; pressure and dent come from the force
+    alone.
+    """
     soft = scene_with(
         bars_yield_strength=1.15e9, bars_nu=0.2, sphere_onset_pressure=1.5e9, sphere_hardness=3e9
     )
@@ -98,9 +103,9 @@ def test_what_yields_is_told_with_what_the_static_law_says():
         )
         press = face.pressed(face.depth_at(np.array([4000.0])))
         assert (
-            f"p_max is at most {press.centre[0] / 1e9:.3g} GPa, a dent of {1e6 * press.dent[0]:.2g} um"
-            in (found[name].text)
-        )
+            f"p_max is at most {press.centre[0] / 1e9:.3g} GPa, a dent of "
+            f"{1e6 * press.dent[0]:.2g} um"
+        ) in (found[name].text)
 
 
 @pytest.mark.parametrize(

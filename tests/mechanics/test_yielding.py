@@ -97,7 +97,9 @@ def test_work_is_the_integral_of_force():
 
 
 def test_hardness_without_end_is_hertz():
-    """The force for any pile-up; area and dent without pile-up.  (C12) is no limit: its p_0 tends to p_m + p_y/3."""
+    """The force for any pile-up; area and dent without pile-up.  (C12) is no limit: its p_0 tends
+    to p_m + p_y/3.
+    """
     z = np.array([1.5, 4.0, 25.0])
     assert face(1e7, 2.0).force(z) == pytest.approx(z**1.5, rel=1e-5)
     law = face(1e7, 1.0)

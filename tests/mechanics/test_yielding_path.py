@@ -1,4 +1,6 @@
-"""Faces that yield inside the equations of motion: converged scenes, a second integrator, limits."""
+"""Faces that yield inside the equations of motion: converged scenes, a second integrator,
+limits.
+"""
 
 import json
 from dataclasses import replace
@@ -124,7 +126,9 @@ def test_a_row_that_yields_depends_on_nothing_but_the_row():
 
 
 def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
-    """Soft faces under a step ratchet 69 times, some for less than a quarter of a step: the rise time was off by 31."""
+    """Soft faces under a step ratchet 69 times, some for less than a quarter of a step: the rise
+    time was off by 31.
+    """
     numbers = {
         "sphere.E": 598.9e6,
         "sphere.nu": 0.4133,
@@ -187,7 +191,9 @@ def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
     ],
 )
 def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
-    """A soft face under a step, in nine steps: read off the series of the force, times were off by 556 and 75."""
+    """A soft face under a step, in nine steps: read off the series of the force, times were off by
+    556 and 75.
+    """
     names = (
         "sphere.E",
         "sphere.nu",

@@ -1,4 +1,6 @@
-"""What can go wrong with a model, a process or a cache, and what is kept: one table over one small black box."""
+"""What can go wrong with a model, a process or a cache, and what is kept: one table over one small
+black box.
+"""
 
 from __future__ import annotations
 
@@ -208,7 +210,9 @@ def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str) -> None
 
 
 def test_what_a_model_has_started_ends_with_it(place: Path) -> None:
-    """Its process by the limit of time, and the child with it; the process when the one that asked is killed."""
+    """Its process by the limit of time, and the child with it; the process when the one that asked
+    is killed.
+    """
     mark = f"{time.time_ns() % 10**6 + 10**6}"
     with Model(
         study("time_limit = '0.2 s'"), box(place, f"os.system('sleep {mark}')"), threads=1
@@ -246,7 +250,7 @@ def _until(condition: Callable[[], bool]) -> None:
     raise AssertionError("it did not come true")
 
 
-# --- where rows are evaluated -----------------------------------------------------------------------------------------
+# --- where rows are evaluated ---------------------------------------------------------------------
 
 
 def rough(x: dict[str, Any]) -> dict[str, Any]:
@@ -398,7 +402,7 @@ def test_wrong_requests_are_refused(options: dict[str, Any], text: str) -> None:
         Model(study("time_limit = '1 s'"), lambda x: x, executor=Backwards())
 
 
-# --- a model that does not keep to the rules ---------------------------------------------------------------------
+# --- a model that does not keep to the rules ------------------------------------------------------
 
 
 def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
@@ -422,7 +426,7 @@ def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
         assert model.notes == []
 
 
-# --- the cache -------------------------------------------------------------------------------------------------------
+# --- the cache ------------------------------------------------------------------------------------
 
 
 def slow(place: Path) -> str:
@@ -504,14 +508,17 @@ def test_a_cache_that_cannot_be_written_ends_the_run(
 
 
 def test_a_run_that_is_killed_goes_on_where_it_was(place: Path) -> None:
-    """Killed while it evaluates and writes: no row that was stored is evaluated again, none is lost."""
+    """Killed while it evaluates and writes: no row that was stored is evaluated again, none is
+    lost.
+    """
     reference = box(place, "time.sleep(0.02)", where="True")
     program = f"""
 from pathlib import Path
 from uqsphere.models.model import Model
 from uqsphere.study import load_study
 import numpy as np
-with Model(load_study(text={STUDY!r}), {reference!r}, threads=1, cache_file=Path({str(place / "cache")!r})) as model:
+with Model(load_study(text={STUDY!r}), {reference!r}, threads=1,
+           cache_file=Path({str(place / "cache")!r})) as model:
     model.evaluate(["a"], np.arange(40.0)[:, None], ["y", "z"])
 """
     for seen in (3, 12):
@@ -568,7 +575,8 @@ def test_another_state_of_the_model_uses_no_old_answer(place: Path) -> None:
 def test_what_a_model_reads_is_noticed_when_a_run_goes_on(place: Path) -> None:
     (place / "number").write_text("1.0")
     (place / "box.py").write_text(
-        f"import time\ndef f(x):\n    time.sleep(0.001)\n    k = float(open({str(place / 'number')!r}).read())\n"
+        "import time\ndef f(x):\n    time.sleep(0.001)\n    k = "
+        f"float(open({str(place / 'number')!r}).read())\n"
         "    return {'y': k * x['a'], 'z': x['b']}\n"
     )
     for number, notes in (("1.0", 0), ("1.0", 0), ("3.0", 1)):

@@ -1,4 +1,6 @@
-"""Rows in, columns out: the impact model against closed forms, names and indices, and what a black box may return."""
+"""Rows in, columns out: the impact model against closed forms, names and indices, and what a black
+box may return.
+"""
 
 from __future__ import annotations
 
@@ -100,11 +102,13 @@ def table(count: int, seed: int = 1) -> pd.DataFrame:
     )
 
 
-# --- the impact model -----------------------------------------------------------------------------------------------
+# --- the impact model -----------------------------------------------------------------------------
 
 
 def test_a_step_on_a_massless_sphere_is_its_closed_form(bars: Study) -> None:
-    """Rigid contact: the force rises to Z v0, and p_max = (6 P E*^2/(pi^3 r^2))^(1/3) with 1/E* = (1 - nu^2)/E."""
+    """Rigid contact: the force rises to Z v0, and p_max = (6 P E*^2/(pi^3 r^2))^(1/3) with 1/E* =
+    (1 - nu^2)/E.
+    """
     rows = table(20)
     impedance = math.sqrt(210e9 * 7850.0) * math.pi / 4.0 * 0.06**2
     modulus = rows["sphere.E"] / (1.0 - 0.25**2)
@@ -116,7 +120,9 @@ def test_a_step_on_a_massless_sphere_is_its_closed_form(bars: Study) -> None:
 
 
 def test_a_blow_on_a_thick_block_is_that_of_hertz(blow: Study) -> None:
-    """P_max = beta^(2/5) (5/4 m v^2)^(3/5), beta = 4/3 E* sqrt(r), p_max = (6 P E*^2/(pi^3 r^2))^(1/3)."""
+    """P_max = beta^(2/5) (5/4 m v^2)^(3/5), beta = 4/3 E* sqrt(r), p_max = (6 P E*^2/(pi^3
+    r^2))^(1/3).
+    """
     E, speed = np.array([40e9, 60e9, 80e9]), np.array([1.0, 5.0, 3.0])
     modulus = 1.0 / ((1.0 - 0.25**2) / E + (1.0 - 0.3**2) / 210e9)
     beta = 4.0 / 3.0 * modulus * math.sqrt(0.005)
@@ -130,7 +136,9 @@ def test_a_blow_on_a_thick_block_is_that_of_hertz(blow: Study) -> None:
 
 
 def test_rows_that_have_a_closed_form_are_no_others(blow: Study) -> None:
-    """On a bar the echo decides row by row which sphere is answered in closed form: each as by itself."""
+    """On a bar the echo decides row by row which sphere is answered in closed form: each as by
+    itself.
+    """
     text = BLOW.replace(
         'kind = "thick"',
         'kind = "bar"\ndiameter = "40 mm"\nlength = "0.05 m"\ndensity = "7850 kg/m3"',
@@ -198,7 +206,7 @@ def test_what_the_rig_has_not_is_refused_by_its_place(blow: Study, bars: Study) 
         scene_of(bars, {"sphere.colour": np.array([1.0])})
 
 
-# --- names and indices ----------------------------------------------------------------------------------------------
+# --- names and indices ----------------------------------------------------------------------------
 
 
 @settings(max_examples=25, deadline=None)
@@ -290,7 +298,7 @@ def test_a_number_far_from_the_usual_is_warned_of(bars: Study, values: dict[str,
     assert "is the unit right?" in str(caught[0].message)
 
 
-# --- what a black box gets and returns ------------------------------------------------------------------------------
+# --- what a black box gets and returns ------------------------------------------------------------
 
 BOX = """
 seed = 1
@@ -408,7 +416,7 @@ def test_unknown_inputs_and_outputs_are_refused() -> None:
             model.evaluate(("a",), A, ("y",))
 
 
-# --- loading --------------------------------------------------------------------------------------------------------
+# --- loading --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""The same study into the same folder: it is taken again; another one is refused, and what differs is named."""
+"""The same study into the same folder: it is taken again; another one is refused, and what differs
+is named.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A run against models whose answers are known in closed form, and on granite against its own identities."""
+"""A run against models whose answers are known in closed form, and on granite against its own
+identities.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def linear(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def study(strength: Any = 8.0, **more: Any) -> Study:
-    """The linear model: y is normal with sd 5, and exceeds a strength of 8 with the probability of 1.6 sd."""
+    """The linear model: y is normal with sd 5, and exceeds a strength of 8 with the probability of
+    1.6 sd.
+    """
     tables: dict[str, Any] = {
         "inputs": {"a": NORMAL, "b": NORMAL},
         "outputs": "y",
@@ -76,7 +80,9 @@ def test_moments_quantiles_and_indices_are_those_of_a_normal(plain: Run) -> None
 
 @pytest.mark.parametrize("cost", ["1 s", "1 us"])
 def test_a_product_has_the_indices_of_its_closed_form(cost: str) -> None:
-    """Nine lognormal factors: first-order indices (exp(s_i²) - 1)/(exp(S) - 1), S the sum of the s²."""
+    """Nine lognormal factors: first-order indices (exp(s_i²) - 1)/(exp(S) - 1), S the sum of the
+    s².
+    """
     s = dict(zip("abcdefghi", [0.14, 0.41, 0.41, 0.34, 0.26, 0.18, 0.36, 0.1, 0.19], strict=True))
     inputs = {
         name: {"dist": "lognormal", "log_mean": 0.0, "log_sd": own} for name, own in s.items()
@@ -203,7 +209,9 @@ def test_nothing_random_is_answered_by_one_run() -> None:
 
 
 def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> None:
-    """A striker of 30 mm: the run of the whole record has the peak of the history, the other says what it misses."""
+    """A striker of 30 mm: the run of the whole record has the peak of the history, the other says
+    what it misses.
+    """
     fixed = (
         *FIXED,
         "striker.length=30 mm",
@@ -259,7 +267,9 @@ def test_a_strength_out_of_reach_and_a_criterion_out_of_its_range_are_said(
 
 
 def test_a_strength_of_another_distribution_and_without_its_tie() -> None:
-    """Given the score z of the strength, y = 3 a + 4 b is normal about 3 rho z: one integral over z."""
+    """Given the score z of the strength, y = 3 a + 4 b is normal about 3 rho z: one integral over
+    z.
+    """
     tied = [{"of": ["a", "limits.high.strength"], "spearman": 0.5}]
     run = uqsphere.run(
         study({"dist": "lognormal", "mean": 12.0, "cov": 0.3}, dependence=tied), linear
@@ -310,7 +320,7 @@ def test_contacts_that_yield_turn_a_verdict_of_hertz_with_their_own_numbers() ->
     assert plastic.verdicts["crushing"]["verdict"] == "met"
 
 
-# --- accuracy, budget, interruption --------------------------------------------------------------------------------
+# --- accuracy, budget, interruption ---------------------------------------------------------------
 
 
 def test_speed_against_error_is_told_at_each_size(plain: Run) -> None:
@@ -364,7 +374,7 @@ def test_rows_that_fail_are_never_survival(policy: str) -> None:
     assert any(check["name"] == "failed_rows" for check in run.results["checks"])
 
 
-# --- slow models --------------------------------------------------------------------------------------------------
+# --- slow models ----------------------------------------------------------------------------------
 
 
 def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
@@ -448,7 +458,7 @@ def test_a_budget_too_small_for_any_answer_is_refused() -> None:
         uqsphere.run(study(analysis={"cost": "10 s", "budget": {"evaluations": 5}}), linear)
 
 
-# --- the folder ---------------------------------------------------------------------------------------------------
+# --- the folder -----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -520,7 +530,8 @@ def test_the_verdict_names_what_decides_it(granite: Run) -> None:
     assert verdict["use"]["value"] < 0.5
     assert "Use at most" in verdict["headline"]
     assert "no margin" in verdict["headline"]
-    # a speed to use is rounded down from the low end of its interval, also that of the study's own limit
+    # a speed to use is rounded down from the low end of its interval, also that of the study's own
+    # limit
     low = granite.margin("crushing", 0.01)["low"]
     assert f"crushing only: at most {math.floor(100.0 * low) / 100.0:g} m/s" in verdict["detail"]
     assert verdict["use"]["value"] <= min(

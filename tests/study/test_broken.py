@@ -1,4 +1,6 @@
-"""Studies that are broken, one way each or several at once: exit code, place and first line of the message."""
+"""Studies that are broken, one way each or several at once: exit code, place and first line of the
+message.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from uqsphere.study import load_study
 
 
 class Broken(NamedTuple):
-    """A broken study: its content, the line where the first fault is due, what it says, and how many faults."""
+    """A broken study: its content, the line where the first fault is due, what it says, and how
+    many faults.
+    """
 
     name: str
     content: bytes
@@ -381,7 +385,8 @@ CASES = [
     one(
         "two copulas for one name",
         "spearman = 0.6",
-        'spearman = 0.6\n[[dependence]]\nof = ["sphere.radius", "sphere.E"]\ncopula = "student_t"\ndof = '
+        'spearman = 0.6\n[[dependence]]\nof = ["sphere.radius", "sphere.E"]\ncopula = '
+        '"student_t"\ndof = '
         "4.0\nkendall = 0.2",
         "more than one dependence",
         at='of = ["sphere.radius',
@@ -389,7 +394,11 @@ CASES = [
     one(
         "a pair twice",
         "spearman = 0.6",
-        'spearman = 0.6\n[[dependence]]\nof = ["limits.crushing.strength", "sphere.E"]\nspearman = 0.2',
+        (
+            'spearman = 0.6\n[[dependence]]\nof = ["limits.crushing.strength", '
+            '"sphere.E"]\nspearman '
+            "= 0.2"
+        ),
         "given twice",
         at='of = ["limits',
     ),

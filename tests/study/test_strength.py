@@ -1,4 +1,6 @@
-"""Strengths from crushing tests: the values they reached, the force that is worth a row, and what is implausible."""
+"""Strengths from crushing tests: the values they reached, the force that is worth a row, and what
+is implausible.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ speed = { dist = "normal", mean = "0.5 m/s", cov = 0.03 }
 length = "0.5 m"
 """
 TESTS = (
-    'strength = { file = "t.csv", force = "F", force_unit = "kN", diameter = "D", diameter_unit = "mm", '
+    'strength = { file = "t.csv", force = "F", force_unit = "kN", diameter = "D", diameter_unit '
+    '= "mm", '
     'censored = "stop" }'
 )
 CSV = "F,D,stop\n6,20,0\n7,20.2,0\n5,19.8,0\n8,20,1\n6.5,20,0\n7.5,20,no\n8,20.0,yes\n"
@@ -199,7 +202,8 @@ sphere = { E = %s, nu = %s, density = "2900 kg/m3", radius = "7.5 mm" }
 [limits.a]
 %s
 target = 0.5
-strength = { file = "b.csv", force = "F", force_unit = "kN", diameter = "15 mm", platens = "maraging_steel" }
+strength = { file = "b.csv", force = "F", force_unit = "kN", diameter = "15 mm", \
+platens = "maraging_steel" }
 """
 TESTED = (
     "F\n7.42\n9.85\n8.31\n6.20\n8.77\n10.42\n7.95\n6.88\n9.10\n8.02\n5.61\n8.54\n7.13\n9.47\n8.66\n"
@@ -253,9 +257,11 @@ def evaluated(
 def test_with_test_and_use_alike_only_the_force_counts(
     rig: str, contact: str, tmp_path: Path
 ) -> None:
-    """Whatever E and nu of the rows: the equivalent test force is the row's own, by every criterion."""
+    """Whatever E and nu of the rows: the equivalent test force is the row's own, by every
+    criterion.
+    """
     quiet = f'{rig}\n{contact}\nanalysis.quantities = ["P_max"]'
-    pressure = f'criterion = "contact_pressure"{chr(10) + "strength_is = " + chr(34) + "hertz" + chr(34) if contact else ""}'
+    pressure = 'criterion = "contact_pressure"' + ('\nstrength_is = "hertz"' if contact else "")
     energies = [ENERGY + '"sphere"', ENERGY + '"contact"'] if rig == PLATENS else []
     for demand in (pressure, *DEMANDS, *energies):
         _, sample, force = evaluated(tmp_path, WIDE, quiet, demand)
@@ -287,7 +293,9 @@ def hertz(E: Any, nu: float, E_2: float, nu_2: float, radius: Any) -> tuple[Any,
 
 
 def by_hand_between_bars() -> float:
-    """Basalt, 2 m/s: a mass between two springs F = beta a^1.5 and two impedances, while the pulse lasts."""
+    """Basalt, 2 m/s: a mass between two springs F = beta a^1.5 and two impedances, while the pulse
+    lasts.
+    """
     beta, _ = hertz(70e9, 0.25, 190e9, 0.3, 7.5e-3)
     wave, mass = math.sqrt(190e9 / 8000.0), 2900.0 * 4.0 / 3.0 * math.pi * 7.5e-3**3
     impedance = 8000.0 * wave * math.pi * 12.5e-3**2
@@ -307,7 +315,9 @@ def by_hand_between_bars() -> float:
 
 
 def by_hand_of_pellets(normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """A fall through 1 m of air onto steel, F = beta^0.4 (5 W/2)^0.6; P(broken) by the likeliest law of the forces."""
+    """A fall through 1 m of air onto steel, F = beta^0.4 (5 W/2)^0.6; P(broken) by the likeliest
+    law of the forces.
+    """
     u = np.sqrt(math.log1p(0.15**2))
     E, radius, height = (
         20e9 * np.exp(u * normals[0] - u * u / 2.0),
@@ -332,7 +342,9 @@ def by_hand_of_pellets(normals: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def by_hand_of_a_hammer(normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """40 kg at 30 m/s: W = m_r v²/2 in both contacts, the sphere's share of it; P(broken), lognormal 160 J/kg."""
+    """40 kg at 30 m/s: W = m_r v²/2 in both contacts, the sphere's share of it; P(broken),
+    lognormal 160 J/kg.
+    """
     u = np.sqrt(math.log1p(0.15**2))
     E, radius, speed = (
         60e9 * np.exp(u * normals[0] - u * u / 2.0),
@@ -347,21 +359,24 @@ def by_hand_of_a_hammer(normals: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 SPHERES = {
-    "pellets": """sphere = { E = { dist = "lognormal", mean = "20 GPa", cov = 0.15 }, nu = 0.2, density = "3700 kg/m3",
- radius = { dist = "normal", mean = "6 mm", sd = "0.25 mm" } }
+    "pellets": """sphere = { E = { dist = "lognormal", mean = "20 GPa", cov = 0.15 },
+ nu = 0.2, density = "3700 kg/m3", radius = { dist = "normal", mean = "6 mm", sd = "0.25 mm" } }
 rig = { kind = "impact", drop_height = { dist = "normal", mean = "1 m", cov = "5 %" } }
 target = { material = "steel" }
-limits.a = { criterion = "contact_pressure", target = "1 %", strength = { file = "p.csv", force = "F", force_unit = "N",
- diameter = "D", diameter_unit = "mm", platens = "steel" } }""",
-    "hammer": """sphere = { E = { dist = "lognormal", mean = "60 GPa", cov = 0.15 }, nu = 0.25, density = "2800 kg/m3",
- radius = { dist = "normal", mean = "12.5 mm", sd = "0.5 mm" } }
+limits.a = { criterion = "contact_pressure", target = "1 %",
+ strength = { file = "p.csv", force = "F", force_unit = "N", diameter = "D",
+ diameter_unit = "mm", platens = "steel" } }""",
+    "hammer": """sphere = { E = { dist = "lognormal", mean = "60 GPa", cov = 0.15 },
+ nu = 0.25, density = "2800 kg/m3", radius = { dist = "normal", mean = "12.5 mm", sd = "0.5 mm" } }
 rig = { kind = "impact", speed = { dist = "normal", mean = "30 m/s", cov = 0.05 } }
 target = { E = "190 GPa", nu = 0.28, density = "7870 kg/m3", kind = "mass", mass = "40 kg" }
 limits.a = { criterion = "specific_energy", energy_is = "sphere", aim = "break",
  strength = { dist = "lognormal", mean = "160 J/kg", cov = 0.5 } }""",
 }
-ALL_PELLETS = """11.9,2830 11.9,2260 11.6,2200 12.5,3050 12.5,2890 12.2,2710 11.3,2780 12.2,2980 11.2,1360 11.6,2060
-12.1,2530 12.2,2180 12.1,2860 11.7,3820 12.3,3630 11.7,1950 11.8,2370 12.3,2810 11.8,1860 11.8,3370 11.6,2520 12.2,1720
+ALL_PELLETS = """11.9,2830 11.9,2260
+11.6,2200 12.5,3050 12.5,2890 12.2,2710 11.3,2780 12.2,2980 11.2,1360
+11.6,2060 12.1,2530 12.2,2180 12.1,2860 11.7,3820 12.3,3630 11.7,1950 11.8,2370 12.3,2810 11.8,1860
+11.8,3370 11.6,2520 12.2,1720
 12,3600 11.1,1960 12,1980"""
 
 
@@ -388,7 +403,9 @@ def test_pellets_and_a_hammer_are_those_by_hand(case: str, tmp_path: Path) -> No
 
 
 def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) -> None:
-    """A sphere of another size breaks at F (D/D_0)^(2 - 3/m), by the weakest link of its volume, whoever asks."""
+    """A sphere of another size breaks at F (D/D_0)^(2 - 3/m), by the weakest link of its volume,
+    whoever asks.
+    """
     core = 'criterion = "core_tension"'
     tested = load(quantity=core).limits[0].tested
     m = tested.law.parameters["modulus"]
@@ -510,11 +527,13 @@ def test_tests_refused(load: Load, change: tuple[str, str], csv: str, says: str)
 ROWS = ALL_PELLETS.split()[:12]
 PELLET = SCENE.replace('"60 GPa"', '"20 GPa"').replace('"10 mm"', '"6 mm"')
 FORCES = (
-    'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = "mm", '
+    'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = '
+    '"mm", '
     'platens = "steel" }'
 )
 
-#: how tests go wrong, and what is warned of: unit key, rows, phrase (empty: nothing but what is usual)
+#: how tests go wrong, and what is warned of: unit key, rows, phrase (empty: nothing but what is
+#: usual)
 IMPLAUSIBLE = {
     "as they were": (("", ""), ROWS, ""),
     "kN for N": (('"N"', '"kN"'), ROWS, "usual are 0.2 to 500 MPa: is the unit N?"),

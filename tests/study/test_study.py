@@ -1,4 +1,6 @@
-"""What a study means: shipped studies, defaults, hash, overrides, moved means, Python's form, schema and page."""
+"""What a study means: shipped studies, defaults, hash, overrides, moved means, Python's form,
+schema and page.
+"""
 
 from __future__ import annotations
 
@@ -172,7 +174,10 @@ def test_quantities_of_limits_are_not_asked_for(load: Load) -> None:
 
 
 def test_pulses_and_inserts(load: Load) -> None:
-    peaks = 'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = "175 us"'
+    peaks = (
+        'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = '
+        '"175 us"'
+    )
     study = load(BASE, (TRAPEZOID, peaks), ('length = "0.8 m"', ""))
     assert study.fixed["pulse.level1"] == 1.2
     assert "striker.length" not in study.fixed
@@ -450,7 +455,8 @@ def test_mutated_studies_are_refused_or_read() -> None:
 def test_reading_a_study_imports_nothing_heavy() -> None:
     code = (
         f"import sys, uqsphere.study as s; s.load_study({str(shipped_studies()['granite'])!r}); "
-        "print({'pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba'} & set(sys.modules))"
+        "print({'pandas', 'scipy.stats', 'chaospy', 'SALib', 'matplotlib', 'numba'} & "
+        "set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

@@ -19,7 +19,9 @@ ALIKE = {
     "tabs": PLAIN.replace(",", "\t").encode(),
     "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
     "comments, blanks": ("# made by hand\n\n" + PLAIN + "\n,\n").encode(),
-    "marks of Unicode in a note": "D,F,n\n14.9,7.42,a\u2028b\n15.1,9.85,\x0b\n15,8.31,\x85\n".encode(),
+    "marks of Unicode in a note": (
+        "D,F,n\n14.9,7.42,a\u2028b\n15.1,9.85,\x0b\n15,8.31,\x85\n".encode()
+    ),
     "Excel's own first line": b"sep=;\nD;F\n14,9;7,42\n15,1;9,85\n15;8,31\n",
     "empty last column": b"D,F,\n14.9,7.42,\n15.1,9.85,\n15,8.31,\n",
 }
@@ -63,7 +65,9 @@ def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
 def test_workbooks_that_are_larger_than_they_seem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One cell in the last place of a sheet; a sheet that unpacks to more than is read; zeros are no empty rows."""
+    """One cell in the last place of a sheet; a sheet that unpacks to more than is read; zeros are
+    no empty rows.
+    """
     from openpyxl import Workbook
 
     book, path = Workbook(), tmp_path / "t.xlsx"

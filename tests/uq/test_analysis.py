@@ -1,4 +1,6 @@
-"""Analyses of arrays and tables: names count, units cancel, one engine, laws of every origin, results as tables."""
+"""Analyses of arrays and tables: names count, units cancel, one engine, laws of every origin,
+results as tables.
+"""
 
 from __future__ import annotations
 
@@ -193,7 +195,7 @@ def test_strengths_are_fitted_from_tests_some_of_them_stopped_or_alike() -> None
     )
 
 
-# --- distributions that people have ----------------------------------------------------------------------------
+# --- distributions that people have ---------------------------------------------------------------
 
 
 def test_new_distributions_of_scipy_and_observations_are_laws() -> None:

@@ -1,4 +1,6 @@
-"""Expansions: exact on polynomials and products, chaospy's numbers, errors that are told, intervals that scale."""
+"""Expansions: exact on polynomials and products, chaospy's numbers, errors that are told, intervals
+that scale.
+"""
 
 from __future__ import annotations
 
@@ -165,7 +167,7 @@ def test_units_cancel(size: float) -> None:
     assert integrals(other).total == pytest.approx(integrals(one).total, rel=1e-9)
 
 
-# --- chaospy --------------------------------------------------------------------------------------------------
+# --- chaospy --------------------------------------------------------------------------------------
 
 
 #: numpoly 1.2 on numpy 2.1 and later
@@ -224,7 +226,7 @@ def test_forty_inputs_go_over_to_chaospy() -> None:
     assert fit.to_frame().shape == (81, 41)
 
 
-# --- corrected by rows ------------------------------------------------------------------------------------------
+# --- corrected by rows ----------------------------------------------------------------------------
 
 
 def test_half_widths_know_a_lone_row_from_many() -> None:

@@ -1,4 +1,6 @@
-"""Fragility curves: known curves in both directions, covering values, and absent answers with their reason."""
+"""Fragility curves: known curves in both directions, covering values, and absent answers with their
+reason.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Estimates: intervals that cover, censoring and failures that are never hidden, accuracies that are met."""
+"""Estimates: intervals that cover, censoring and failures that are never hidden, accuracies that
+are met.
+"""
 
 from __future__ import annotations
 

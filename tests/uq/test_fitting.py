@@ -179,7 +179,9 @@ def test_counts_of_equal_tests(case: str) -> None:
 
 @pytest.mark.parametrize("kind", ["weibull", "lognormal"])
 def test_many_tests_take_little(kind: str) -> None:
-    """100,000 tests, 99 % of them stopped: the likelihood's maximum, and memory that does not grow with them."""
+    """100,000 tests, 99 % of them stopped: the likelihood's maximum, and memory that does not grow
+    with them.
+    """
     import tracemalloc
 
     values, stopped = stopped_at(np.random.default_rng(2).weibull(4.0, 100_000), 0.317)
@@ -257,7 +259,9 @@ TRUTHS = {
 
 @pytest.mark.parametrize("kind", TRUTHS)
 def test_ranges_cover_a_small_probability_as_often_as_they_promise(kind: str) -> None:
-    """Five tests, the probability of lying below the true 1 % quantile; Student's intervals would cover 60 to 80 %."""
+    """Five tests, the probability of lying below the true 1 % quantile; Student's intervals would
+    cover 60 to 80 %.
+    """
     truth, rng = TRUTHS[kind], np.random.default_rng(11)
     at, repetitions = np.array([truth.ppf(0.01)]), 100
     covered = 0

@@ -1,4 +1,6 @@
-"""Laws of SciPy and chaospy: as families of our own or of SciPy's, with their tails held to account."""
+"""Laws of SciPy and chaospy: as families of our own or of SciPy's, with their tails held to
+account.
+"""
 
 from __future__ import annotations
 

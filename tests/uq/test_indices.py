@@ -1,4 +1,6 @@
-"""Sampled Sobol' indices: exact answers, SALib on the same outputs, invariances, what is refused; Shapley effects."""
+"""Sampled Sobol' indices: exact answers, SALib on the same outputs, invariances, what is refused;
+Shapley effects.
+"""
 
 from __future__ import annotations
 
@@ -156,7 +158,9 @@ def test_salibs_measures_order_the_inputs(method: str) -> None:
 
 
 def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
-    """Owen and Prieur (2017): (a² + rho a b)/V and (b² + rho a b)/V up to rho² terms, here by their closed form."""
+    """Owen and Prieur (2017): (a² + rho a b)/V and (b² + rho a b)/V up to rho² terms, here by their
+    closed form.
+    """
     joint = make_joint(tuple("abc"), (NORMAL,) * 3, [Dependence(of=("a", "b"), kendall=0.4)])
     rho = math.sin(0.2 * math.pi)
     z = joint.scores(ndtri(np.random.default_rng(1).random((200, 3))))
@@ -177,7 +181,9 @@ def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
 
 
 def test_the_change_of_a_probability_per_standard_deviation() -> None:
-    """P(z1 + z2 > 2) of independent normals: each centre moved by dm changes it by phi(2/√2)/√2 dm."""
+    """P(z1 + z2 > 2) of independent normals: each centre moved by dm changes it by phi(2/√2)/√2
+    dm.
+    """
     joint = make_joint(("a", "b"), (NORMAL,) * 2, ())
     z = ndtri(np.stack([np.random.default_rng(r).random((4096, 2)) for r in range(16)]))
     gradients = joint.score_gradients(z.reshape(-1, 2)).reshape(z.shape)

@@ -1,4 +1,6 @@
-"""Inputs that depend on each other: rank correlations, conditional laws and tails against independent formulas."""
+"""Inputs that depend on each other: rank correlations, conditional laws and tails against
+independent formulas.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +113,9 @@ def test_tails_are_finite_and_monotone_out_to_1e_minus_300(kind: str, tau: float
 
 
 def test_tail_dependence_of_the_t_copula() -> None:
-    """2 t_(nu+1)(-sqrt((nu + 1)(1 - rho)/(1 + rho))) (Demarta and McNeil 2005); none of the Gaussian copula."""
+    """2 t_(nu+1)(-sqrt((nu + 1)(1 - rho)/(1 + rho))) (Demarta and McNeil 2005); none of the
+    Gaussian copula.
+    """
     rho, nu, low = math.sin(0.25 * math.pi), 4.0, np.array([-9.0])
     expected = stats.t(nu + 1.0).cdf(-math.sqrt((nu + 1.0) * (1.0 - rho) / (1.0 + rho)))
     found = [

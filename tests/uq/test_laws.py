@@ -1,4 +1,6 @@
-"""Laws: both tails against scipy.stats and against themselves, truncation, moments, fits, and refusals."""
+"""Laws: both tails against scipy.stats and against themselves, truncation, moments, fits, and
+refusals.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,8 @@ BY_MOMENTS = [
 @pytest.mark.parametrize("kind", PAIRS)
 def test_probabilities_and_density_agree_with_scipy(kind: str) -> None:
     law, oracle = PAIRS[kind]
-    # scipy.stats is the oracle in the middle only; the tails are held to account by the round trip below.
+    # scipy.stats is the oracle in the middle only; the tails are held to account by the round trip
+    # below.
     x = oracle.ppf(np.linspace(0.02, 0.98, 49))
     np.testing.assert_allclose(law.cdf(x), oracle.cdf(x), rtol=1e-10)
     np.testing.assert_allclose(law.sf(x), oracle.sf(x), rtol=1e-10)
@@ -92,7 +95,8 @@ def test_both_tails_return_to_their_probability(kind: str) -> None:
     low, high = law.ppf(p), law.isf(p)
     assert np.all(np.diff(low) >= 0.0)
     assert np.all(np.diff(high) <= 0.0)
-    # What a rounding of x by one part in 2^52 does to the probability is the best that can be asked.
+    # What a rounding of x by one part in 2^52 does to the probability is the best that can be
+    # asked.
     for x, tail in ((low, law.cdf(low)), (high, law.sf(high))):
         sensitivity = np.abs(x) * law.pdf(x) / p
         known = (
@@ -158,7 +162,8 @@ def test_truncated_laws_are_the_conditional_laws(kind: str, window: tuple[float,
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_normal_truncated_far_out_loses_no_digits(side: float) -> None:
-    # Beyond b sd, the survival function of the cut law at b + t is sf(b+t)/sf(b), here through log_ndtr.
+    # Beyond b sd, the survival function of the cut law at b + t is sf(b+t)/sf(b), here through
+    # log_ndtr.
     from scipy.special import log_ndtr
 
     far = 12.0
@@ -319,7 +324,8 @@ def test_laws_travel_between_processes_and_load_no_scipy_stats() -> None:
     law = make_law("weibull", {"mean": 4e9, "modulus": 12.0})
     assert pickle.loads(pickle.dumps(law)) == law
     code = (
-        "import sys, numpy as np; from uqsphere.uq.fitting import fitted_law; from uqsphere.uq.law import make_law\n"
+        "import sys, numpy as np; from uqsphere.uq.fitting import fitted_law; from "
+        "uqsphere.uq.law import make_law\n"
         "make_law('beta', {'mean': .2, 'sd': .1}, 0.0, 1.0).sd()\n"
         "fitted_law([1.0, 2.0, 4.0]).mean()\n"
         "sys.exit('scipy.stats' in sys.modules)"

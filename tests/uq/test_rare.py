@@ -1,4 +1,6 @@
-"""Small probabilities: public references, several regions, failed rows, few runs that are never sure and wrong."""
+"""Small probabilities: public references, several regions, failed rows, few runs that are never
+sure and wrong.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ def test_public_problems_within_four_percent_and_their_interval(name: str) -> No
 
 
 def test_an_integrated_strength_is_smooth_in_the_inputs() -> None:
-    # g = (4 - u1)/0.5 - ..., failure where strength score z < -(...): Phi(-g) integrated is Phi(-4/sqrt(1 + 0.25))
+    # g = (4 - u1)/0.5 - ..., failure where strength score z < -(...): Phi(-g) integrated is
+    # Phi(-4/sqrt(1 + 0.25))
     found = failure_probability(
         Evaluator(lambda u: (4.0 - u[:, 0]) / 0.5, 1, integrated=True), seed=2
     )

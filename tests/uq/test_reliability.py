@@ -1,4 +1,6 @@
-"""Reliability: exact strengths, covering intervals, rare events on both sides, doubtful rows, margins."""
+"""Reliability: exact strengths, covering intervals, rare events on both sides, doubtful rows,
+margins.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def scores(seed: int, n: int, replicates: int = 16, dimension: int = 3) -> np.nd
 def lognormal_state(
     probability: float, strength_scatter: float, seed: int, n: int = 256
 ) -> LimitState:
-    """ln demand normal (0, 0.1); ln strength normal, or fixed, placed so that the exceedance is known."""
+    """ln demand normal (0, 0.1); ln strength normal, or fixed, placed so that the exceedance is
+    known.
+    """
     place = -ndtri(probability) * math.hypot(SCATTER, strength_scatter)
     strength = (
         make_law("lognormal", {"log_mean": place, "log_sd": strength_scatter})
@@ -188,7 +192,8 @@ def test_margins_that_have_no_meaning_are_absent() -> None:
     for strength in (0.0, make_law("normal", {"mean": 1.0, "sd": 1.0})):
         assert "zero" in safety_factor(LimitState(demands=demands, strength=strength)).reason
     weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
-    # the end of the median's interval is looked for where there are too few positive demands, and far out
+    # the end of the median's interval is looked for where there are too few positive demands, and
+    # far out
     halves = np.where(np.arange(8) < np.where(np.arange(16)[:, None] % 2 == 0, 3, 6), 1e300, -1e300)
     assert "samples" in safety_factor(LimitState(demands=halves, strength=weibull)).reason
     assert "unbounded" in safety_factor(LimitState(demands=0.0 * demands, strength=weibull)).reason
@@ -210,7 +215,8 @@ def test_reliability_index_and_target() -> None:
     assert target_met(absent("why", "m", 1), 1e-2) is None
 
 
-# --- several limits at once: the union in closed form, dependent strengths, and what is drawn where something breaks
+# --- several limits at once: the union in closed form, dependent strengths, and what is drawn where
+# something breaks
 
 
 R, N = 16, 256
@@ -241,7 +247,9 @@ def test_independent_strengths_give_the_product_with_all_its_digits(
 
 
 def test_shared_demand_against_numerical_integration() -> None:
-    """One normal input loads two strengths: 1 - E[(1 - F_1)(1 - F_2)] by a quadrature of its own."""
+    """One normal input loads two strengths: 1 - E[(1 - F_1)(1 - F_2)] by a quadrature of its
+    own.
+    """
     uniforms = np.stack(
         [
             sobol_points(dimension=1, count=N, start=0, seed=3, task="t", replicate=r)
@@ -292,7 +300,7 @@ def test_samples_without_an_answer_widen_the_interval() -> None:
     assert found.high >= p * (1.0 - 1.0 / N) + 1.0 / N - 1e-9
 
 
-# --- what is drawn where something breaks ----------------------------------------------------------------
+# --- what is drawn where something breaks ---------------------------------------------------------
 
 
 def test_drawn_strengths_follow_their_law_given_a_fracture() -> None:
@@ -302,7 +310,8 @@ def test_drawn_strengths_follow_their_law_given_a_fracture() -> None:
     assert (drawn.shares < 1.0).any(axis=0).all()
     p, q = ndtr(h), ndtr(k)
     any_one = p + q - p * q
-    # demands are negative, so a share of more than 1 never means a strength that holds: zero is a strength reached
+    # demands are negative, so a share of more than 1 never means a strength that holds: zero is a
+    # strength reached
     for state, chance in zip(drawn.shares, (p, q), strict=True):
         broken = share(state < 1.0, weights=drawn.weights)
         assert abs(broken.value - chance / any_one) < 4.0 * broken.std_error
@@ -310,7 +319,9 @@ def test_drawn_strengths_follow_their_law_given_a_fracture() -> None:
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
 def test_shares_below_one_are_uniform_in_the_strength(rho: float) -> None:
-    """Given that limit 1 breaks, its strength is the lower tail of its law, also where another depends on it."""
+    """Given that limit 1 breaks, its strength is the lower tail of its law, also where another
+    depends on it.
+    """
     demand = 2.0
     law = make_law("uniform", {}, 0.0, 10.0)
     states = [LimitState(demands=np.full((R, N), demand), strength=law) for _ in range(2)]

@@ -1,4 +1,6 @@
-"""Sobol' points: reproducible, continued exactly, balanced, independent of each other, never 0 or 1."""
+"""Sobol' points: reproducible, continued exactly, balanced, independent of each other, never 0 or
+1.
+"""
 
 from __future__ import annotations
 

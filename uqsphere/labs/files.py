@@ -1,4 +1,6 @@
-"""What both labs share: input files, units of their keys, tables of the terminal, files that are written."""
+"""What both labs share: input files, units of their keys, tables of the terminal, files that are
+written.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,9 @@ def finish(
     files: Mapping[str, str],
     folder: Path | None = None,
 ) -> None:
-    """Write the files of a command to its folder, `--out` or else `folder`, and print its answer."""
+    """Write the files of a command to its folder, `--out` or else `folder`, and print its
+    answer.
+    """
     from uqsphere.results.folder import write_files
 
     folder, written = chosen.out or folder, list[str]()

@@ -1,1 +1,3 @@
-"""Physics of a brittle sphere between two Hopkinson bars: deterministic, batches of rows, no random numbers."""
+"""Physics of a brittle sphere between two Hopkinson bars: deterministic, batches of rows, no random
+numbers.
+"""

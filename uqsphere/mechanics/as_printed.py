@@ -1,4 +1,5 @@
-"""The paper's formulas as they are printed, to be compared with the corrected ones; never used to compute.
+"""The paper's formulas as they are printed, to be compared with the corrected ones; never used to
+compute.
 
 W. K. Nowacki, Engng. Trans. 42(3), 263–279, 1994; what is wrong with each is in docs/errata.md.
 """
@@ -26,10 +27,12 @@ _SETTLED: Final = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """One quantity by the paper's printed formula, the corrected one and the full model; SI, None: no value.
+    """One quantity by the paper's printed formula, the corrected one and the full model; SI, None:
+    no value.
 
-    `corrected` is the paper's own idealisation put right: a massless sphere in infinite bars under a
-    rectangular pulse; `full` is the scene as it is: the sphere's mass, reflections, the pulse's shape.
+    `corrected` is the paper's own idealisation put right: a massless sphere in infinite bars under
+    a rectangular pulse; `full` is the scene as it is: the sphere's mass, reflections, the pulse's
+    shape.
     """
 
     quantity: str
@@ -41,7 +44,9 @@ class Comparison:
 
     @property
     def error(self) -> float | None:
-        """The printed value over that of the full model, less 1; None where either is missing or zero."""
+        """The printed value over that of the full model, less 1; None where either is missing or
+        zero.
+        """
         if self.as_printed is None or not self.full:
             return None
         return self.as_printed / self.full - 1.0
@@ -68,7 +73,9 @@ def peak_pressure(force: Values, contact_radius: Values) -> Values:
 
 
 def mean_pressure(pressure: Values, share: Values) -> Values:
-    """Mean pressure over the contact [Pa] while alpha = f alpha_max, (5.9): (2/3) p_max f, not f^(1/2)."""
+    """Mean pressure over the contact [Pa] while alpha = f alpha_max, (5.9): (2/3) p_max f, not
+    f^(1/2).
+    """
     return (2.0 / 3.0) * pressure * share
 
 
@@ -78,34 +85,45 @@ def contact_duration(approach: Values, speed: Values) -> Values:
 
 
 def approach(time: Values, peak: Values, duration: Values) -> Values:
-    """alpha(t) = alpha_max sin(pi t/t_k) [m], (3.9), from first touch to the end of contact, then zero."""
+    """alpha(t) = alpha_max sin(pi t/t_k) [m], (3.9), from first touch to the end of contact, then
+    zero.
+    """
     return np.where(time < duration, peak * np.sin(math.pi * np.minimum(time / duration, 1.0)), 0.0)
 
 
 def rise_time(duration: Values) -> Values:
-    """Time [s] from 10 % to 90 % of the largest force on P = P_max sin^(3/2)(pi t/t_k), which (3.9) means."""
+    """Time [s] from 10 % to 90 % of the largest force on P = P_max sin^(3/2)(pi t/t_k), which (3.9)
+    means.
+    """
     return duration / math.pi * (math.asin(0.9 ** (2.0 / 3.0)) - math.asin(0.1 ** (2.0 / 3.0)))
 
 
 def equivalent_duration(duration: Values) -> Values:
-    """Impulse over peak [s] of P = P_max sin^(3/2)(pi t/t_k), which (3.9) means: B(5/4, 1/2)/pi = 0.5564 t_k."""
+    """Impulse over peak [s] of P = P_max sin^(3/2)(pi t/t_k), which (3.9) means: B(5/4, 1/2)/pi =
+    0.5564 t_k.
+    """
     return _SINE * duration
 
 
 def approach_after_pulse(
     after: Values, start: Values, impedance: Values, hertz_constant: Values
 ) -> Values:
-    """alpha = [alpha_*^(-1/2) + beta (t - t2)/(F0 rho c0)]^(-2) [m], (3.16); the divisor 2 is missing."""
+    """alpha = [alpha_*^(-1/2) + beta (t - t2)/(F0 rho c0)]^(-2) [m], (3.16); the divisor 2 is
+    missing.
+    """
     return (1.0 / np.sqrt(start) + hertz_constant * after / impedance) ** -2.0
 
 
 def linear_plateau(speed: Values, impedance: Values, stiffness: Values) -> Values:
-    """alpha -> v0/lambda_1 [m] under a step, (4.10), with lambda_1 = k/(F0 rho c0); twice the right value."""
+    """alpha -> v0/lambda_1 [m] under a step, (4.10), with lambda_1 = k/(F0 rho c0); twice the right
+    value.
+    """
     return speed * impedance / stiffness
 
 
 def compare(scene: Scene, row: int = 0, *, tolerance: float = 1e-8) -> list[Comparison]:
-    """What the paper prints, the corrected massless value and the full model's for one row of a scene.
+    """What the paper prints, the corrected massless value and the full model's for one row of a
+    scene.
 
     ValueError if the row lies outside the domain of the model.
     """
@@ -117,7 +135,9 @@ def compare(scene: Scene, row: int = 0, *, tolerance: float = 1e-8) -> list[Comp
 
 
 def _idealised(scene: Scene) -> Scene:
-    """The scene in infinite bars under a rectangular pulse of the same length, or under the same step."""
+    """The scene in infinite bars under a rectangular pulse of the same length, or under the same
+    step.
+    """
     columns = {
         name: column
         for name, column in scene.columns.items()
@@ -176,7 +196,8 @@ def _peaks(scene: Scene, tolerance: float) -> list[Comparison]:
         )
         for name, unit, value, note in printed
     ]
-    # one instant of the right law, p ~ f^(1/2), against the printed p ~ f: the models differ by p_max alone
+    # one instant of the right law, p ~ f^(1/2), against the printed p ~ f: the models differ by
+    # p_max alone
     for share, name in ((1.0, "mean_pressure"), (0.5, "mean_pressure_at_half_approach")):
         right = 2.0 / 3.0 * math.sqrt(share)
         rows.append(
@@ -233,7 +254,9 @@ def _times(scene: Scene, tolerance: float) -> list[Comparison]:
 
 
 def _instants(scene: Scene, tolerance: float) -> list[Comparison]:
-    """Approaches at single instants, half of what the bar ends have come closer; and the linear plateau."""
+    """Approaches at single instants, half of what the bar ends have come closer; and the linear
+    plateau.
+    """
     speed, impedance, beta, alpha = _scalars(scene)
     time, theta = float(scene.scales.time[0]), float(scene.scales.pulse_number[0])
     found = motion(scene, 0, tolerance=tolerance)
@@ -262,7 +285,10 @@ def _instants(scene: Scene, tolerance: float) -> list[Comparison]:
                 as_printed=float(approach_after_pulse(time, start, impedance, beta)),
                 corrected=alpha * float(massless_approach(theta + 1.0, theta)),
                 full=full(theta + 1.0),
-                note=f"(3.16) at t_i + t_c = {(theta + 1.0) * time * 1e6:.4g} us, from the corrected alpha_*",
+                note=(
+                    f"(3.16) at t_i + t_c = {(theta + 1.0) * time * 1e6:.4g} us, from the "
+                    "corrected alpha_*"
+                ),
             )
         )
     stiffness = beta * math.sqrt(alpha)

@@ -1,14 +1,17 @@
-"""Elastic waves in the bars: speed, impedance and travel times in one dimension, and the dispersion of the first mode.
+"""Elastic waves in the bars: speed, impedance and travel times in one dimension, and the dispersion
+of the first mode.
 
-With p² = (omega/c_L)² - k², q² = (omega/c_T)² - k² and the bar's radius as unit of length, the frequency equation of
-Pochhammer and Chree is
+With p² = (omega/c_L)² - k², q² = (omega/c_T)² - k² and the bar's radius as unit of length, the
+frequency equation of Pochhammer and Chree is
 
-    2 p² (q² + k²) j(p) j(q) - (q² - k²)² J_0(p) j(q) - 4 k² p² j(p) J_0(q) = 0,     j(x) = J_1(x)/x,
+    2 p² (q² + k²) j(p) j(q) - (q² - k²)² J_0(p) j(q) - 4 k² p² j(p) J_0(q) = 0,     j(x) =
+    J_1(x)/x,
 
-which is even in p and q and so stays real where the waves do not reach the axis.  Of its roots the lowest is the first
-mode.  A gauge sees the strain of the surface; what acts on the sphere is the mean stress of the section.
-Sources: D. Bancroft, Phys. Rev. 59, 588 (1941), doi 10.1103/PhysRev.59.588; R. M. Davies, Phil. Trans. R. Soc. A 240,
-375 (1948), doi 10.1098/rsta.1948.0001; A. Tyas and A. J. Wilson, Int. J. Impact Eng. 25, 87 (2001) for M_1 and M_2.
+which is even in p and q and so stays real where the waves do not reach the axis.  Of its roots the
+lowest is the first mode.  A gauge sees the strain of the surface; what acts on the sphere is the
+mean stress of the section. Sources: D. Bancroft, Phys. Rev. 59, 588 (1941), doi
+10.1103/PhysRev.59.588; R. M. Davies, Phil. Trans. R. Soc. A 240, 375 (1948), doi
+10.1098/rsta.1948.0001; A. Tyas and A. J. Wilson, Int. J. Impact Eng. 25, 87 (2001) for M_1 and M_2.
 """
 
 from __future__ import annotations
@@ -48,14 +51,16 @@ def round_trip(length: Values, E: Values, density: Values) -> Values:
 
 
 def pulse_stress(speed: Values, E: Values, density: Values) -> Values:
-    """rho_b c0 v0/2 [Pa], the stress of the pulse that a striker of the bar's own impedance sends."""
+    """rho_b c0 v0/2 [Pa], the stress of the pulse that a striker of the bar's own impedance
+    sends.
+    """
     return 0.5 * density * wave_speed(E, density) * speed
 
 
 #: wave numbers over 1/radius of the table: dense at first, where records have their energy
 _TABLE: Final = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
-#: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at nu = 0.5 (0.55) to
-#: above the bar's, and the steps of the search
+#: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at
+#: nu = 0.5 (0.55) to above the bar's, and the steps of the search
 _SLOWEST, _FASTEST, _SCAN = 0.35, 1.02, 600
 #: most that the surface factor may amplify a record, and its noise, inside the band
 _MOST_GAIN: Final = 3.0
@@ -98,10 +103,10 @@ def _check_poisson(nu: float) -> None:
 def phase_speed(wave_number: Values, nu: float) -> Array:
     """Phase speed of the first mode over c0, (n,), to 1e-12.
 
-    wave_number (n,): 2 pi radius/wavelength, from 0 to 60; nu: Poisson's ratio of the bar, 0 <= nu < 0.5.  ValueError
-    for either out of range.
+    wave_number (n,): 2 pi radius/wavelength, from 0 to 60; nu: Poisson's ratio of the bar, 0 <= nu
+    < 0.5.  ValueError for either out of range.
 
-    >>> phase_speed([0.0, np.pi * 0.5], 0.3).round(5).tolist()      # Bancroft: 0.91854 at d/wavelength = 0.5
+    >>> phase_speed([0.0, np.pi * 0.5], 0.3).round(5).tolist()  # Bancroft, d/wavelength = 0.5
     [1.0, 0.91854]
     """
     _check_poisson(nu)
@@ -126,10 +131,11 @@ def phase_speed(wave_number: Values, nu: float) -> Array:
 
 
 def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Array, Array]:
-    """What the strain of the surface has to be multiplied with: Tyas and Wilson's M_1, M_2, both 1 for long waves.
+    """What the strain of the surface has to be multiplied with: Tyas and Wilson's M_1, M_2, both 1
+    for long waves.
 
-    Mean axial strain of the section over that of the surface; mean axial stress over E times the mean strain; (n,)
-    each, at wave numbers times the radius and their phase speeds over c0.
+    Mean axial strain of the section over that of the surface; mean axial stress over E times the
+    mean strain; (n,) each, at wave numbers times the radius and their phase speeds over c0.
     """
     dilatation, shear = _speeds(nu)
     k = np.asarray(wave_number, dtype=float)
@@ -137,7 +143,8 @@ def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Arra
     p2 = k2 * (np.square(np.asarray(speed) / dilatation) - 1.0)
     q2 = k2 * (np.square(np.asarray(speed) / shear) - 1.0)
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
-    # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth exp(|p| + |q|)
+    # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth
+    # exp(|p| + |q|)
     dilating, shearing = (k2 - q2) * one_q, 2.0 * p2 * one_p
     surface = dilating * zero_p + shearing * zero_q
     mean = 2.0 * (dilating * one_p + shearing * one_q)
@@ -152,9 +159,9 @@ def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Arra
 class FirstMode:
     """The first mode of a bar in units of its radius and c0, tabulated over the wave number.
 
-    frequency, wave_number, speed (m,): omega radius/c0, k radius, phase speed over c0; from rest on, ascending.  factor
-    (m,): mean axial stress over E times the strain of the surface.  band: frequency below which
-    a record can be corrected: the first mode alone, factor below 3.
+    frequency, wave_number, speed (m,): omega radius/c0, k radius, phase speed over c0; from rest
+    on, ascending.  factor (m,): mean axial stress over E times the strain of the surface.  band:
+    frequency below which a record can be corrected: the first mode alone, factor below 3.
     """
 
     frequency: Array
@@ -164,7 +171,9 @@ class FirstMode:
     band: float
 
     def at(self, frequency: Values) -> tuple[Array, Array]:
-        """Wave number and surface factor at frequencies (n,) of the band; beyond it they go on as at its edge."""
+        """Wave number and surface factor at frequencies (n,) of the band; beyond it they go on as
+        at its edge.
+        """
         from scipy.interpolate import CubicSpline
 
         inside = np.minimum(np.asarray(frequency, dtype=float), self.band)
@@ -175,7 +184,9 @@ class FirstMode:
 
 
 def _second_mode(nu: float) -> float:
-    """Frequency of the second longitudinal mode at infinite wavelength: the lower of its two families."""
+    """Frequency of the second longitudinal mode at infinite wavelength: the lower of its two
+    families.
+    """
     dilatation, shear = _speeds(nu)
     trial = np.linspace(0.5, 8.0, 6000)
     p2, q2 = np.square(trial / dilatation), np.square(trial / shear)
@@ -220,16 +231,19 @@ def correct(
     nu: float,
     surface: bool = True,
 ) -> Array:
-    """What a wave (n,) seen by a gauge is `distance` [m] further on, in the time of the one-dimensional wave.
+    """What a wave (n,) seen by a gauge is `distance` [m] further on, in the time of the
+    one-dimensional wave.
 
-    eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance): the delay distance/c0 itself is left out.  strain is at
-    rest at both ends and has room for the spread of the wave; step: between samples [s]; distance: below zero for where
-    it came from; radius, wave_speed, nu of the bar; surface: the gauge sits there, and the answer is the mean stress
-    over E. Valid up to `FirstMode.band`; beyond, phase lag and factor are held at their values there.
+    eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance): the delay distance/c0 itself is left
+    out.  strain is at rest at both ends and has room for the spread of the wave; step: between
+    samples [s]; distance: below zero for where it came from; radius, wave_speed, nu of the bar;
+    surface: the gauge sits there, and the answer is the mean stress over E. Valid up to
+    `FirstMode.band`; beyond, phase lag and factor are held at their values there.
     """
     if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
         raise ValueError(
-            f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}"
+            f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, "
+            f"{wave_speed!r}"
         )
     strain, mode = np.asarray(strain, dtype=float), first_mode(nu)
     frequency = 2.0 * math.pi * np.fft.rfftfreq(len(strain), step) * radius / wave_speed

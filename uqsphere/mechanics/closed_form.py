@@ -1,11 +1,13 @@
-"""Closed forms: the massless sphere in infinite bars, the linear contact, blows on one partner, and a slow press.
+"""Closed forms: the massless sphere in infinite bars, the linear contact, blows on one partner, and
+a slow press.
 
-Between bars all functions are elementwise in the scaled variables of theory (8): approach x over alpha_c, time s over
-t_c.  A sphere of mass M that meets a half-space, a free mass, a thin plate or the end of a bar at the closing speed v,
-square on, is in SI: with P = beta alpha^1.5 all is a power of the inputs (Hertz 1882; Johnson, Contact Mechanics, 1985,
-11.4), but for what a plate or a bar carries off: a partner that gives way at P/Z has one number,
-lam = beta^0.4 M^0.6 v^0.2/Z (Zener, Phys. Rev. 59 (1941) 669), and its answers stand in a table.  A contact that yields
-keeps the balance of energy.  Numbering (R...) of docs/theory.md.
+Between bars all functions are elementwise in the scaled variables of theory (8): approach x over
+alpha_c, time s over t_c.  A sphere of mass M that meets a half-space, a free mass, a thin plate or
+the end of a bar at the closing speed v, square on, is in SI: with P = beta alpha^1.5 all is a power
+of the inputs (Hertz 1882; Johnson, Contact Mechanics, 1985, 11.4), but for what a plate or a bar
+carries off: a partner that gives way at P/Z has one number, lam = beta^0.4 M^0.6 v^0.2/Z (Zener,
+Phys. Rev. 59 (1941) 669), and its answers stand in a table.  A contact that yields keeps the
+balance of energy.  Numbering (R...) of docs/theory.md.
 """
 
 from __future__ import annotations
@@ -27,14 +29,16 @@ from uqsphere.mechanics.roots import newton
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face
 
-#: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the better way, and its
-#: terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
+#: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the
+#: better way, and its terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
 _SERIES_BELOW: Final = 0.1
 _SERIES_TERMS: Final = 12
 
 
 def _series(x: Array) -> Array:
-    """s(x) = sum over k of x^(1 + 3k/2)/(1 + 3k/2), the geometric series of 1/(1 - x^(3/2)) integrated."""
+    """s(x) = sum over k of x^(1 + 3k/2)/(1 + 3k/2), the geometric series of 1/(1 - x^(3/2))
+    integrated.
+    """
     power = x * np.sqrt(x)
     total = np.zeros_like(x)
     for k in range(_SERIES_TERMS, -1, -1):
@@ -45,17 +49,19 @@ def _series(x: Array) -> Array:
 def _time_at_root(root: Array, minus_log: Array) -> Array:
     """s of theory (11) from y = sqrt(x) and -ln(1 - y).
 
-    The difference of the two angles of (11) is taken as one, atan(sqrt(3) y/(2 + y)): nothing cancels.
+    The difference of the two angles of (11) is taken as one, atan(sqrt(3) y/(2 + y)): nothing
+    cancels.
     """
     angle = np.arctan(math.sqrt(3.0) * root / (2.0 + root))
     return (2.0 / 3.0) * (minus_log + 0.5 * np.log1p(root + root * root) - math.sqrt(3.0) * angle)
 
 
 def loading_time(x: Values) -> Array:
-    """Scaled time s at which the massless sphere has the approach x over alpha_c, 0 <= x <= 1, theory (11).
+    """Scaled time s at which the massless sphere has the approach x over alpha_c, 0 <= x <= 1,
+    theory (11).
 
-    s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x); 1 takes for ever.
-    ValueError outside 0 to 1, which a step pulse never builds up.
+    s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x); 1
+    takes for ever. ValueError outside 0 to 1, which a step pulse never builds up.
     Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.3), integrated by partial fractions.
 
     >>> float(loading_time(0.5).round(12))
@@ -73,17 +79,20 @@ def loading_time(x: Values) -> Array:
 
 @lru_cache(maxsize=1)
 def _table() -> tuple[Array, Array]:
-    """Times and z = -ln(1 - sqrt(x)) of a loading, so close that one round of Newton's iteration finishes it."""
+    """Times and z = -ln(1 - sqrt(x)) of a loading, so close that one round of Newton's iteration
+    finishes it.
+    """
     z = np.concatenate([np.linspace(0.3, 4.0, 24_000), np.linspace(4.0, 100.0, 8_000)[1:]])
     return _time_at_root(-np.expm1(-z), z), z
 
 
 def loading_approach(s: Values) -> Array:
-    """Scaled approach x of the massless sphere at the time s >= 0 of an endless step; inverse of `loading_time`.
+    """Scaled approach x of the massless sphere at the time s >= 0 of an endless step; inverse of
+    `loading_time`.
 
-    Newton's iteration in z = -ln(1 - sqrt(x)), in which s is nearly a straight line, and Halley's in x itself where s
-    is small; a fixed number of rounds for all elements together, error below 1e-14.  ValueError for a time before first
-    touch.
+    Newton's iteration in z = -ln(1 - sqrt(x)), in which s is nearly a straight line, and Halley's
+    in x itself where s is small; a fixed number of rounds for all elements together, error below
+    1e-14.  ValueError for a time before first touch.
 
     >>> loading_approach([0.0, 0.8193410, np.inf]).round(6).tolist()
     [0.0, 0.629961, 1.0]
@@ -110,7 +119,8 @@ def loading_approach(s: Values) -> Array:
 
 
 def relaxing_approach(start: Values, after: Values) -> Array:
-    """Scaled approach a time `after` over t_c from the end of the pulse: x = [x_*^(-1/2) + after/2]^(-2), theory (12).
+    """Scaled approach a time `after` over t_c from the end of the pulse: x = [x_*^(-1/2) +
+    after/2]^(-2), theory (12).
 
     >>> float(relaxing_approach(loading_approach(0.8), 5.2).round(7))
     0.0667757
@@ -119,12 +129,15 @@ def relaxing_approach(start: Values, after: Values) -> Array:
 
 
 def relaxing_time(start: Values, x: Values) -> Array:
-    """Scaled time in which the approach falls from `start` to x after the pulse; inverse of (12)."""
+    """Scaled time in which the approach falls from `start` to x after the pulse; inverse of
+    (12).
+    """
     return np.asarray(2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start)))
 
 
 def massless_approach(s: Values, theta: Values) -> Array:
-    """Scaled approach x(s) of the massless sphere under a rectangular pulse of length theta (inf: a step).
+    """Scaled approach x(s) of the massless sphere under a rectangular pulse of length theta (inf: a
+    step).
 
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
     [0.363053, 0.620178, 0.066776]
@@ -137,24 +150,28 @@ def massless_approach(s: Values, theta: Values) -> Array:
 
 
 def _step_difference(s: Array, mu: Array) -> Array:
-    """e^(-s/2) sin(w s)/w with w² = 2/mu - 1/4: half the difference of the approaches under a linear step."""
+    """e^(-s/2) sin(w s)/w with w² = 2/mu - 1/4: half the difference of the approaches under a
+    linear step.
+    """
     square = 2.0 / mu - 0.25
     swinging = square > 0.0
     w = np.sqrt(np.abs(square))
     swing = np.exp(-0.5 * s) * s * np.sinc(w * s / math.pi)
-    # overdamped, mu > 8: the hyperbolic sine in decaying exponentials only, so that nothing overflows
+    # overdamped, mu > 8: the hyperbolic sine in decaying exponentials only, so that nothing
+    # overflows
     k = np.where(swinging, 0.0, w)
     creep = np.where(k > 0.0, -np.expm1(-2.0 * k * s) / (2.0 * np.where(k > 0.0, k, 1.0)), s)
     return np.where(swinging, swing, creep * np.exp((k - 0.5) * s))
 
 
 def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[Array, Array]:
-    """Scaled approaches x_1, x_2 of the linear contact, infinite bars, theory (14): a step less a later one.
+    """Scaled approaches x_1, x_2 of the linear contact, infinite bars, theory (14): a step less a
+    later one.
 
-    x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4; hyperbolic for mu > 8, s e^(-s/2) at mu = 8. s: time
-    over t_c; mu: M/(Z t_c) > 0; theta: length of a rectangular pulse over t_c.  It holds until an approach turns
-    negative: a spring could pull, a contact cannot. Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8);
-    (4.9) lacks the decay of the swing.
+    x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4; hyperbolic for mu > 8, s e^(-s/2)
+    at mu = 8. s: time over t_c; mu: M/(Z t_c) > 0; theta: length of a rectangular pulse over t_c.
+    It holds until an approach turns negative: a spring could pull, a contact cannot. Source: W. K.
+    Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8); (4.9) lacks the decay of the swing.
 
     >>> x_1, x_2 = linear_approaches(30.0, 0.1)
     >>> bool(abs(x_1 - 1.0) < 1e-6), bool(abs(x_2 - 1.0) < 1e-6)
@@ -172,7 +189,8 @@ def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[
 def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     """Whether `solve_closed` has the answer: massless, infinite bars, rectangular or step pulse.
 
-    The `linear` contact has its history in closed form, but its peaks are roots of transcendental equations.
+    The `linear` contact has its history in closed form, but its peaks are roots of transcendental
+    equations.
     """
     plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
     return fidelity == "massless" and scene.infinite and plain and scene.contact_law == "hertz"
@@ -181,16 +199,18 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
 def solve_closed(
     scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None
 ) -> Answers:
-    """Quantities of interest of n scenes between bars in closed form, with the same names as `integrator.solve`.
+    """Quantities of interest of n scenes between bars in closed form, with the same names as
+    `integrator.solve`.
 
-    Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest force is
-    that at the end of the pulse or of the record.  Contact is never lost, so that time_to_first_loss is always censored
-    at the end of the record: the horizon, or where the force is down to 1 % of the largest.  ValueError where
-    `closed_form_applies` is false.
+    Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the
+    largest force is that at the end of the pulse or of the record.  Contact is never lost, so that
+    time_to_first_loss is always censored at the end of the record: the horizon, or where the force
+    is down to 1 % of the largest.  ValueError where `closed_form_applies` is false.
     """
     if not closed_form_applies(scene, fidelity):
         raise ValueError(
-            f"no closed form for {fidelity!r} with a {scene.shape} pulse and infinite = {scene.infinite} "
+            f"no closed form for {fidelity!r} with a {scene.shape} pulse and infinite = "
+            f"{scene.infinite} "
             "(there is one for massless, a rectangular or step pulse, infinite bars)"
         )
     good = scene.status == 0
@@ -201,7 +221,9 @@ def solve_closed(
 
 
 def scaled_answers(scene: Scene) -> dict[str, Array]:
-    """What `outputs.answers_from` reads of the massless sphere, (n,) each: approaches, energy, times."""
+    """What `outputs.answers_from` reads of the massless sphere, (n,) each: approaches, energy,
+    times.
+    """
     good = scene.status == 0
     with np.errstate(all="ignore"):
         theta = np.where(good, scene.scales.pulse_number, 1.0)
@@ -210,7 +232,8 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
     ended = np.where(np.isfinite(horizon), horizon, tail)
-    # x' = f - q: the impulse is that of the pulse less what is left of the approach, nothing where the tail ends it
+    # x' = f - q: the impulse is that of the pulse less what is left of the approach, nothing where
+    # the tail ends it
     left = np.where(ended > theta, relaxing_approach(peak, np.maximum(ended - theta, 0.0)), peak)
     left = np.where(np.isfinite(horizon), left, 0.0)
     return {
@@ -227,7 +250,9 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
 
 @dataclass(frozen=True, kw_only=True)
 class Blow:
-    """One blow: `force` P_max [N], `approach` at it [m], `duration` [s], `restitution`; elementwise."""
+    """One blow: `force` P_max [N], `approach` at it [m], `duration` [s], `restitution`;
+    elementwise.
+    """
 
     force: Array
     approach: Array
@@ -236,11 +261,14 @@ class Blow:
 
 
 def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
-    """M* = M m/(M + m) [kg] of a sphere and a free partner; a partner that does not move has m = inf. (R6)."""
+    """M* = M m/(M + m) [kg] of a sphere and a free partner; a partner that does not move has m =
+    inf. (R6).
+    """
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
 
 
-#: columns of the table: restitution, peak force, time under load, rise from 10 % to 90 % of the peak
+#: columns of the table: restitution, peak force, time under load, rise from 10 % to 90 % of the
+#: peak
 _COLUMNS: Final = ("restitution", "force", "duration", "rise")
 
 
@@ -266,7 +294,8 @@ def _elastic(lam: Array) -> Mapping[str, Array]:
 
 
 def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values = math.inf) -> Blow:
-    """An elastic blow of reduced mass M* at speed v on a partner of impedance Z [N s/m], (R10) to (R13).
+    """An elastic blow of reduced mass M* at speed v on a partner of impedance Z [N s/m], (R10) to
+    (R13).
 
     NaN where lam is above 3: the plate is punched, not struck.
 
@@ -286,9 +315,11 @@ def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values 
 
 
 def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
-    """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y, (R23).
+    """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y,
+    (R23).
 
-    The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the speed after.
+    The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the
+    speed after.
     """
     return face.depth_of_work(
         0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach)
@@ -296,24 +327,28 @@ def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
 
 
 def light_sphere_constant(behind: Values, ahead: Values) -> Array:
-    """beta of two faces in series, a sphere without mass between them, (R15): beta/2^1.5 for equal faces."""
+    """beta of two faces in series, a sphere without mass between them, (R15): beta/2^1.5 for equal
+    faces.
+    """
     return np.asarray(
         (np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5
     )
 
 
-# --- scenes -------------------------------------------------------------------------------------------
+# --- scenes ---------------------------------------------------------------------------------------
 
 
-#: what the mass M of a sphere under a weight m adds to the peak force, 0.70 (M/m)^0.45 of it, (R16): fitted to the
-#: integrator for M/m = 3e-7 to 3e-3
+#: what the mass M of a sphere under a weight m adds to the peak force, 0.70 (M/m)^0.45 of it,
+#: (R16): fitted to the integrator for M/m = 3e-7 to 3e-3
 _SWING, _SWING_POWER = 0.70, 0.45
 #: rows that are answered together, so that their columns stay in the cache
 _BLOCK: Final = 8192
 
 
 def closed_form_rows(scene: Scene) -> Flags:
-    """Rows that `solve_blow` answers, (n,): one contact, nothing back before the bodies part; platens all."""
+    """Rows that `solve_blow` answers, (n,): one contact, nothing back before the bodies part;
+    platens all.
+    """
     kind = RIGS[scene.rig].kind(1, scene.options)
     bare = RIGS[scene.rig].contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
     behind, ahead = scene.partners
@@ -337,8 +372,8 @@ def closed_form_rows(scene: Scene) -> Flags:
 def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
     """Quantities of interest of n scenes in closed form, with the same names as `integrator.solve`.
 
-    An elastic blow by (R10) to (R13), one on a face that yields by the balance of energy (R23), platens by statics.
-    Rows outside `closed_form_rows` are not looked for: ask there first.
+    An elastic blow by (R10) to (R13), one on a face that yields by the balance of energy (R23),
+    platens by statics. Rows outside `closed_form_rows` are not looked for: ask there first.
     """
     if len(scene) > _BLOCK:
         rows, blocks = (
@@ -369,7 +404,9 @@ def _answers(
 
 
 def light_sphere_applies(scene: Scene) -> bool:
-    """Whether `solve_light` has answers: a weight on an elastic sphere, nothing back from what it rests on."""
+    """Whether `solve_light` has answers: a weight on an elastic sphere, nothing back from what it
+    rests on.
+    """
     behind, ahead = scene.partners
     there = (
         behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
@@ -380,7 +417,8 @@ def light_sphere_applies(scene: Scene) -> bool:
 
 
 def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
-    """A weight on a light sphere: two springs in series, (R15) and (R13), with the peak forces raised by (R16).
+    """A weight on a light sphere: two springs in series, (R15) and (R13), with the peak forces
+    raised by (R16).
 
     ValueError where `light_sphere_applies` is false.
     """
@@ -446,7 +484,9 @@ _DURATIONS: Final = {
 
 
 def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
-    """An elastic blow in scaled variables, (R13); of a free partner by the motion about the common centre of mass."""
+    """An elastic blow in scaled variables, (R13); of a free partner by the motion about the common
+    centre of mass.
+    """
     waves = ahead.kind in ("bar", "plate")
     lam = scene.scales.force / (scene.scales.speed * ahead.impedance) if waves else np.zeros(1)
     at = _elastic(lam) if waves else _on_thick()
@@ -459,7 +499,8 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
         "parting": at["duration"],
         "rise": at["rise"],
         "ended": at["duration"],
-        # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its speed
+        # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its
+        # speed
         "duration": (1.0 + at["restitution"]) / at["force"],
         **_speeds(scene, ahead, at["restitution"]),
         **_CENSORED,
@@ -522,11 +563,14 @@ _UNLOADING: Final = 1.4716375921624
 
 
 def _loading(face: Face, depth: Array, start: Array) -> Array:
-    """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 - W(z)/W(z_m)).
+    """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 -
+    W(z)/W(z_m)).
 
-    With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the range is cut.
+    With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the
+    range is cut.
     """
-    # Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
+    # Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all
+    # depths
     nodes, weights = np.polynomial.legendre.leggauss(24)
     ends = [
         np.arccos(np.sqrt(np.minimum(place / depth, 1.0)))
@@ -581,7 +625,9 @@ def _pressed(scene: Scene) -> dict[str, Array]:
 
 
 def _force_at(partner: Partner, way: Array, softness: Array) -> Array:
-    """Force [N] at which two faces and a machine have given way by `way` [m]; Newton on a concave function."""
+    """Force [N] at which two faces and a machine have given way by `way` [m]; Newton on a concave
+    function.
+    """
     face = partner.face
     scale = partner.effective_radius if face is None else face.onset_approach
     unit = partner.hertz_constant * scale**1.5 if face is None else face.onset_force

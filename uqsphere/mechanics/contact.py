@@ -1,7 +1,7 @@
 """Hertz contact of a sphere and a bar end: force, pressure, radius, energy, tension.
 
-Every function is elementwise on arrays (or floats) in SI.  `effective_radius` is the relative radius
-of curvature of sphere and bar end, equal to the sphere's radius on a flat end.
+Every function is elementwise on arrays (or floats) in SI.  `effective_radius` is the relative
+radius of curvature of sphere and bar end, equal to the sphere's radius on a flat end.
 Source: K. L. Johnson, Contact Mechanics, 1985, ch. 4; numbering of docs/theory.md.
 """
 
@@ -17,7 +17,8 @@ from uqsphere.arrays import Values
 def reduced_modulus(
     E: Values, nu: Values, bar_E: Values, bar_nu: Values, *, rigid_bars: bool = False
 ) -> Values:
-    """Reduced modulus E* [Pa]: 1/E* = (1-nu²)/E + (1-nu_b²)/E_b; the bar's term is left out if rigid. Theory (1).
+    """Reduced modulus E* [Pa]: 1/E* = (1-nu²)/E + (1-nu_b²)/E_b; the bar's term is left out if
+    rigid. Theory (1).
 
     >>> round(reduced_modulus(52e9, 0.25, 210e9, 0.3) / 1e9, 6)
     44.71836
@@ -29,7 +30,9 @@ def reduced_modulus(
 
 
 def effective_radius(radius: Values, end_radius: Values = math.inf) -> Values:
-    """Relative radius of curvature r_eff [m]: 1/r_eff = 1/r + 1/r_end; a flat bar end has r_end = inf."""
+    """Relative radius of curvature r_eff [m]: 1/r_eff = 1/r + 1/r_end; a flat bar end has r_end =
+    inf.
+    """
     return 1.0 / (1.0 / radius + 1.0 / np.asarray(end_radius, dtype=float))
 
 
@@ -60,7 +63,8 @@ def contact_radius(approach: Values, effective_radius: Values) -> Values:
 
 
 def pressure_at_force(force: Values, modulus: Values, effective_radius: Values) -> Values:
-    """p_0 = (6 P E*² / (pi³ r_eff²))^(1/3) [Pa], the pressure at the centre of the contact. Theory (15).
+    """p_0 = (6 P E*² / (pi³ r_eff²))^(1/3) [Pa], the pressure at the centre of the contact. Theory
+    (15).
 
     >>> r, E_star = 0.01, 45e9
     >>> beta = hertz_constant(E_star, r)
@@ -74,9 +78,11 @@ def pressure_at_force(force: Values, modulus: Values, effective_radius: Values) 
 def pressure_over_contact(
     distance: Values, approach: Values, modulus: Values, effective_radius: Values
 ) -> Values:
-    """p(R, t) [Pa] at distance R [m] from the contact's centre while the approach is alpha(t). Theory (16).
+    """p(R, t) [Pa] at distance R [m] from the contact's centre while the approach is alpha(t).
+    Theory (16).
 
-    p = p_0(t) sqrt(1 - (R/a(t))²); both p_0 and a move with alpha, which is what (5.8) of the paper misses.
+    p = p_0(t) sqrt(1 - (R/a(t))²); both p_0 and a move with alpha, which is what (5.8) of the paper
+    misses.
     """
     inside = np.maximum(
         np.maximum(approach, 0.0) / effective_radius - np.square(distance / effective_radius), 0.0
@@ -85,7 +91,9 @@ def pressure_over_contact(
 
 
 def edge_tension(pressure: Values, nu: Values) -> Values:
-    """sigma_e = (1 - 2 nu)/3 p_0 [Pa], the radial tension at the rim of the contact. Theory (17)."""
+    """sigma_e = (1 - 2 nu)/3 p_0 [Pa], the radial tension at the rim of the contact. Theory
+    (17).
+    """
     return (1.0 - 2.0 * nu) / 3.0 * pressure
 
 
@@ -95,10 +103,11 @@ def contact_energy(approach: Values, beta: Values) -> Values:
 
 
 def centre_tension(force: Values, radius: Values, nu: Values) -> Values:
-    """sigma_c = 21 P / (pi (7 + 5 nu) D²) [Pa] at the centre of a sphere squeezed by two point forces. Theory (19).
+    """sigma_c = 21 P / (pi (7 + 5 nu) D²) [Pa] at the centre of a sphere squeezed by two point
+    forces. Theory (19).
 
-    Exact for point loads; a contact of a/r = 0.2 lowers it by about a/r squared.  With nu = 0.1 it is
-    0.891 P/D², the 0.9 of Hiramatsu and Oka (1966).
+    Exact for point loads; a contact of a/r = 0.2 lowers it by about a/r squared.  With nu = 0.1 it
+    is 0.891 P/D², the 0.9 of Hiramatsu and Oka (1966).
 
     >>> round(float(centre_tension(1.0, 0.5, 0.25)), 3)
     0.81

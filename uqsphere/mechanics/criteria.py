@@ -1,9 +1,10 @@
 """Criteria of fracture: what of a loaded sphere is compared with which strength.
 
-Each criterion is one record with one signature: columns of the impact model (SI, one row per sample) and its own
-parameters go in, a column of demand comes out, and the sphere breaks where the demand exceeds the strength.  The
-strength stays outside: it is a number or a law of the study.  `in_range` says row by row where the formula has been
-left; a demand is given there too, for an absent number would pass for a survival.
+Each criterion is one record with one signature: columns of the impact model (SI, one row per
+sample) and its own parameters go in, a column of demand comes out, and the sphere breaks where the
+demand exceeds the strength.  The strength stays outside: it is a number or a law of the study.
+`in_range` says row by row where the formula has been left; a demand is given there too, for an
+absent number would pass for a survival.
 """
 
 from __future__ import annotations
@@ -28,13 +29,16 @@ Demands = Mapping[str, tuple[str, Parameters]]
 
 #: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
 AUERBACH: Final = 8.6e3
-#: an energy above the largest fracture energy breaks every particle; the demand stays a finite number
+#: an energy above the largest fracture energy breaks every particle; the demand stays a finite
+#: number
 _CERTAIN: Final = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A number that belongs to a criterion, with the bounds of its meaning (the bounds themselves excluded)."""
+    """A number that belongs to a criterion, with the bounds of its meaning (the bounds themselves
+    excluded).
+    """
 
     name: str
     dimension: str
@@ -76,13 +80,14 @@ PARAMETERS: Final[dict[str, Parameter]] = {
 class Criterion:
     """One criterion.
 
-    name, meaning, formula, source, range_text: texts; range_text says in words what `ranges` says in numbers.
-    dimension, symbol, display: of demand and strength, as of a `Quantity`; measures: what the demand is; strength: what
-    it is held against.  needs: columns, by the names of the nomenclature.  formula_of: function of (columns,
-    parameters), the demand (n,) without the effect of rate.  quantity: the quantity of interest that is this demand
-    with no parameter given; also: those that are the same of another part of the record.  parameters, optional: names
-    in `PARAMETERS` that must, and may, be given.  ranges: closed ranges of columns, of "a/r", and of parameters.
-    follows, place: as of a `Quantity`.
+    name, meaning, formula, source, range_text: texts; range_text says in words what `ranges` says
+    in numbers. dimension, symbol, display: of demand and strength, as of a `Quantity`; measures:
+    what the demand is; strength: what it is held against.  needs: columns, by the names of the
+    nomenclature.  formula_of: function of (columns, parameters), the demand (n,) without the effect
+    of rate.  quantity: the quantity of interest that is this demand with no parameter given; also:
+    those that are the same of another part of the record.  parameters, optional: names in
+    `PARAMETERS` that must, and may, be given.  ranges: closed ranges of columns, of "a/r", and of
+    parameters. follows, place: as of a `Quantity`.
     """
 
     name: str
@@ -134,8 +139,9 @@ def demand(
 ) -> Array:
     """The demand of n rows, in SI, to be compared with the criterion's strength.
 
-    With `rate_0` the strength grows with the strain rate of each sample; that is taken off the demand, which leaves the
-    comparison as it is.  ValueError for a parameter that is missing, not known to the criterion, or outside its bounds.
+    With `rate_0` the strength grows with the strain rate of each sample; that is taken off the
+    demand, which leaves the comparison as it is.  ValueError for a parameter that is missing, not
+    known to the criterion, or outside its bounds.
 
     >>> rows = {"p_max": np.array([1e9]), "a_max": 1e-3, "sphere.radius": 0.01, "sphere.nu": 0.25}
     >>> round(float(demand(CRITERIA["core_tension"], rows)[0]) / 1e6, 2)
@@ -170,7 +176,9 @@ def demand(
 def ranges_of(
     criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
 ) -> Iterator[tuple[str, Array, float, float]]:
-    """What a criterion has a range of: its name, its values, (n,) or (1,), and the two ends of the range."""
+    """What a criterion has a range of: its name, its values, (n,) or (1,), and the two ends of the
+    range.
+    """
     for name, (low, high) in criterion.ranges.items():
         value = (
             _ratio(columns)
@@ -198,12 +206,16 @@ def _ratio(columns: Columns) -> Array:
 
 
 def _pressure(columns: Columns, name: str = "p_field") -> Array:
-    """Pressure that the stress inside, or at the rim, follows from [Pa]: of Hertz, for the same force and circle."""
+    """Pressure that the stress inside, or at the rim, follows from [Pa]: of Hertz, for the same
+    force and circle.
+    """
     return np.asarray(columns[name if name in columns else "p_max"])
 
 
 def _central_force(columns: Columns) -> Array:
-    """Force that the centre and the equator feel [N]: the mean of both poles', exactly, (R19); P_max where equal."""
+    """Force that the centre and the equator feel [N]: the mean of both poles', exactly, (R19);
+    P_max where equal.
+    """
     return np.asarray(columns["force_at_centre" if "force_at_centre" in columns else "P_max"])
 
 
@@ -215,10 +227,11 @@ def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
 
 
 def _between(one: Array, two: Array, columns: Columns) -> Array:
-    """What one pole's force does alone, what both do if equal, and by `balance` what they do as they are. (R20).
+    """What one pole's force does alone, what both do if equal, and by `balance` what they do as
+    they are. (R20).
 
-    On the axis the field is the sum of two, but for the place of its largest value; a weakest-link integral lies below,
-    for a norm is convex.
+    On the axis the field is the sum of two, but for the place of its largest value; a weakest-link
+    integral lies below, for a norm is convex.
     """
     return np.asarray(one + (two - one) * columns["balance"])
 
@@ -242,7 +255,8 @@ def _equator(columns: Columns, parameters: Parameters) -> Array:
 
 
 def strain_rate(columns: Columns) -> Array:
-    """Mean strain rate of the core while the force rises [1/s]: core_tension/E times loading_rate/P_max.
+    """Mean strain rate of the core while the force rises [1/s]: core_tension/E times
+    loading_rate/P_max.
 
     The core tension is taken to rise in proportion with the force.
     """
@@ -253,8 +267,8 @@ def strain_rate(columns: Columns) -> Array:
 def dynamic_increase(rate: Values, rate_0: Values) -> Array:
     """Strength at a strain rate over the quasi-static one: 1 + (rate/rate_0)^(2/3).
 
-    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150 to 300 1/s in
-    compression for four rocks: Rae and others (2021).
+    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150
+    to 300 1/s in compression for four rocks: Rae and others (2021).
 
     >>> float(dynamic_increase(0.0, 200.0)), float(dynamic_increase(200.0, 200.0))
     (1.0, 2.0)
@@ -265,9 +279,11 @@ def dynamic_increase(rate: Values, rate_0: Values) -> Array:
 
 
 def ring_crack_toughness(force: Values, radius: Values, E: Values) -> Array:
-    """Toughness at which a ring crack just becomes a cone: K = sqrt(P E/(A r)) [Pa sqrt(m)], A = 8600.
+    """Toughness at which a ring crack just becomes a cone: K = sqrt(P E/(A r)) [Pa sqrt(m)], A =
+    8600.
 
-    Auerbach's law P_C = A K_Ic² r/E turned round, so that force, size and stiffness stand on the side of the demand.
+    Auerbach's law P_C = A K_Ic² r/E turned round, so that force, size and stiffness stand on the
+    side of the demand.
     """
     return np.asarray(np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius))))
 
@@ -278,9 +294,11 @@ def hiramatsu_oka_tension(force: Values, radius: Values) -> Array:
 
 
 def truncated_energy(energy: Values, largest: Values) -> Array:
-    """E_max E/(E_max - E): what a fracture energy, bounded by E_max, becomes so that its law is lognormal.
+    """E_max E/(E_max - E): what a fracture energy, bounded by E_max, becomes so that its law is
+    lognormal.
 
-    At E_max and above everything breaks; the number returned there, 1e9 E_max, lies beyond any strength.
+    At E_max and above everything breaks; the number returned there, 1e9 E_max, lies beyond any
+    strength.
 
     >>> truncated_energy([50.0, 200.0], 100.0).tolist()
     [100.0, 100000000000.0]
@@ -299,10 +317,11 @@ def equivalent_tension(
     *,
     over: str = "volume",
 ) -> Array:
-    """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio V/V_0 or S/S_0.
+    """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio
+    V/V_0 or S/S_0.
 
-    With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).  With
-    `_one` after it, of one pole's force alone.
+    With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 -
+    exp(-(sigma_eq/sigma_0)^m).  With `_one` after it, of one pole's force alone.
     """
     field = stress.ratio(over, contact_ratio, nu, modulus)
     return np.asarray(
@@ -343,14 +362,17 @@ def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
     )
     field = stress.half_space_rim(ratio, nu, m) * stress.ratio("rim", ratio, nu, m)
     if "balance" in columns:
-        # each rim is a hazard of its own, that of an equal force half of both: it goes with a² p_0^m
+        # each rim is a hazard of its own, that of an equal force half of both: it goes with a²
+        # p_0^m
         other = np.minimum(columns["balance"], 1.0) ** ((m + 2.0) / 3.0)
         field = field * (0.5 * (1.0 + other)) ** (1.0 / m)
     return np.asarray(_pressure(columns) * field * size ** (1.0 / m))
 
 
 def _energy_criterion(name: str, symbol: str, of: str) -> Criterion:
-    """The fracture energy of one of the three energies of (R22); which one a strength means has to be said."""
+    """The fracture energy of one of the three energies of (R22); which one a strength means has to
+    be said.
+    """
 
     def energy(columns: Columns, parameters: Parameters) -> Array:
         found = np.asarray(columns[name], dtype=float)
@@ -404,7 +426,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="largest contact pressure",
             formula="p_max",
             dimension="pressure",
-            strength="contact strength, near 0.5 to 1 times the hardness (not the uniaxial strength)",
+            strength="contact strength, 0.5 to 1 times the hardness (not the uniaxial strength)",
             source="Johnson, Contact Mechanics, 1985, section 6.2",
             range_text="a/r <= 0.3",
             needs=("p_max", "a_max", "sphere.radius"),
@@ -540,7 +562,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula="P_max/D²",
             dimension="pressure",
             strength="characteristic stress of crushing tests on grains (37 % survive it)",
-            source="McDowell and Bolton, Geotechnique 48 (1998) 667, abstract seen; Jaeger 1967, from memory",
+            source=(
+                "McDowell and Bolton, Geotechnique 48 (1998) 667, abstract seen; Jaeger 1967, "
+                "from memory"
+            ),
             range_text="a/r <= 0.2",
             needs=("P_max", "a_max", "sphere.radius", "mean_force"),
             optional=_RATE,
@@ -554,7 +579,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="flaws in the volume opened by the hoop tension",
             symbol="sigma_V",
             display="MPa",
-            measures="uniform tension in the reference volume that is as dangerous as the hoop tension in the sphere",
+            measures=(
+                "uniform tension in the reference volume that is as dangerous as the hoop "
+                "tension in the sphere"
+            ),
             place="core",
             formula="(∫ max(sigma_phi, 0)^m dV/V_0)^(1/m)",
             dimension="pressure",
@@ -572,7 +600,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="flaws in the surface opened by the hoop tension",
             symbol="sigma_S",
             display="MPa",
-            measures="uniform tension in the reference area that is as dangerous as that in the sphere's surface",
+            measures=(
+                "uniform tension in the reference area that is as dangerous as that in the "
+                "sphere's surface"
+            ),
             place="core",
             formula="(∫ max(sigma_phi, 0)^m dS/S_0)^(1/m)",
             dimension="pressure",
@@ -590,7 +621,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="flaws in the surface around both contacts opened by the radial tension",
             symbol="sigma_rim",
             display="MPa",
-            measures="uniform tension in the reference area that is as dangerous as that around the contacts",
+            measures=(
+                "uniform tension in the reference area that is as dangerous as that around the "
+                "contacts"
+            ),
             place="rim",
             formula="(∫ max(sigma_t, 0)^m dS/S_0)^(1/m), sigma_t the largest so far",
             dimension="pressure",
@@ -630,7 +664,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
     )
 }
 
-#: Demands of criteria by the criterion; a study adds the limit's name, ``weakest_link_volume.NAME``.
+#: Demands of criteria by the criterion; a study adds the limit's name,
+#: ``weakest_link_volume.NAME``.
 DEMANDS: Final[dict[str, Quantity]] = {
     name: Quantity(
         name=name,

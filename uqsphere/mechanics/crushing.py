@@ -1,12 +1,14 @@
-"""Slow crushing tests between two flat platens: the value of a demand at a force, and the force that gives a value.
+"""Slow crushing tests between two flat platens: the value of a demand at a force, and the force
+that gives a value.
 
-By the law of the study's contact the force at failure gives the value of the demand that a strength is made of.
-`force_at` goes the other way on a row's own sphere, so that E and nu of the tests are never scattered twice.
+By the law of the study's contact the force at failure gives the value of the demand that a strength
+is made of. `force_at` goes the other way on a row's own sphere, so that E and nu of the tests are
+never scattered twice.
 
-A sphere is given by E [Pa], nu, density [kg/m³], (n,) each or numbers; where its poles yield by onset_pressure,
-hardness [Pa], pile_up and takes, 1 if the sphere itself yields; and by partner, (1 - nu²)/E [1/Pa] of what is on the
-other side in the row's own rig, where the energy of both is what is limited.  Platens have E [Pa], infinite if rigid,
-and nu.
+A sphere is given by E [Pa], nu, density [kg/m³], (n,) each or numbers; where its poles yield by
+onset_pressure, hardness [Pa], pile_up and takes, 1 if the sphere itself yields; and by partner, (1
+- nu²)/E [1/Pa] of what is on the other side in the row's own rig, where the energy of both is what
+is limited.  Platens have E [Pa], infinite if rigid, and nu.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ def value_at(
     platens: tuple[float, float],
     rate: Array | None = None,
 ) -> Array:
-    """The value (n,) of a demand in spheres of a radius (n,) [m], pressed to a force (n,) [N] at a rate [N/s]."""
+    """The value (n,) of a demand in spheres of a radius (n,) [m], pressed to a force (n,) [N] at a
+    rate [N/s].
+    """
     own = {
         key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape)
         for key, value in sphere.items()
@@ -73,7 +77,8 @@ def value_at(
             "first_peak": lambda: columns["p_max"],
             "energy_sphere": share * stored + lost,
             "impact_energy": stored,
-            # what the sphere stores here, and what the partners in the study's own rig would store beside it
+            # what the sphere stores here, and what the partners in the study's own rig would store
+            # beside it
             "energy": (share + modulus * own["partner"]) * stored if "partner" in own else stored,
             "loading_rate": np.zeros(radius.shape) if rate is None else rate,
         }
@@ -90,10 +95,12 @@ def force_at(
     radius: Values,
     platens: tuple[float, float],
 ) -> Array:
-    """The force (n,) [N] that gives a demand's value on the row's own sphere; 0 for 0, infinite where none does.
+    """The force (n,) [N] that gives a demand's value on the row's own sphere; 0 for 0, infinite
+    where none does.
 
-    Every demand rises with the force, nearly as a power of it: the secant in logarithms ends after some steps.  It is
-    exact for Hertz: p_max = (6 P E*²/(pi³ r²))^(1/3) gives P = pi³ p_max³ r²/(6 E*²).
+    Every demand rises with the force, nearly as a power of it: the secant in logarithms ends after
+    some steps.  It is exact for Hertz: p_max = (6 P E*²/(pi³ r²))^(1/3) gives P = pi³ p_max³ r²/(6
+    E*²).
     """
     if not isinstance(of, str):  # the tests were slow
         of = of[0], {key: part for key, part in of[1].items() if key != "rate_0"}

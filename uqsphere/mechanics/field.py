@@ -1,10 +1,10 @@
 """The waves in the bars: at the two faces, anywhere along them, and as strain gauges see them.
 
-They are read off the polynomials that the integrator leaves, by theory (4) and (5), unrolled into a sum over the
-echoes, so that the instants asked for cost nothing in accuracy.  A bar has a wave that arrives at its face and one that
-leaves it: between them they say all there is to say about the bar.  The paper's (3.17) for the forces holds for gauges
-half-way along, bars of equal length and no reflection; here a gauge sits anywhere, and every reflection is in its
-signal.
+They are read off the polynomials that the integrator leaves, by theory (4) and (5), unrolled into a
+sum over the echoes, so that the instants asked for cost nothing in accuracy.  A bar has a wave that
+arrives at its face and one that leaves it: between them they say all there is to say about the bar.
+The paper's (3.17) for the forces holds for gauges half-way along, bars of equal length and no
+reflection; here a gauge sits anywhere, and every reflection is in its signal.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ _FAINT: Final = 1e-18
 
 @dataclass(frozen=True, kw_only=True)
 class Waves:
-    """Particle velocities at the faces [m/s], (m,): towards the sphere (f, h) and away from it (g_A, k_B)."""
+    """Particle velocities at the faces [m/s], (m,): towards the sphere (f, h) and away from it
+    (g_A, k_B).
+    """
 
     incident: Array
     returning: Array
@@ -42,17 +44,19 @@ class Waves:
 
 
 def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
-    """The wave that leaves a face at `times` [s], (m,) [m/s]: g_A of the incident bar (0), k_B of the receiving (1).
+    """The wave that leaves a face at `times` [s], (m,) [m/s]: g_A of the incident bar (0), k_B of
+    the receiving (1).
 
-    g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z],   k_B(t) = sum_k R_3^k P_B(t - k T_3)/Z.
-    sides (m,): -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
+    g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z],   k_B(t) = sum_k R_3^k P_B(t - k
+    T_3)/Z. sides (m,): -1 takes the value before a jump at that instant, 1 (everywhere if None) the
+    value after it.
     """
     return _echoes(motion, bar, times, _sided(motion, times, sides), first=0)
 
 
 def arriving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
-    """The wave that arrives at a face at `times` [s], (m,) [m/s]: f = f_in + R_1 g_A(t - T_1) in the incident bar (0),
-    h = R_3 k_B(t - T_3) in the receiving bar (1).
+    """The wave that arrives at a face at `times` [s], (m,) [m/s]: f = f_in + R_1 g_A(t - T_1) in
+    the incident bar (0), h = R_3 k_B(t - T_3) in the receiving bar (1).
     """
     nudge = _sided(motion, times, sides)
     echo = _echoes(motion, bar, times, nudge, first=1)
@@ -97,17 +101,19 @@ def _pulse(scene: Scene, row: int, times: Array) -> Array:
     return 0.5 * float(scene.columns["striker.speed"][row]) * pulse_value(scene.pulse, row, times)
 
 
-# --- Stress and particle velocity anywhere in both bars at any time, from the characteristics of the wave equation.
-# Along t + d/c0 = const the wave that runs towards the sphere keeps its value, along t - d/c0 = const the one that
-# runs away from it (d the distance from the sphere): theory (4) and (5) at the faces give the whole plane.
+# --- Stress and particle velocity anywhere in both bars at any time, from the characteristics of
+# the wave equation. Along t + d/c0 = const the wave that runs towards the sphere keeps its value,
+# along t - d/c0 = const the one that runs away from it (d the distance from the sphere): theory (4)
+# and (5) at the faces give the whole plane.
 
 #: instants and places may exceed what is known by this share of it: that is rounding
 _ROUNDING: Final = 1e-9
-#: share of the pulse's stress that counts as tension, and its most where the record has tension of its own
+#: share of the pulse's stress that counts as tension, and its most where the record has tension of
+#: its own
 _LEVEL: Final = 1e-6
 _MOST_LEVEL: Final = 0.05
-#: instants at each face from which the first tension is sought; how often the search zooms in and on how many points,
-#: by a factor of 8 each time: 8^12 is more than the digits of a double
+#: instants at each face from which the first tension is sought; how often the search zooms in and
+#: on how many points, by a factor of 8 each time: 8^12 is more than the digits of a double
 _COARSE: Final = 1500
 _ZOOMS: Final = 12
 _FINE: Final = 33
@@ -115,7 +121,9 @@ _FINE: Final = 33
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """Stress [Pa], tension positive, and particle velocity [m/s] away from the struck end, both of one shape."""
+    """Stress [Pa], tension positive, and particle velocity [m/s] away from the struck end, both of
+    one shape.
+    """
 
     stress: Array
     velocity: Array
@@ -140,19 +148,22 @@ def field_at(
         incident:   sigma = rho c0 [g_A(t - d/c0) - f(t + d/c0)],   v = f(t + d/c0) + g_A(t - d/c0)
         receiving:  sigma = rho c0 [h(t + d/c0) - k_B(t - d/c0)],   v = k_B(t - d/c0) + h(t + d/c0)
 
-    bar: `incident` or `receiving`; position: d [m], one or (m,); times (m,): [s] since first touch, before which the
-    pulse is under way; sides (m,): see `leaving`.  ValueError for an unknown bar, a place that is not on it, times that
-    are no finite (m,) array, or one for which the history had to go on longer (`last_time`). Source: W. K. Nowacki,
-    Engng. Trans. 42(3), 1994, (2.1), (2.2), (3.13), (3.14), re-derived (docs/errata.md), and carried on through every
-    reflection.
+    bar: `incident` or `receiving`; position: d [m], one or (m,); times (m,): [s] since first touch,
+    before which the pulse is under way; sides (m,): see `leaving`.  ValueError for an unknown bar,
+    a place that is not on it, times that are no finite (m,) array, or one for which the history had
+    to go on longer (`last_time`). Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (2.1), (2.2),
+    (3.13), (3.14), re-derived (docs/errata.md), and carried on through every reflection.
 
     >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
-    ...            "bars.E": 190e9, "bars.nu": 0.3, "bars.density": 8000.0, "bars.diameter": 0.04,
-    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5, "bars.incident_end": 1.0,
-    ...            "bars.receiving_end": 0.0, "striker.speed": 0.5, "striker.length": 0.4}
-    >>> found = motion(Scene(columns={name: np.array([number]) for name, number in numbers.items()}), 0)
-    >>> field_at(found, "incident", 0.75, [-100e-6]).velocity.tolist()    # v0/2 behind the front of the pulse
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01,
+    ...            "sphere.density": 2650.0, "bars.E": 190e9, "bars.nu": 0.3,
+    ...            "bars.density": 8000.0, "bars.diameter": 0.04,
+    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
+    ...            "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.speed": 0.5,
+    ...            "striker.length": 0.4}
+    >>> columns = {name: np.array([number]) for name, number in numbers.items()}
+    >>> found = motion(Scene(columns=columns), 0)
+    >>> field_at(found, "incident", 0.75, [-100e-6]).velocity.tolist()  # v0/2 behind the front
     [0.25]
     """
     times = np.asarray(times, dtype=float)
@@ -184,7 +195,9 @@ def check_position(motion: Motion, bar: str, position: Values) -> int:
 
 
 def last_time(motion: Motion, bar: str, position: Values) -> Values:
-    """The last instant [s] at which the motion up to the horizon decides what a place of a bar sees."""
+    """The last instant [s] at which the motion up to the horizon decides what a place of a bar
+    sees.
+    """
     number = BARS.index(bar)
     delay = np.asarray(position, dtype=float) / motion.wave_speed
     if not motion.echoes(number):
@@ -198,15 +211,18 @@ def _check_end(motion: Motion, bar: str, position: Array, times: Array) -> None:
     if late.any():
         k = int(np.argmax(late))
         raise ValueError(
-            f"the history ends at {motion.horizon:.6g} s, which decides the {bar} bar at {position[k]:g} m up to "
-            f"{last[k]:.6g} s only, and {times[k]:.6g} s is requested: compute a history with a longer horizon"
+            f"the history ends at {motion.horizon:.6g} s, which decides the {bar} bar at "
+            f"{position[k]:g} m up to "
+            f"{last[k]:.6g} s only, and {times[k]:.6g} s is requested: compute a history with a "
+            "longer horizon"
         )
 
 
 def field_grid(motion: Motion, places: Values, times: Values) -> Field:
     """The field (m, k) on a grid of instants (m,) [s] and places (k,) [m] of both bars.
 
-    The sphere stands at 0: negative in the incident bar, positive in the receiving bar; 0 is the incident face.
+    The sphere stands at 0: negative in the incident bar, positive in the receiving bar; 0 is the
+    incident face.
     """
     places, times = np.asarray(places, dtype=float), np.asarray(times, dtype=float)
     stress, velocity = np.zeros((len(times), len(places))), np.zeros((len(times), len(places)))
@@ -219,11 +235,12 @@ def field_grid(motion: Motion, places: Values, times: Values) -> Field:
 
 
 def tension_level(motion: Motion) -> float:
-    """Stress over the pulse's nominal stress rho c0 v0/2 from which on `first_tension` calls it tension.
+    """Stress over the pulse's nominal stress rho c0 v0/2 from which on `first_tension` calls it
+    tension.
 
-    A measured pulse has tension of its own, before its foot and after its end, where noise and baseline leave the
-    strain of a pressing wave on the other side of zero.  One and a half times the largest of it is the level then,
-    and 5 % at the most: what is more than that is no noise.
+    A measured pulse has tension of its own, before its foot and after its end, where noise and
+    baseline leave the strain of a pressing wave on the other side of zero.  One and a half times
+    the largest of it is the level then, and 5 % at the most: what is more than that is no noise.
     """
     record = motion.scene.record
     if record is None:
@@ -236,11 +253,12 @@ def tension_level(motion: Motion) -> float:
 
 
 def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Tension | None:
-    """Where and when the stress of a bar first rises above `share` (`tension_level`) of the pulse's stress rho c0 v0/2.
+    """Where and when the stress of a bar first rises above `share` (`tension_level`) of the pulse's
+    stress rho c0 v0/2.
 
-    Tension is where more leaves than arrives, g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), with u = t - d/c0 and
-    w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on a grid and by zooming in.
-    None where the bar sees none up to the horizon.
+    Tension is where more leaves than arrives, g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), with u
+    = t - d/c0 and w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on
+    a grid and by zooming in. None where the bar sees none up to the horizon.
     """
     number = check_position(motion, bar, 0.0)
     share = tension_level(motion) if share is None else share
@@ -330,8 +348,9 @@ class Overlap:
 class GaugeRecord:
     """The signal of one gauge.
 
-    bar: `incident` or `receiving`; position: distance from the sphere [m]; time, strain (m,): [s] since first touch,
-    jumps twice (before, after), tension positive; overlaps: where waves cannot be told apart.
+    bar: `incident` or `receiving`; position: distance from the sphere [m]; time, strain (m,): [s]
+    since first touch, jumps twice (before, after), tension positive; overlaps: where waves cannot
+    be told apart.
     """
 
     bar: str
@@ -346,7 +365,7 @@ class GaugeRecord:
         return f"{self.bar} {self.position * 1e3:.6g} mm"
 
 
-# --- signals ------------------------------------------------------------------------------------------
+# --- signals --------------------------------------------------------------------------------------
 
 
 def gauge_strain(
@@ -354,8 +373,9 @@ def gauge_strain(
 ) -> Array:
     """Axial strain at a place of a bar, (m,), tension positive: the stress of `field_at` over E_b.
 
-    One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters sees the local field
-    as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived (docs/errata.md).
+    One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters
+    sees the local field as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived
+    (docs/errata.md).
     """
     check_position(motion, bar, position)
     stress = field_at(motion, bar, position, times, sides=sides).stress
@@ -363,7 +383,8 @@ def gauge_strain(
 
 
 def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
-    """The signal of a gauge from the arrival of the first wave to the end of what the motion decides.
+    """The signal of a gauge from the arrival of the first wave to the end of what the motion
+    decides.
 
     On an even grid of so many `points`, with jumps twice on top.
     """
@@ -386,7 +407,9 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
 
 
 def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
-    """Instants in order, jumps twice; `sides` is -1 at the first of the two instants of a jump, else 1."""
+    """Instants in order, jumps twice; `sides` is -1 at the first of the two instants of a jump,
+    else 1.
+    """
     times = np.concatenate([smooth, jumps, jumps])
     sides = np.concatenate([np.ones(len(smooth)), -np.ones(len(jumps)), np.ones(len(jumps))])
     order = np.lexsort((sides, times))
@@ -394,7 +417,9 @@ def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
 
 
 def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
-    """Where gauges are put that nobody placed: half-way along, as in the paper; a bar without a length has none."""
+    """Where gauges are put that nobody placed: half-way along, as in the paper; a bar without a
+    length has none.
+    """
     places = []
     for number, bar in enumerate(BARS):
         half = 0.25 * motion.wave_speed * motion.round_trip(number)
@@ -416,8 +441,9 @@ def _jumps(motion: Motion, number: int) -> Array:
 def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     """Where a gauge sees two waves at once.
 
-    The incident and the reflected wave overlap for position < c0 t_pulse/2; the wave that leaves the sphere is met by
-    its own reflection where it is not over by then, that is, below 1 % of its largest value for good.
+    The incident and the reflected wave overlap for position < c0 t_pulse/2; the wave that leaves
+    the sphere is met by its own reflection where it is not over by then, that is, below 1 % of its
+    largest value for good.
     """
     number = check_position(motion, bar, position)
     delay = position / motion.wave_speed
@@ -450,7 +476,8 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
 
 
 def force_imbalance(force_a: Values, force_b: Values) -> Array:
-    """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 where one face alone is pressed, 0 where none is.
+    """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 where one face alone is pressed, 0
+    where none is.
 
     G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267, who ask for R <= 0.05.
 

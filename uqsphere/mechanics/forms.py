@@ -1,4 +1,6 @@
-"""Which numbers a table of a scene needs by its kind, and which others it may have; a study asks for a little more."""
+"""Which numbers a table of a scene needs by its kind, and which others it may have; a study asks
+for a little more.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,8 @@ _STRUCK: Final = {
     "bar": "E nu density diameter; length end",
     "mass": "E nu mass; density",
 }
-#: by table and kind: keys that it needs, one of both where a bar stands between; behind the semicolon others that it
-#: takes, and not every other kind of its table
+#: by table and kind: keys that it needs, one of both where a bar stands between; behind the
+#: semicolon others that it takes, and not every other kind of its table
 FORMS: Final[Mapping[str, Mapping[str, str]]] = {
     "sphere": {"": "E nu density radius"},
     "insert": {"": "E"},
@@ -51,9 +53,11 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
 def kinds_of(
     rig: str, shape: str, *, timed: bool, infinite: bool, options: Mapping[str, object]
 ) -> dict[str, str]:
-    """The kind of every table that has several; `options` are words of a study, as `Scene` has them.
+    """The kind of every table that has several; `options` are words of a study, as `Scene` has
+    them.
 
-    timed : whether the pulse has a duration of its own, which does not follow from the striker's length.
+    timed : whether the pulse has a duration of its own, which does not follow from the striker's
+        length.
     """
     return {
         **{table: str(options.get(f"{table}.kind", "thick")) for table in ("target", "anvil")},

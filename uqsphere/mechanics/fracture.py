@@ -1,10 +1,12 @@
-"""When a sphere breaks: the first moment at which a criterion's course over the loading reaches its strength.
+"""When a sphere breaks: the first moment at which a criterion's course over the loading reaches its
+strength.
 
-Nearly every criterion is a rising function of the largest contact force so far, the others of the energy stored so
-far; where faces yield too, for below its largest approach a face presses less than it did there.  A strength is
-therefore a level of force or energy, and the fracture the first time at which the motion comes to it.  What the record
-of the quantities of interest holds is held here too: the loading ends with the first loss of contact.  Criteria that
-grow their strength with the rate take the one rate of the sample, that of the whole record.
+Nearly every criterion is a rising function of the largest contact force so far, the others of the
+energy stored so far; where faces yield too, for below its largest approach a face presses less than
+it did there.  A strength is therefore a level of force or energy, and the fracture the first time
+at which the motion comes to it.  What the record of the quantities of interest holds is held here
+too: the loading ends with the first loss of contact.  Criteria that grow their strength with the
+rate take the one rate of the sample, that of the whole record.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from uqsphere.mechanics.outputs import Columns, Path, columns_of, pressed_to
 from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
 
-#: halvings that refine a crossing in one of the parts of a step, as many as its series has powers: to 2^-49 of the step
+#: halvings that refine a crossing in one of the parts of a step, as many as its series has powers:
+#: to 2^-49 of the step
 _HALVINGS: Final = 45
 _SHARES: Final = np.arange(1, ORDER + 1) / ORDER
 _POWERS: Final = _SHARES[None, :] ** np.arange(TERMS)[:, None]
@@ -37,11 +40,11 @@ _BLOCK: Final = 256
 class Fractures:
     """Fracture of n specimens by L criteria.
 
-    times (n, L): first time at which each criterion reaches its strength [s], as if the sphere held the others;
-    infinite where it does not.  first (n,): the criterion that is reached first; -1 where none is, and the numbers
-    below are NaN: time [s], the larger contact force [N], energy stored in both contacts [J], and imbalance, the
-    difference of the two forces at that moment over the largest so far.  early (n,): whether it comes before the first
-    reflected wave is back.
+    times (n, L): first time at which each criterion reaches its strength [s], as if the sphere held
+    the others; infinite where it does not.  first (n,): the criterion that is reached first; -1
+    where none is, and the numbers below are NaN: time [s], the larger contact force [N], energy
+    stored in both contacts [J], and imbalance, the difference of the two forces at that moment over
+    the largest so far.  early (n,): whether it comes before the first reflected wave is back.
     """
 
     times: Array
@@ -55,12 +58,13 @@ class Fractures:
 
 @dataclass(frozen=True, kw_only=True)
 class _Course:
-    """One row's motion in scaled variables: start and length (m,), approaches (m, 2, 17), and its nodes.
+    """One row's motion in scaled variables: start and length (m,), approaches (m, 2, 17), and its
+    nodes.
 
-    `times` (16 m,) of the nodes, which divide every step into 16 parts, `force` and `energy` (16 m,) the largest
-    drive and the largest energy so far.  What drives is the approach, whose 3/2 power is the force of Hertz, or the
-    force itself where faces have laws of their own: `forces` (m, 2, 17), and `deepest` (16 m, 2) the largest
-    approaches so far.
+    `times` (16 m,) of the nodes, which divide every step into 16 parts, `force` and `energy` (16
+    m,) the largest drive and the largest energy so far.  What drives is the approach, whose 3/2
+    power is the force of Hertz, or the force itself where faces have laws of their own: `forces`
+    (m, 2, 17), and `deepest` (16 m, 2) the largest approaches so far.
     """
 
     start: Array
@@ -77,7 +81,9 @@ class _Course:
 
 
 def _values(states: Array, share: Array) -> Array:
-    """Approaches (..., 2) at a share (...) of the steps with the coefficients (..., 2, 17); never negative."""
+    """Approaches (..., 2) at a share (...) of the steps with the coefficients (..., 2, 17); never
+    negative.
+    """
     found = polyval(share[..., None], np.moveaxis(states, -1, 0), tensor=False)
     return np.maximum(found, 0.0)
 
@@ -88,7 +94,9 @@ def _stored(approach: Array) -> Array:
 
 
 def _held(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Array:
-    """Energy of both contacts where faces have laws of their own: (2/5) q (x - x_r), (C10), (...) of rows (...)."""
+    """Energy of both contacts where faces have laws of their own: (2/5) q (x - x_r), (C10), (...)
+    of rows (...).
+    """
     total = np.zeros(push.shape[:-1])
     unit = scene.scales.approach[rows]
     for pole, partner in enumerate(scene.partners):
@@ -112,7 +120,9 @@ def _nodes(states: Array) -> Array:
 
 
 def _course(motion: Motion) -> _Course:
-    """The course of one motion, which ends where contact is lost or no larger force or energy can come."""
+    """The course of one motion, which ends where contact is lost or no larger force or energy can
+    come.
+    """
     # contact may be lost inside the last step
     inside = motion.start < motion.end
     start, states = motion.start[inside], motion.states[inside, :2]
@@ -158,7 +168,9 @@ def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
 
 
 def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) -> Array:
-    """Share of the largest force or energy, `top` (n,) in SI, at which the demand is `share` (n,) of its largest."""
+    """Share of the largest force or energy, `top` (n,) in SI, at which the demand is `share` (n,)
+    of its largest.
+    """
     wanted = share * _demands(scene, rows, path, top)
     if path.criterion is None:
         return np.asarray(share if path.power == 1.0 else share ** (1.0 / path.power))
@@ -180,10 +192,11 @@ def first_fractures(
 ) -> Fractures:
     """The moment at which each of n specimens first reaches a strength.
 
-    shares (n, L): strength over the largest demand of the record; 1 and above is not reached, 0 and below at first
-    touch. paths: how the L criteria follow the loading.  rows (n,): the row of the scene that loads a specimen; its own
-    if None. fidelity: `full` or `massless`.  A specimen whose row cannot be integrated reaches nothing.  ValueError if
-    shares is not (n, L), or the fidelity has no Hertz contact.
+    shares (n, L): strength over the largest demand of the record; 1 and above is not reached, 0 and
+    below at first touch. paths: how the L criteria follow the loading.  rows (n,): the row of the
+    scene that loads a specimen; its own if None. fidelity: `full` or `massless`.  A specimen whose
+    row cannot be integrated reaches nothing.  ValueError if shares is not (n, L), or the fidelity
+    has no Hertz contact.
     """
     if fidelity not in ("full", "massless"):
         raise ValueError(f"fracture needs the fidelity full or massless, found {fidelity!r}")
@@ -234,7 +247,9 @@ def _first(found: Array, first_echo: Array) -> Fractures:
 def _cross(
     scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, shares: Array
 ) -> Array:
-    """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each row, (4, n)."""
+    """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each
+    row, (4, n).
+    """
     scales = scene.scales
     unit = scales.time[rows]
     last = [
@@ -287,7 +302,9 @@ def _cross(
 def _moment(
     scene: Scene, rows: Places, courses: Sequence[_Course], at: Places
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """What drives both faces (n, 2), and the energy in both (n,), at shares (n,) of the steps of the nodes `at`."""
+    """What drives both faces (n, 2), and the energy in both (n,), at shares (n,) of the steps of
+    the nodes `at`.
+    """
     step = at // ORDER
     states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
     if courses[0].forces is None:

@@ -1,7 +1,8 @@
-"""One scene over time: forces, pressures, approaches, waves, contacts lost and found, on to the horizon.
+"""One scene over time: forces, pressures, approaches, waves, contacts lost and found, on to the
+horizon.
 
-Everything is read off the polynomials that the integrator leaves, so that the instants asked for cost
-nothing in accuracy.
+Everything is read off the polynomials that the integrator leaves, so that the instants asked for
+cost nothing in accuracy.
 """
 
 from __future__ import annotations
@@ -38,24 +39,26 @@ if TYPE_CHECKING:
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
 
-#: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the integrator
+#: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the
+#: integrator
 _TOUCH: Final = 5.0
 
 
-# --- loads, dents, velocities and energies of one motion, for every rig and every law of contact ----------------
-# What a face has taken follows from its largest force so far, which gives depth, dent and plastic work by the law of
-# virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on the spring of unloading.  Velocities of the
-# partners' contact points: V_A = w + alpha_A', V_B = w - alpha_B', (R1).
+# --- loads, dents, velocities and energies of one motion, for every rig and every law of contact --
+# What a face has taken follows from its largest force so far, which gives depth, dent and plastic
+# work by the law of virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on the
+# spring of unloading.  Velocities of the partners' contact points: V_A = w + alpha_A', V_B = w -
+# alpha_B', (R1).
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balance:
     """Faces A, B, sphere and partners at m instants; SI.
 
-    (2, m) of the faces: approach (negative while apart), force, contact radius, dent left, stored elastic energy,
-    plastic work; partner: velocities of the partners' contact points, 0 where nothing stands; passed: work of partner A
-    on the sphere, and of the sphere on partner B, since first touch.  (m,) of the sphere: its velocity, and its kinetic
-    energy.
+    (2, m) of the faces: approach (negative while apart), force, contact radius, dent left, stored
+    elastic energy, plastic work; partner: velocities of the partners' contact points, 0 where
+    nothing stands; passed: work of partner A on the sphere, and of the sphere on partner B, since
+    first touch.  (m,) of the sphere: its velocity, and its kinetic energy.
     """
 
     time: Array
@@ -78,13 +81,16 @@ class Balance:
 
     @property
     def residual(self) -> Array:
-        """What the energies lack of those at first touch, (m,) [J]: zero but for the rule by which work is summed."""
+        """What the energies lack of those at first touch, (m,) [J]: zero but for the rule by which
+        work is summed.
+        """
         held = self.kinetic + self.stored.sum(axis=0) + self.plastic.sum(axis=0)
         return np.asarray(held - held[0] - self.passed[0] + self.passed[1])
 
 
 def balance_of(motion: Motion, times: Array) -> Balance:
-    """The balance of a motion at ascending instants (m,) [s]; the work between them is summed by the trapezoidal rule.
+    """The balance of a motion at ascending instants (m,) [s]; the work between them is summed by
+    the trapezoidal rule.
 
     ValueError for a massless motion, in which the sphere has no velocity of its own.
     """
@@ -129,7 +135,9 @@ def balance_of(motion: Motion, times: Array) -> Balance:
 def _face(
     motion: Motion, pole: int, gap: Array, force: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Approach, radius, dent, stored and plastic energy of a face; `gap` is its approach above the dent."""
+    """Approach, radius, dent, stored and plastic energy of a face; `gap` is its approach above the
+    dent.
+    """
     partner = motion.scene.partners[pole]
     none = np.zeros_like(gap)
     if partner is None:
@@ -166,7 +174,9 @@ def _face(
 
 
 def rod_length(motion: Motion) -> float:
-    """Length of the rod ahead of the sphere [m], infinite where nothing comes back; 0 where none stands."""
+    """Length of the rod ahead of the sphere [m], infinite where nothing comes back; 0 where none
+    stands.
+    """
     partner, row = motion.scene.partners[1], motion.row
     if partner is None or partner.kind != "bar" or partner.table == "bars":
         return 0.0
@@ -178,11 +188,12 @@ def rod_length(motion: Motion) -> float:
 
 
 def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
-    """The signal of a gauge at `position` [m] along the rod ahead, at times (m,) [s], compression negative.
+    """The signal of a gauge at `position` [m] along the rod ahead, at times (m,) [s], compression
+    negative.
 
-    The wave that leaves the face is g(t) = P_B(t)/Z + R g(t - T); at x it is met by what the far end sends back:
-    eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Up to the first return this is (R17), F = -E A eps(t + x/c0).
-    ValueError where no rod stands, or it is shorter.
+    The wave that leaves the face is g(t) = P_B(t)/Z + R g(t - T); at x it is met by what the far
+    end sends back: eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Up to the first return this is
+    (R17), F = -E A eps(t + x/c0). ValueError where no rod stands, or it is shorter.
     """
     partner, row = motion.scene.partners[1], motion.row
     if partner is None or partner.kind != "bar":
@@ -215,7 +226,7 @@ def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
     )
 
 
-# --- one scene over time ----------------------------------------------------------------------------------------
+# --- one scene over time --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,7 +240,9 @@ class ContactChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
-    """The largest contact pressure of a stretch of time: time [s], face, contact pressure [Pa], force [N]."""
+    """The largest contact pressure of a stretch of time: time [s], face, contact pressure [Pa],
+    force [N].
+    """
 
     time: float
     face: str
@@ -254,15 +267,17 @@ COLUMNS = {
 class History:
     """One scene over time, SI.
 
-    time (m,): a uniform grid, the events, and jumps of the waves twice (before, after).  approach, force and pressure
-    at the faces A (behind) and B (ahead), (m,) each: an approach is negative while apart, the pressure Hertz's in the
-    centre; where faces yield the mean one, P/(pi a²).  velocity: of the sphere's centre.  incident, returning,
-    leaving_a, leaving_b: the waves f, h, g_A and k_B of theory (4) and (5) [m/s]; 0 in rigs other than bars.
-    first_peak, later_peak: largest contact pressure before and after the first loss of contact.  record_end, horizon:
-    of the quantities of interest, and of this history.  mass_number, pulse_number: mu and theta of theory (10).
-    modulus, effective_radius, hertz_constant: what `pressure_over_contact` needs.  motion: the integrated scene, off
-    which `field` reads any place and instant.  balance: dents, velocities and energies; None for cheaper models.
-    gauges: those of a study, or one half-way along each bar; none from `trace` itself.
+    time (m,): a uniform grid, the events, and jumps of the waves twice (before, after).  approach,
+    force and pressure at the faces A (behind) and B (ahead), (m,) each: an approach is negative
+    while apart, the pressure Hertz's in the centre; where faces yield the mean one, P/(pi a²).
+    velocity: of the sphere's centre.  incident, returning, leaving_a, leaving_b: the waves f, h,
+    g_A and k_B of theory (4) and (5) [m/s]; 0 in rigs other than bars. first_peak, later_peak:
+    largest contact pressure before and after the first loss of contact.  record_end, horizon: of
+    the quantities of interest, and of this history.  mass_number, pulse_number: mu and theta of
+    theory (10). modulus, effective_radius, hertz_constant: what `pressure_over_contact` needs.
+    motion: the integrated scene, off which `field` reads any place and instant.  balance: dents,
+    velocities and energies; None for cheaper models. gauges: those of a study, or one half-way
+    along each bar; none from `trace` itself.
     """
 
     time: Array
@@ -307,7 +322,9 @@ class History:
         )
 
     def plot(self, what: str = "force", ax: Axes | None = None) -> Axes:
-        """Courses over time whose names begin with `what` (force, pressure, approach, velocity), on matplotlib axes."""
+        """Courses over time whose names begin with `what` (force, pressure, approach, velocity), on
+        matplotlib axes.
+        """
         frame = self.to_frame()
         shown = [name for name in frame.columns if name.startswith(what) and name != "time [s]"]
         if not shown:
@@ -316,7 +333,9 @@ class History:
         return axes
 
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Array:
-        """p(R, t) [Pa] at the distances R (k,) [m] from the contact's centre, (m, k); theory (16)."""
+        """p(R, t) [Pa] at the distances R (k,) [m] from the contact's centre, (m, k); theory
+        (16).
+        """
         force = {"A": self.force_a, "B": self.force_b}[face]
         approach = contact.approach_at_force(force, self.hertz_constant)
         distance = np.atleast_1d(np.asarray(distance, dtype=float))
@@ -334,10 +353,11 @@ def trace(
     tolerance: float = 1e-8,
     points: int = 2000,
 ) -> History:
-    """One row of a scene from first touch to the horizon, `points` (2 and more) even instants and the events.
+    """One row of a scene from first touch to the horizon, `points` (2 and more) even instants and
+    the events.
 
-    fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration.  ValueError if the row
-    lies outside the domain or cannot be integrated.
+    fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration.
+    ValueError if the row lies outside the domain or cannot be integrated.
     """
     if points < 2:
         raise ValueError(f"a history needs at least 2 points, found {points}")
@@ -355,7 +375,8 @@ def trace(
     waves = waves_at(found, times, sides=sides) if scene.rig == "bars" else Waves.none(len(times))
     balance = balance_of(found, times) if fidelity == "full" else None
     approaches, pressures = _pressed(found, states, forces, balance)
-    # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
+    # without mass the sphere moves with the mean of the two bar ends; the integrator has no
+    # velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
     return History(
@@ -399,7 +420,9 @@ def _pressed(
 
 
 def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, Array]:
-    """Grid and events in order; `sides` is -1 at the first of the two instants of a jump, else 1."""
+    """Grid and events in order; `sides` is -1 at the first of the two instants of a jump, else
+    1.
+    """
     scene, row, horizon = found.scene, found.row, found.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row] if scene.rig == "bars" else np.zeros(0)
@@ -413,7 +436,9 @@ def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, A
 
 
 def _nodes(found: Motion, begin: float, end: float) -> Array:
-    """Ascending instants [s] from begin to end that divide every step into as many parts as its series has powers."""
+    """Ascending instants [s] from begin to end that divide every step into as many parts as its
+    series has powers.
+    """
     shares = np.arange(ORDER) / ORDER
     inner = (found.start[:, None] + found.length[:, None] * shares).ravel() * found.unit
     return np.concatenate([[begin], inner[(inner > begin) & (inner < end)], [end]])
@@ -427,8 +452,8 @@ def _zeros(function: Course, low: Array, high: Array) -> Array:
 def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
     """Contacts lost and found again up to the end of the motion, in order of time.
 
-    That an approach is zero at first touch is no loss; a face counts as touched from the first approach above
-    the integrator's own error.
+    That an approach is zero at first touch is no loss; a face counts as touched from the first
+    approach above the integrator's own error.
     """
     nodes = _nodes(found, 0.0, found.horizon)
     states = found.states_at(nodes)
@@ -455,7 +480,9 @@ def _approach(found: Motion, face: int) -> Course:
 
 
 def largest(found: Motion, begin: float, end: float) -> Peak | None:
-    """The largest contact pressure at either face between begin and end [s]; None if there is no force."""
+    """The largest contact pressure at either face between begin and end [s]; None if there is no
+    force.
+    """
     from scipy.optimize import minimize_scalar
 
     end = min(end, found.horizon)
@@ -485,8 +512,8 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
 
 
 def equilibrium(history: History, level: float = 0.05) -> float | None:
-    """When the two contact forces first agree within a level of `force_imbalance` [s]; None where they never do before
-    the largest force of the first loading."""
+    """When the two contact forces first agree within a level of `force_imbalance` [s]; None where
+    they never do before the largest force of the first loading."""
     found = history.motion
     loading = min(history.record_end, float(found.scene.first_echo[found.row]))
     peak = largest(found, 0.0, loading)
@@ -507,16 +534,19 @@ def equilibrium(history: History, level: float = 0.05) -> float | None:
     return float(_zeros(excess, nodes[entries], nodes[entries + 1])[0]) if len(entries) else None
 
 
-# --- What a picture of the bars over place and time shows: how far it goes, the stress on a grid, and the fronts.
+# --- What a picture of the bars over place and time shows: how far it goes, the stress on a grid,
+# and the fronts.
 
 
 @dataclass(frozen=True, kw_only=True)
 class FieldView:
-    """Stress in both bars over place and time, and where and when each bar that sees tension is first under it.
+    """Stress in both bars over place and time, and where and when each bar that sees tension is
+    first under it.
 
-    reach: length of the incident and of the receiving bar that is shown [m]; begin, last: instants [s] since first
-    touch; stress (t, x): [Pa], tension positive, at times (t,) [s] and places (x,) [m], the sphere at 0: the middles of
-    an even grid over [begin, last] and [-reach, reach], between which there is no bar.
+    reach: length of the incident and of the receiving bar that is shown [m]; begin, last: instants
+    [s] since first touch; stress (t, x): [Pa], tension positive, at times (t,) [s] and places (x,)
+    [m], the sphere at 0: the middles of an even grid over [begin, last] and [-reach, reach],
+    between which there is no bar.
     """
 
     reach: tuple[float, float]
@@ -529,7 +559,8 @@ class FieldView:
 
 
 def view_field(history: History, *, places: int = 300, times: int = 380) -> FieldView:
-    """The view on a grid of that many places and instants: each bar as far as it goes, up to the second return.
+    """The view on a grid of that many places and instants: each bar as far as it goes, up to the
+    second return.
 
     In time it is the record, and at least one round trip where something comes back.
     """

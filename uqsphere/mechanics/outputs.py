@@ -1,7 +1,8 @@
-"""Quantities of interest: what each is, how it follows from what was integrated, and the answers of a batch in SI.
+"""Quantities of interest: what each is, how it follows from what was integrated, and the answers of
+a batch in SI.
 
-A quantity is one entry of `OUTPUTS` or, if it is what a criterion of fracture compares with a strength, the entry of
-that criterion in `uqsphere.mechanics.criteria`.
+A quantity is one entry of `OUTPUTS` or, if it is what a criterion of fracture compares with a
+strength, the entry of that criterion in `uqsphere.mechanics.criteria`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
-#: what a column is given as: numbers, a function that is called when it is read, or the columns of every face
+#: what a column is given as: numbers, a function that is called when it is read, or the columns of
+#: every face
 Known: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read beside its own columns
 _SCALES: Final = (
@@ -92,7 +94,8 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="GPa",
             follows="force",
             fracture=True,
-            meaning="elastic (Hertz) pressure at peak force: what that force would give without yield; a measure "
+            meaning="elastic (Hertz) pressure at peak force: what that force would give without "
+            "yield; a measure "
             "of the force, as strengths from forces are, so it may exceed the hardness",
             place="contact",
             needs=("P_max", "modulus", "effective_radius"),
@@ -129,7 +132,10 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="GPa",
             follows="force",
             place="contact",
-            meaning="mean pressure over the contact circle at the largest force, as hardness is measured",
+            meaning=(
+                "mean pressure over the contact circle at the largest force, as hardness is "
+                "measured"
+            ),
             needs=("P_max", "a_max"),
             formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"])),
         ),
@@ -147,7 +153,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="P_mean",
             dimension="force",
             display="kN",
-            meaning="largest mean of the forces at the two poles, what the centre of the sphere feels",
+            meaning="largest mean of the forces at the two poles, as the centre feels it",
             needs=("force", "mean_force"),
             formula=lambda c: c["force"] * c["mean_force"],
         ),
@@ -156,7 +162,9 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="t_eq",
             dimension="time",
             display="us",
-            meaning="equivalent contact duration: impulse of the mean force of both faces over its peak",
+            meaning=(
+                "equivalent contact duration: impulse of the mean force of both faces over its peak"
+            ),
             needs=("time", "duration"),
             formula=lambda c: c["time"] * c["duration"],
         ),
@@ -257,7 +265,10 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="J",
             follows="energy",
             fracture=True,
-            meaning="the sphere's share of the largest energy in both contacts, its plastic work included",
+            meaning=(
+                "the sphere's share of the largest energy in both contacts, its plastic work "
+                "included"
+            ),
             needs=("energy", "modulus", "sphere.nu", "sphere.E", "stored_sphere"),
             formula=lambda c: (
                 c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]
@@ -271,7 +282,9 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             follows="energy",
             fracture=True,
             needs=("energy_sphere", "mass"),
-            meaning="the sphere's share of the largest energy in both contacts, per mass of the sphere",
+            meaning=(
+                "the sphere's share of the largest energy in both contacts, per mass of the sphere"
+            ),
             formula=lambda c: c["energy_sphere"] / c["mass"],
         ),
         Quantity(
@@ -281,7 +294,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="J",
             needs=("offered",),
             fracture=True,
-            meaning="kinetic energy that the blow offers: of the weight, or of the bodies that meet",
+            meaning="kinetic energy of the impact: of the weight, or of the bodies that meet",
         ),
         Quantity(
             name="specific_impact_energy",
@@ -308,7 +321,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="e",
             dimension="number",
             lower=-math.inf,
-            meaning="speed at which the bodies part over that at which they met; of a weight its own",
+            meaning="speed at parting over speed at impact; of a weight its own",
             needs=("parting_speed",),
         ),
         Quantity(
@@ -339,9 +352,11 @@ OUTPUTS.update(
 
 
 class Columns(Mapping[str, Values]):
-    """Columns of n rows by name, (n,) each: what is known, and every quantity of `OUTPUTS`, computed when read.
+    """Columns of n rows by name, (n,) each: what is known, and every quantity of `OUTPUTS`,
+    computed when read.
 
-    What is known may be a function without arguments, which is called when its column is read for the first time.
+    What is known may be a function without arguments, which is called when its column is read for
+    the first time.
     """
 
     def __init__(self, known: Mapping[str, Known]) -> None:
@@ -378,7 +393,9 @@ def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Kn
 
 
 def _roots(name: str, demands: Demands) -> set[str]:
-    """What the integrator has to know for a quantity: names of `SCALED`, and inputs that may be absent."""
+    """What the integrator has to know for a quantity: names of `SCALED`, and inputs that may be
+    absent.
+    """
     if name in demands:
         key, parameters = demands[name]
         needs = CRITERIA[key].needs_with(parameters)
@@ -390,12 +407,16 @@ def _roots(name: str, demands: Demands) -> set[str]:
 
 
 def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
-    """What the integrator has to know for quantities and demands: names of `SCALED`, and inputs that may be absent."""
+    """What the integrator has to know for quantities and demands: names of `SCALED`, and inputs
+    that may be absent.
+    """
     return set().union(*(_roots(name, demands) for name in quantities))
 
 
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
-    """What an integrator has to follow for these quantities and demands, or for all: tracked.WANT_*."""
+    """What an integrator has to follow for these quantities and demands, or for all:
+    tracked.WANT_*.
+    """
     wanted = 0
     asked = OUTPUTS.keys() if quantities is None else quantities
     for name in roots_of(asked, demands) & SCALED.keys():
@@ -415,9 +436,10 @@ def follows_force(quantity: str) -> bool:
 def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -> dict[str, Array]:
     """Pressures and circle of a face that has a law.
 
-    `p_field` is the Hertz pressure of the same force on the same circle: the stress inside an elastic sphere follows
-    from that, at the rim whatever the pressure's shape.  `p_rim` is the same, but where the sphere `takes` the plastic
-    work: its rim has at most the tension that Hertz has for the force.
+    `p_field` is the Hertz pressure of the same force on the same circle: the stress inside an
+    elastic sphere follows from that, at the rim whatever the pressure's shape.  `p_rim` is the
+    same, but where the sphere `takes` the plastic work: its rim has at most the tension that Hertz
+    has for the force.
     """
     field = 1.5 * press.mean
     rim = np.where(
@@ -433,7 +455,9 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
 
 
 def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
-    """Columns of rows whose faces are pressed to a force [N] by the law that yields; none where nothing does."""
+    """Columns of rows whose faces are pressed to a force [N] by the law that yields; none where
+    nothing does.
+    """
     if scene.faces is None:
         return {}
     face = scene.faces.at(rows)
@@ -442,11 +466,13 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
     return {"alpha_max": state.approach, **pressures}
 
 
-# --- faces that are not alike ---------------------------------------------------------------------------
+# --- faces that are not alike ---------------------------------------------------------------------
 
 
 def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
-    """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures, circle, dent, work."""
+    """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures,
+    circle, dent, work.
+    """
     partner, scales = scene.partners[pole], scene.scales
     assert partner is not None
     modulus, radius, beta = partner.modulus, partner.effective_radius, partner.hertz_constant
@@ -484,7 +510,9 @@ _OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
 def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
-    """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those of the row."""
+    """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those
+    of the row.
+    """
     if scene.rig == "bars" and scene.struck.face is None:
         return {}
     poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
@@ -505,8 +533,8 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
 def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
     """The columns of one face.
 
-    Inside the sphere the stress depends on what presses at the other pole as well: `balance` is that force over the
-    face's own, at its peak.
+    Inside the sphere the stress depends on what presses at the other pole as well: `balance` is
+    that force over the face's own, at its peak.
     """
     side = _side(scene, "ab".index(name), tracked[f"x_{name}"])
     if scene.rig != "bars":
@@ -519,7 +547,9 @@ def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
 def _of_forces(
     scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
 ) -> dict[str, Known]:
-    """What the forces at both poles are together: with one contact its own, and half of it at the centre."""
+    """What the forces at both poles are together: with one contact its own, and half of it at the
+    centre.
+    """
     force, found = scene.scales.force, dict[str, Known]()
     if len(sides) == 1:
         found["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
@@ -539,7 +569,9 @@ def _largest(sides: Sequence[Columns], column: str) -> Array:
 def _energies(
     scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
 ) -> dict[str, Known]:
-    """Energy in both contacts and what they dissipate, and the sphere's share of them (`_energy_of_sphere`)."""
+    """Energy in both contacts and what they dissipate, and the sphere's share of them
+    (`_energy_of_sphere`).
+    """
     unit = scene.scales.force * scene.scales.approach
 
     def energy() -> Values:
@@ -563,7 +595,9 @@ def _energy_of_sphere(
     sides: Sequence[Columns],
     energy: Callable[[], Values],
 ) -> Values:
-    """chi of what is stored at each face, and what the sphere dissipates: all where it yields itself."""
+    """chi of what is stored at each face, and what the sphere dissipates: all where it yields
+    itself.
+    """
     faces = list(zip(scene.there, sides, strict=True))
     if len(sides) == 1 or scene.rig == "bars":
         own = scene.struck.share * energy()
@@ -675,17 +709,18 @@ def absent_in(scene: Scene, quantity: str) -> str:
     )
 
 
-# --- answers of a batch -------------------------------------------------------------------------------
+# --- answers of a batch ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
-    values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of time_to_first_loss, whether the
-    record ended first and the value is a lower bound.  grazes: whether rounding decides on the first loss.
-    status: 0, or a code of `scene.STATUS`.  record: its end [s], or the time after which nothing that was asked for
-    could change.  steps: of the integrator.
+    values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of
+    time_to_first_loss, whether the record ended first and the value is a lower bound.  grazes:
+    whether rounding decides on the first loss. status: 0, or a code of `scene.STATUS`.  record: its
+    end [s], or the time after which nothing that was asked for could change.  steps: of the
+    integrator.
     """
 
     values: Mapping[str, Array]
@@ -725,10 +760,12 @@ def answers_from(
     linear: bool = False,
     quantities: Collection[str] | None = None,
 ) -> Answers:
-    """Answers in SI from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives those that it has.
+    """Answers in SI from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives
+    those that it has.
 
-    linear: force is proportional to the approach, pressure follows by Hertz.  quantities: all if None.  A
-    row one of whose quantities is not finite has failed.  ValueError for one that needs numbers which are not there.
+    linear: force is proportional to the approach, pressure follows by Hertz.  quantities: all if
+    None.  A row one of whose quantities is not finite has failed.  ValueError for one that needs
+    numbers which are not there.
     """
     with np.errstate(all="ignore"):
         made = {**_of_faces(scene, tracked), **_of_blow(scene, tracked)}
@@ -786,16 +823,17 @@ def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-# --- the path to fracture -----------------------------------------------------------------------------
+# --- the path to fracture -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Path:
     """How a quantity that a sphere can break by follows its loading.
 
-    over: it rises with the largest `force` or `energy` so far; empty: with neither.  criterion: whose formula it is;
-    None for the force or energy itself, to a `power`.  parameters: of the criterion without `rate_0`, whose factor is
-    one number per sample.  early: only what comes before the first reflected wave counts.
+    over: it rises with the largest `force` or `energy` so far; empty: with neither.  criterion:
+    whose formula it is; None for the force or energy itself, to a `power`.  parameters: of the
+    criterion without `rate_0`, whose factor is one number per sample.  early: only what comes
+    before the first reflected wave counts.
     """
 
     over: str
@@ -824,7 +862,8 @@ PATHS: Final[dict[str, Path]] = {
 
 
 def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
-    """How a quantity or the demand of a criterion follows the loading; None where its exceedance is no fracture.
+    """How a quantity or the demand of a criterion follows the loading; None where its exceedance is
+    no fracture.
 
     >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_duration")
     ('force', 'energy', None)

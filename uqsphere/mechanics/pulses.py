@@ -1,8 +1,9 @@
-"""Incident pulses: the particle velocity of the wave running towards the sphere, over v0/2, as smooth pieces.
+"""Incident pulses: the particle velocity of the wave running towards the sphere, over v0/2, as
+smooth pieces.
 
-Every shape is a row of breaks and one cubic per piece (a half sine is one piece with its own formula), so
-that an integrator can end its steps exactly where a pulse or one of its derivatives jumps.
-The shapes conserve the striker's impulse where theory (20) says so.
+Every shape is a row of breaks and one cubic per piece (a half sine is one piece with its own
+formula), so that an integrator can end its steps exactly where a pulse or one of its derivatives
+jumps. The shapes conserve the striker's impulse where theory (20) says so.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from uqsphere.arrays import Array, Flags, Values
 
 #: relative depth of the dip of a two-peak pulse whose study does not give it
 DEFAULT_VALLEY: Final = 0.75
-#: steps of a striker stiffer than its bar: those below this share of the first are left out, and there are no more
-#: than this many
+#: steps of a striker stiffer than its bar: those below this share of the first are left out, and
+#: there are no more than this many
 _FAINT_STEP: Final = 1e-3
 _MOST_STEPS: Final = 32
 
@@ -27,9 +28,10 @@ _MOST_STEPS: Final = 32
 class Pulse:
     """Pieces of n pulses of one shape.
 
-    breaks (n, m + 1): start of each piece and the end of the last [s]; infinite for a step.  coefficients (n, m, 4):
-    cubic in the time since the piece's start, ascending powers.  frequency (n,): angular one of a half sine [1/s], 0
-    for the shapes made of cubics.  valid (n,): whether the parameters make a pulse of this shape at all.
+    breaks (n, m + 1): start of each piece and the end of the last [s]; infinite for a step.
+    coefficients (n, m, 4): cubic in the time since the piece's start, ascending powers.  frequency
+    (n,): angular one of a half sine [1/s], 0 for the shapes made of cubics.  valid (n,): whether
+    the parameters make a pulse of this shape at all.
     """
 
     breaks: Array
@@ -57,12 +59,13 @@ def _line(length: Array, left: Array, right: Array) -> Array:
 
 
 def striker_steps(ratio: Values) -> tuple[Array, Flags]:
-    """Levels (n, m) over v0/2 of the steps that strikers of Z_s/Z = `ratio` (n,) send, docs/theory.md, section 7.
+    """Levels (n, m) over v0/2 of the steps that strikers of Z_s/Z = `ratio` (n,) send,
+    docs/theory.md, section 7.
 
-    The striker moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each round trip of its own wave, 2 l_0/c_s, leaves
-    (ratio - 1)/(ratio + 1) of that; one softer than the bar is thrown back after the first.  Steps below 1e-3 of the
-    first are left out, as 0; the second result (n,) says whether these are all: at most 32 are made, enough up to a
-    ratio of 9.
+    The striker moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each round trip of its own
+    wave, 2 l_0/c_s, leaves (ratio - 1)/(ratio + 1) of that; one softer than the bar is thrown back
+    after the first.  Steps below 1e-3 of the first are left out, as 0; the second result (n,) says
+    whether these are all: at most 32 are made, enough up to a ratio of 9.
 
     >>> striker_steps([0.5, 1.0, 2.0])[0][:, :3].round(4).tolist()
     [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
@@ -79,7 +82,9 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
 
 
 def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
-    """Steps of one width, the first rising over `rise`, each later change over `fall`, centred on its instant."""
+    """Steps of one width, the first rising over `rise`, each later change over `fall`, centred on
+    its instant.
+    """
     levels, complete = striker_steps(ratio)
     count = (levels > 0.0).sum(axis=1)
     middle = 0.5 * rise
@@ -179,8 +184,9 @@ SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
 #: shapes that follow from the striker's impedance where it is not the bars'
 STRIKER_SHAPES: Final = ("rectangular", "trapezoid", "ramp")
 
-#: The three kinds of pulse of the paper's Fig. 2: shape and numbers [s, over v0/2].  The durations, and that the first
-#: has a second maximum at about 19 us, are in the paper's text; levels, rises and the other times are ours.
+#: The three kinds of pulse of the paper's Fig. 2: shape and numbers [s, over v0/2].  The durations,
+#: and that the first has a second maximum at about 19 us, are in the paper's text; levels, rises
+#: and the other times are ours.
 PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
     "very_short": (
         "two_peak",
@@ -197,10 +203,11 @@ PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
 def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | None = None) -> Pulse:
     """Pieces of the pulses of n rows, of a shape of `SHAPES`.
 
-    duration (n,): width t_i [s], full base of a rectangle or half sine, width at half height of a trapezoid, end of a
-    two-peak pulse; not used by a step.  Width of one step where the striker's impedance is not the bars'.  numbers:
-    what `forms.FORMS` names (times in s, levels over v0/2), `valley` for two peaks, and `striker_ratio`, Z_s/Z, for the
-    shapes of `STRIKER_SHAPES`; (n,) each.
+    duration (n,): width t_i [s], full base of a rectangle or half sine, width at half height of a
+    trapezoid, end of a two-peak pulse; not used by a step.  Width of one step where the striker's
+    impedance is not the bars'.  numbers: what `forms.FORMS` names (times in s, levels over v0/2),
+    `valley` for two peaks, and `striker_ratio`, Z_s/Z, for the shapes of `STRIKER_SHAPES`; (n,)
+    each.
 
     >>> pulse = build_pulse("trapezoid", [100e-6], {"rise": [20e-6], "fall": [20e-6]})
     >>> (pulse.breaks * 1e6).round(9).tolist()
@@ -216,7 +223,9 @@ def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | No
 
 
 def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:
-    """g(t) of one row at `times` [s], over v0/2; the right limit at a jump, zero before and after the pulse."""
+    """g(t) of one row at `times` [s], over v0/2; the right limit at a jump, zero before and after
+    the pulse.
+    """
     breaks = pulse.breaks[row]
     piece = np.searchsorted(breaks, times, side="right") - 1
     inside = (piece >= 0) & (times < breaks[-1])
@@ -229,7 +238,7 @@ def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:
     return np.where(inside, value, 0.0)
 
 
-# --- A measured pulse: least-squares cubics over a record, at whose joints the integrator ends its steps --------------
+# --- A measured pulse: least-squares cubics over a record, at whose joints the integrator ends its
 
 #: root mean square over the peak that the cubics may leave, and pieces at most
 _FINE, _PIECES = 5e-4, 64
@@ -241,9 +250,9 @@ _ENDS, _COUNTS = 0.1, 0.003
 class MeasuredPulse:
     """The pulse of a record.
 
-    breaks (m + 1,): joints of the cubics [s], from 0; coefficients (m, 4): strain over its largest value, ascending
-    powers of the time since the joint.  peak: largest compressive strain, v0 = 2 c0 peak; rise: from 10 % to 90 % of
-    the peak [s].
+    breaks (m + 1,): joints of the cubics [s], from 0; coefficients (m, 4): strain over its largest
+    value, ascending powers of the time since the joint.  peak: largest compressive strain, v0 = 2
+    c0 peak; rise: from 10 % to 90 % of the peak [s].
     """
 
     breaks: tuple[float, ...]
@@ -268,9 +277,11 @@ class MeasuredPulse:
 
 
 def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
-    """The pulse of a clean record (n,), compression positive, and the largest misfit of its cubics over the peak.
+    """The pulse of a clean record (n,), compression positive, and the largest misfit of its cubics
+    over the peak.
 
-    Their joints are those of Dierckx's smoothing spline.  ValueError for a record that is none, with the way out.
+    Their joints are those of Dierckx's smoothing spline.  ValueError for a record that is none,
+    with the way out.
     """
     from scipy.interpolate import PPoly, generate_knots, make_lsq_spline
 

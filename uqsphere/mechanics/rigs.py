@@ -1,8 +1,9 @@
-"""The rigs: what stands at the two poles of the sphere, who moves at first touch, and which numbers that takes.
+"""The rigs: what stands at the two poles of the sphere, who moves at first touch, and which numbers
+that takes.
 
-A partner gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick block, a platen); its
-contact with the sphere has a reduced modulus, a radius and, where it yields, a law of its own.
-A new rig is one entry of `RIGS`; what its tables need stands in `forms.FORMS`.
+A partner gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick
+block, a platen); its contact with the sphere has a reduced modulus, a radius and, where it yields,
+a law of its own. A new rig is one entry of `RIGS`; what its tables need stands in `forms.FORMS`.
 Numbering (R...) and (C...) of docs/theory.md; SI.
 """
 
@@ -31,12 +32,13 @@ LAW: Final = ("onset_pressure", "hardness", "pile_up")
 class Partner:
     """What stands at one pole; (n,) each.
 
-    table, kind: table of the study that its numbers stand in; `bar`, `plate`, `thick`, `mass` or `platen`.  modulus,
-    effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of this face.  share: chi = E* (1 - nu²)/E,
-    the sphere's share of its elastic energy, (R22).  impedance, mass: Z and mass [kg], infinite where it does not give
-    way, or is not free.  speed: V at first touch, positive from pole A to pole B.  round_trip, reflection: of a bar and
-    its far end; infinite and 0 where nothing returns.  face: its law if it yields; takes: the sphere's share of
-    what such a face dissipates, 1 where it is the sphere that yields.
+    table, kind: table of the study that its numbers stand in; `bar`, `plate`, `thick`, `mass` or
+    `platen`.  modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of
+    this face.  share: chi = E* (1 - nu²)/E, the sphere's share of its elastic energy, (R22).
+    impedance, mass: Z and mass [kg], infinite where it does not give way, or is not free.  speed: V
+    at first touch, positive from pole A to pole B.  round_trip, reflection: of a bar and its far
+    end; infinite and 0 where nothing returns.  face: its law if it yields; takes: the sphere's
+    share of what such a face dissipates, 1 where it is the sphere that yields.
     """
 
     table: str
@@ -55,7 +57,8 @@ class Partner:
 
 
 def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
-    """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate: it gives way at P/Z. (R2).
+    """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate: it gives way at
+    P/Z. (R2).
 
     Source: C. Zener, Phys. Rev. 59 (1941) 669, from memory.
     """
@@ -65,7 +68,9 @@ def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -
 
 
 def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) -> Partner:
-    """The partner whose numbers stand in a table of the scene; not finite where a row has no meaning."""
+    """The partner whose numbers stand in a table of the scene; not finite where a row has no
+    meaning.
+    """
     c = scene.columns
     face_E, face_nu = (
         c[f"{table}.insert_{key}"]
@@ -131,7 +136,9 @@ def _mass(scene: Scene, table: str) -> Array:
 
 
 def _echo(scene: Scene, table: str, kind: str) -> dict[str, Array]:
-    """Round trip and reflection of a bar of a rig; those of the two bars of `bars` are columns of their own."""
+    """Round trip and reflection of a bar of a rig; those of the two bars of `bars` are columns of
+    their own.
+    """
     if kind != "bar" or table == "bars" or f"{table}.length" not in scene.columns:
         return {"round_trip": _everywhere(np.inf, scene), "reflection": _everywhere(0.0, scene)}
     E, density, length = (scene.column(f"{table}.{key}") for key in ("E", "density", "length"))
@@ -146,7 +153,9 @@ def _given(columns: Mapping[str, Array], name: str, default: Values) -> Array:
 
 
 def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Body:
-    """What the partner of a table has of the law of its face: given, or that of a metal; infinite where rigid."""
+    """What the partner of a table has of the law of its face: given, or that of a metal; infinite
+    where rigid.
+    """
     strength, nu = (
         columns.get(f"{table}.insert_{key}", _given(columns, f"{table}.{key}", np.nan))
         for key in ("yield_strength", "nu")
@@ -176,7 +185,9 @@ def law_of(
 
 
 def softest_partner(scene: Scene) -> Body:
-    """What the partner that yields first has of the law, row by row; infinite where none has an onset."""
+    """What the partner that yields first has of the law, row by row; infinite where none has an
+    onset.
+    """
     tables = dict.fromkeys(partner.table for partner in scene.there)
     return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
 
@@ -187,7 +198,9 @@ class _Law(TypedDict):
 
 
 def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
-    """The law of a face that yields: of its softer body, row by row, but for what [contact] gives."""
+    """The law of a face that yields: of its softer body, row by row, but for what [contact]
+    gives.
+    """
     elastic = _Law(face=None, takes=_everywhere(0.0, scene))
     if scene.contact_law != "plastic":
         return elastic
@@ -203,17 +216,21 @@ def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
     return _Law(face=face, takes=np.where(crushed, 1.0, 0.0))
 
 
-#: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³], for falls of metres (from memory)
+#: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³], for falls of metres
+#: (from memory)
 GRAVITY: Final = 9.80665
 _DRAG, _AIR = 0.45, 1.2
-#: largest lam = Z-scaled force of a plate or bar end that is struck: beyond it the plate is punched, (R13)
+#: largest lam = Z-scaled force of a plate or bar end that is struck: beyond it the plate is
+#: punched, (R13)
 MOST_YIELDING: Final = 3.0
 #: ranges in which the equations are solved: M/m_A and kappa (rigs.md section 8)
 MASS_RATIO: Final = (1e-7, 1e3)
 STIFFNESS_RATIO: Final = (1e-3, 1e3)
-#: compliance of a half-space under a pulsating point load, nu = 1/4, times rho c_s³ (Reissner; Miller and Pursey 1954)
+#: compliance of a half-space under a pulsating point load, nu = 1/4, times rho c_s³ (Reissner;
+#: Miller and Pursey 1954)
 _RADIATION: Final = 0.1486
-#: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
+#: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t),
+#: (R14)
 _PULSE: Final = 3.80584
 
 
@@ -221,10 +238,10 @@ _PULSE: Final = 3.80584
 class Rig:
     """One rig.
 
-    behind, ahead: tables of the partners at pole A and at pole B; empty: nothing stands there.  kinds: their kinds;
-    empty where the study chooses (`target.kind`, `anvil.kind`).  mover: table that has the speed of the blow, `rig` (of
-    the sphere), `hammer`, or empty.  blow: bodies that meet with a speed; their records end at parting, not at the
-    first loss of contact.
+    behind, ahead: tables of the partners at pole A and at pole B; empty: nothing stands there.
+    kinds: their kinds; empty where the study chooses (`target.kind`, `anvil.kind`).  mover: table
+    that has the speed of the blow, `rig` (of the sphere), `hammer`, or empty.  blow: bodies that
+    meet with a speed; their records end at parting, not at the first loss of contact.
     """
 
     name: str
@@ -310,7 +327,9 @@ RIGS: Final[dict[str, Rig]] = {
 
 
 def drop_speed(height: Values, radius: Values, density: Values) -> Array:
-    """Speed [m/s] of a sphere that fell by h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²)); drag is 6 % of v² at 8 m."""
+    """Speed [m/s] of a sphere that fell by h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²)); drag is
+    6 % of v² at 8 m.
+    """
     terminal = terminal_speed(radius, density) ** 2
     return np.asarray(
         np.sqrt(-terminal * np.expm1(-2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal))
@@ -353,7 +372,9 @@ def partners_of(scene: Scene) -> tuple[Partner | None, Partner | None]:
 
 
 def speeds_at_touch(scene: Scene) -> Array:
-    """Speeds of sphere and partners A and B when they first touch, (n, 3) [m/s], positive from A to B. (R7)."""
+    """Speeds of sphere and partners A and B when they first touch, (n, 3) [m/s], positive from A to
+    B. (R7).
+    """
     rig = RIGS[scene.rig]
     start = np.zeros((len(scene), 3))
     if rig.mover in ("rig", "hammer"):
@@ -362,7 +383,9 @@ def speeds_at_touch(scene: Scene) -> Array:
 
 
 def outside(scene: Scene) -> Array:
-    """Rows that the equations of a rig other than bars do not stand for, (n,) of bool: see rigs.md section 8."""
+    """Rows that the equations of a rig other than bars do not stand for, (n,) of bool: see rigs.md
+    section 8.
+    """
     rig = RIGS[scene.rig]
     scales, found = scene.scales, np.zeros(len(scene), dtype=bool)
     behind, ahead = scene.partners
@@ -388,7 +411,9 @@ def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
 def wave_loss(
     hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values
 ) -> Array:
-    """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys. Solids 5 (1957) 162."""
+    """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys.
+    Solids 5 (1957) 162.
+    """
     compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
     return np.asarray(
         _PULSE
@@ -400,9 +425,11 @@ def wave_loss(
 
 
 def loss_to_waves(scene: Scene) -> Array | None:
-    """Share of a blow's energy that a thick target carries off, (n,), (R14); None where nobody knows.
+    """Share of a blow's energy that a thick target carries off, (n,), (R14); None where nobody
+    knows.
 
-    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory; the compliance of nu = 1/4 for all.
+    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory; the compliance of nu =
+    1/4 for all.
     """
     partner = scene.partners[1]
     if partner is None or scene.partners[0] is not None or partner.kind != "thick":

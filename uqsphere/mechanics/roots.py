@@ -1,4 +1,6 @@
-"""Roots that many rows look for together; a fixed number of rounds, or until no row moves any more."""
+"""Roots that many rows look for together; a fixed number of rounds, or until no row moves any
+more.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from uqsphere.arrays import Array, Flags, Values
 
 #: halvings that leave nothing of a bracket: a double has 52 bits
 _HALVINGS: Final = 52
-#: rounds of Newton's method, which converges quadratically from the convex side, and the step that counts as none
+#: rounds of Newton's method, which converges quadratically from the convex side, and the step that
+#: counts as none
 ROUNDS: Final = 60
 _STILL: Final = 1e-15
 

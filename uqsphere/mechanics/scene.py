@@ -1,4 +1,5 @@
-"""A batch of scenes: sphere, bars, striker and pulse in columns of n rows, and the scales that follow from them.
+"""A batch of scenes: sphere, bars, striker and pulse in columns of n rows, and the scales that
+follow from them.
 
 `INPUTS` declares every number that a scene can have.
 """
@@ -550,8 +551,10 @@ INPUTS: Final[dict[str, Quantity]] = {
 #: what the status of a row means; only rows of 0 have numbers
 STATUS: dict[int, str] = {
     0: "ok",
-    1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a sphere wider than its bar, "
-    "a contact wider than its rod, a plate that is punched, a face whose hardness is below its onset)",
+    1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a "
+    "sphere wider than its bar, "
+    "a contact wider than its rod, a plate that is punched, a face whose hardness is below its "
+    "onset)",
     2: "the pulse is longer than the round trip of the incident bar, so the striker is still on it",
     3: "the integrator could not reach the tolerance",
     4: "too many reflections before the end of the record",
@@ -587,7 +590,8 @@ STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.dia
 class Scales:
     """Scale factors and similarity numbers of n rows, theory (8) and (10), (R4) to (R6); SI.
 
-    `modulus`, `effective_radius` and `hertz_constant` are those of the face that is struck first, A if both are.
+    `modulus`, `effective_radius` and `hertz_constant` are those of the face that is struck first, A
+    if both are.
     """
 
     modulus: Array
@@ -612,16 +616,17 @@ class Scales:
 class Scene:
     """n scenes that share their structure and differ in their numbers.
 
-    columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, of `pulses.SHAPES` or
-    `measured`.  infinite: no wave comes back from the far ends.  rigid_contact: the bars do not yield in the contact,
-    1/E* = (1 - nu²)/E.  first_loading_only: the record ends when the first reflected wave returns; whole_record: that
-    of bars goes on after the first loss of contact, to the horizon, contacts regained included.  horizon: its end
-    [s]; None: the rule of docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
-    hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of `measured`,
-    the same in every row but for its gain; `striker.speed` is then 2 c0 times its peak strain and gain.  rig: of
-    `rigs.RIGS`; shape, infinite, first_loading_only and record belong to `bars`.  options: words of the study,
-    ``target.kind``, ``anvil.kind``, ``hammer.shape``.  ValueError for a missing or misshapen column, an unknown word,
-    or a record without an end.
+    columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, of
+    `pulses.SHAPES` or `measured`.  infinite: no wave comes back from the far ends.  rigid_contact:
+    the bars do not yield in the contact, 1/E* = (1 - nu²)/E.  first_loading_only: the record ends
+    when the first reflected wave returns; whole_record: that of bars goes on after the first loss
+    of contact, to the horizon, contacts regained included.  horizon: its end [s]; None: the rule of
+    docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
+    hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of
+    `measured`, the same in every row but for its gain; `striker.speed` is then 2 c0 times its peak
+    strain and gain.  rig: of `rigs.RIGS`; shape, infinite, first_loading_only and record belong to
+    `bars`.  options: words of the study, ``target.kind``, ``anvil.kind``, ``hammer.shape``.
+    ValueError for a missing or misshapen column, an unknown word, or a record without an end.
     """
 
     columns: Mapping[str, Array]
@@ -698,7 +703,9 @@ class Scene:
 
     @cached_property
     def pulse(self) -> Pulse:
-        """The incident pulse of every row, times in seconds; one that is nothing where no wave comes in."""
+        """The incident pulse of every row, times in seconds; one that is nothing where no wave
+        comes in.
+        """
         if self.rig != "bars":
             none = np.zeros(len(self))
             return Pulse(
@@ -720,7 +727,9 @@ class Scene:
 
     @cached_property
     def striker_ratio(self) -> Array | None:
-        """Impedance of the striker over that of the bars, (n,); None for a striker like the bars."""
+        """Impedance of the striker over that of the bars, (n,); None for a striker like the
+        bars.
+        """
         if STRIKER_COLUMNS.isdisjoint(self.columns):
             return None
         with np.errstate(all="ignore"):
@@ -738,7 +747,9 @@ class Scene:
 
     @cached_property
     def round_trips(self) -> Array:
-        """Round trips of the bars at A and B, (n, 2) [s]; infinite where there is no bar, or one without length."""
+        """Round trips of the bars at A and B, (n, 2) [s]; infinite where there is no bar, or one
+        without length.
+        """
         if self.rig != "bars":
             none = np.full(len(self), np.inf)
             return np.stack(
@@ -769,12 +780,16 @@ class Scene:
 
     @cached_property
     def first_echo(self) -> Array:
-        """Time at which the first reflected wave returns to the sphere, (n,) [s]; infinite if none does."""
+        """Time at which the first reflected wave returns to the sphere, (n,) [s]; infinite if none
+        does.
+        """
         return np.asarray(np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1))
 
     @cached_property
     def record_end(self) -> Array:
-        """End of the record, (n,) [s]; infinite where the rule of infinite bars, or parting, ends it."""
+        """End of the record, (n,) [s]; infinite where the rule of infinite bars, or parting, ends
+        it.
+        """
         if self.horizon is not None:
             ends = np.full(len(self), self.horizon)
         elif self.infinite or self.rig != "bars":
@@ -800,7 +815,9 @@ class Scene:
 
     @property
     def struck(self) -> Partner:
-        """The partner whose face the scale factors are those of: the one that is struck first, A if both are."""
+        """The partner whose face the scale factors are those of: the one that is struck first, A if
+        both are.
+        """
         return self.there[0]
 
     @cached_property
@@ -810,7 +827,9 @@ class Scene:
 
     @cached_property
     def start(self) -> Array:
-        """Speeds of sphere and partners A and B at first touch, (n, 3) [m/s], positive from A to B."""
+        """Speeds of sphere and partners A and B at first touch, (n, 3) [m/s], positive from A to
+        B.
+        """
         return speeds_at_touch(self)
 
     @cached_property
@@ -854,8 +873,8 @@ class Scene:
         return self.columns.get("pulse.duration", np.asarray(width))
 
     def _blow(self, mass: Array) -> tuple[Array, Array]:
-        """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), m the reduced mass of the sphere, or the weight's; of platens 1,
-        and a force of theirs."""
+        """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), m the reduced mass of the sphere, or the
+        weight's; of platens 1, and a force of theirs."""
         face, behind, beta = self.struck, self.partners[0], self.struck.hertz_constant
         if self.rig == "platens":
             return np.ones(len(self)), beta * self.columns["sphere.radius"] ** 1.5
@@ -867,7 +886,9 @@ class Scene:
 
     @property
     def faces(self) -> Face | None:
-        """The law of the face that is struck first, of both of `bars`, where it yields, (n,) each; None: elastic."""
+        """The law of the face that is struck first, of both of `bars`, where it yields, (n,) each;
+        None: elastic.
+        """
         return self.struck.face
 
     @cached_property

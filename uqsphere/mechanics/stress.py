@@ -1,15 +1,17 @@
-"""Elastic sphere under Hertz pressure on two polar caps: the Legendre series of the stress, and tables of it.
+"""Elastic sphere under Hertz pressure on two polar caps: the Legendre series of the stress, and
+tables of it.
 
-Lengths are in units of the sphere's radius, stresses in units of the caps' pressure.  The load on each cap is
-radial, p_0 sqrt(1 - (sin t/a)²), t the angle from the cap's own pole.  Written out in Legendre polynomials,
--sigma_r = sum p_n P_n(cos t) at r = 1 and no shear there, every degree n >= 2 is a solution of its own with
-two constants,
+Lengths are in units of the sphere's radius, stresses in units of the caps' pressure.  The load on
+each cap is radial, p_0 sqrt(1 - (sin t/a)²), t the angle from the cap's own pole.  Written out in
+Legendre polynomials, -sigma_r = sum p_n P_n(cos t) at r = 1 and no shear there, every degree n >= 2
+is a solution of its own with two constants,
 
     A_n = p_n / {2 [n² + n + 1 + nu (2n + 1)]},    B_n = -A_n (n² + 2n - 1 + 2 nu)/(n - 1),
 
-theory section 6; tests/test_sphere_stress.py checks the components against equilibrium, compatibility and the load.
-Degree 0 is a uniform pressure.  Degree 1, which there is under unequal forces, is the pressure of an accelerated body,
--p_1 r cos t in all three directions: its divergence is the body force, mass times acceleration.
+theory section 6; tests/test_sphere_stress.py checks the components against equilibrium,
+compatibility and the load. Degree 0 is a uniform pressure.  Degree 1, which there is under unequal
+forces, is the pressure of an accelerated body, -p_1 r cos t in all three directions: its divergence
+is the body force, mass times acceleration.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ MOST_TERMS = 40_000
 class Load:
     """Hertz pressure on two polar caps.
 
-    contact_ratio : a/r of the cap at t = 0 and of the one at t = pi; pressure : p_0 of each [Pa, or 1].
+    contact_ratio : a/r of the cap at t = 0 and of the one at t = pi; pressure : p_0 of each [Pa, or
+        1].
     """
 
     contact_ratio: tuple[float, float]
@@ -87,7 +90,9 @@ class Stress:
 
 
 def load_coefficients(load: Load, terms: int) -> Array:
-    """Legendre coefficients p_n of the pressure -sigma_r on the surface, n = 0 … terms; (terms + 1,)."""
+    """Legendre coefficients p_n of the pressure -sigma_r on the surface, n = 0 … terms; (terms +
+    1,).
+    """
     n = np.arange(terms + 1)
     total = np.zeros(terms + 1)
     if load.is_balanced:
@@ -103,12 +108,14 @@ def load_coefficients(load: Load, terms: int) -> Array:
 def _cap_integrals(a: float, terms: int) -> Array:
     """J_n = ∫ sqrt(1 - (sin t/a)²) P_n dcos t over one cap, n = 0 … terms.
 
-    Up to n about 3/a by Gauss quadrature in psi, sin t = a sin psi, which makes the integrand smooth; beyond by a
-    recurrence, which follows from one integration by parts of (cos² t - c²)^(3/2) P_n, c² = 1 - a²:
+    Up to n about 3/a by Gauss quadrature in psi, sin t = a sin psi, which makes the integrand
+    smooth; beyond by a recurrence, which follows from one integration by parts of (cos² t -
+    c²)^(3/2) P_n, c² = 1 - a²:
 
         (n+2)(n+4)/(2n+3) J_(n+2) + e_n J_n + (n-1)(n-3)/(2n-1) J_(n-2) = 0.
 
-    It is not used from the start, where its other solutions are larger by 1/a³ and would carry rounding errors up.
+    It is not used from the start, where its other solutions are larger by 1/a³ and would carry
+    rounding errors up.
     """
     found = np.zeros(terms + 1)
     first = min(terms, 5 + math.ceil(3.0 / a))
@@ -146,12 +153,13 @@ def terms_for(radius: float, tolerance: float) -> int:
 def series_stress(
     radius: npt.ArrayLike, angle: npt.ArrayLike, load: Load, nu: float, *, tolerance: float = 1e-12
 ) -> Stress:
-    """Stress at points (r, t), summed until what is left is below `tolerance` times the larger pressure.
+    """Stress at points (r, t), summed until what is left is below `tolerance` times the larger
+    pressure.
 
-    radius, angle: over the sphere's radius in [0, 1], and from the axis [rad], broadcast; nu in (-1, 0.5].
-    `truncation` says what was reached: near the surface, where the powers hardly fall, the sum ends at `MOST_TERMS`.
-    On the surface itself `surface_stress` is the better way.  ValueError for points outside the sphere, or a ratio
-    without meaning.
+    radius, angle: over the sphere's radius in [0, 1], and from the axis [rad], broadcast; nu in
+    (-1, 0.5]. `truncation` says what was reached: near the surface, where the powers hardly fall,
+    the sum ends at `MOST_TERMS`. On the surface itself `surface_stress` is the better way.
+    ValueError for points outside the sphere, or a ratio without meaning.
 
     >>> centre = series_stress(0.0, 0.0, Load.balanced(0.01), 0.25)
     >>> force = 2.0 / 3.0 * math.pi * 0.01**2
@@ -210,7 +218,9 @@ def _sum(r: Array, x: Array, sine: Array, p: Array, nu: float) -> list[Array]:
 
 
 def _left_out(r: Array, load: Load, terms: int, largest: float) -> Array:
-    """Bound of the terms beyond `terms`: |p_n| < 2 p_0 min(n a², 1/(n a)), kernels below n (1 - r²) + 3."""
+    """Bound of the terms beyond `terms`: |p_n| < 2 p_0 min(n a², 1/(n a)), kernels below n (1 - r²)
+    + 3.
+    """
     ratio = max(load.contact_ratio)
     size = 2.0 * largest * min(terms * ratio**2, 2.0 / (terms * min(load.contact_ratio)))
     with np.errstate(divide="ignore", under="ignore"):
@@ -219,14 +229,14 @@ def _left_out(r: Array, load: Load, terms: int, largest: float) -> Array:
 
 
 # --- Stress on the surface of the sphere, where the plain series converges no faster than n^(-3/2).
-# At r = 1 the coefficients of the two stresses in the surface tend to -p_n and -2 nu p_n, and that of cot(t) dP_n/dt
-# to (1 - 2 nu) p_n/(n (n + 1)).  These three parts are known in closed form: the first two are the pressure itself,
-# and the third is the force that presses on the cap below t,
+# At r = 1 the coefficients of the two stresses in the surface tend to -p_n and -2 nu p_n, and that
+# of cot(t) dP_n/dt to (1 - 2 nu) p_n/(n (n + 1)).  These three parts are known in closed form: the
+# first two are the pressure itself, and the third is the force that presses on the cap below t,
 #
 # sum p_n/(n (n + 1)) sin(t) dP_n/dt = -∫_0^t (p - p_0th) sin(t') dt'.
 #
-# It is the (1 - 2 nu)/3 (a/rho)² of the half space, rim and all.  What remains falls like n^(-5/2) and is summed with a
-# smooth cut-off, which is exact to high order in 1/(n distance to the rim).
+# It is the (1 - 2 nu)/3 (a/rho)² of the half space, rim and all.  What remains falls like n^(-5/2)
+# and is summed with a smooth cut-off, which is exact to high order in 1/(n distance to the rim).
 
 
 def pressure_on_surface(angle: npt.ArrayLike, load: Load) -> Array:
@@ -250,10 +260,12 @@ def surface_stress(
 ) -> Stress:
     """Stress on the surface, at angles [rad] of any shape.
 
-    terms : degree at which the rest is cut off; by default 400 over the smaller a/r, up to `MOST_TERMS`.
+    terms : degree at which the rest is cut off; by default 400 over the smaller a/r, up to
+        `MOST_TERMS`.
     coefficients : those of `load_coefficients` for at least as many terms, if at hand.
 
-    `truncation` is the difference from half as many terms: at the rim itself it falls as n^(-3/2) only, elsewhere fast.
+    `truncation` is the difference from half as many terms: at the rim itself it falls as n^(-3/2)
+    only, elsewhere fast.
 
     >>> rim = surface_stress(math.asin(0.01) + 1e-9, Load.balanced(0.01), 0.25)
     >>> round(float(rim.polar), 2)  # 0.167 in the half space, theory (17)
@@ -296,7 +308,9 @@ def cross_in_closed_form(t: Array, load: Load, mean: float) -> Array:
 
 
 def _cap(x: Array, ratio: float) -> Array:
-    """∫ sqrt(tau² - c²) dtau/a from max(x, c) to 1, c = sqrt(1 - a²): the pressure summed over the cap down to x."""
+    """∫ sqrt(tau² - c²) dtau/a from max(x, c) to 1, c = sqrt(1 - a²): the pressure summed over the
+    cap down to x.
+    """
     low = math.sqrt(1.0 - ratio * ratio)
 
     def primitive(tau: Array) -> Array:
@@ -335,19 +349,22 @@ def _rest(x: Array, p: Array, nu: float) -> tuple[Array, Array]:
     return polar, around
 
 
-# --- What the series says about a whole batch: Chebyshev tables over a/r, Poisson ratio and Weibull modulus.
-# Every table holds a ratio that depends on nothing else, as coefficients of products of Chebyshev polynomials in
-# ln(a/r), nu and 1/m, in `stress_tables.json`; `tests/campaigns/stress_tables.py` computes them, and
-# tests/test_sphere_stress.py compares random points with the series.  The error of every ratio is below 1e-6 of its
-# value over the whole range (of one force alone: 2e-5 at m = 2 and 1e-4 at m = 50); that of the rim below 2e-4, for it
-# bends where the largest tension of a place is one of the past.  Outside the range the ratio is that of the nearest
-# point inside, so that a demand is never absent; `outside` says which rows are concerned.  Below a/r = 0.005 this is
-# within some 7 % of the half space's value; above 0.3 Hertz's contact has ended anyway.
+# --- What the series says about a whole batch: Chebyshev tables over a/r, Poisson ratio and Weibull
+# modulus. Every table holds a ratio that depends on nothing else, as coefficients of products of
+# Chebyshev polynomials in ln(a/r), nu and 1/m, in `stress_tables.json`;
+# `tests/campaigns/stress_tables.py` computes them, and tests/test_sphere_stress.py compares random
+# points with the series.  The error of every ratio is below 1e-6 of its value over the whole range
+# (of one force alone: 2e-5 at m = 2 and 1e-4 at m = 50); that of the rim below 2e-4, for it bends
+# where the largest tension of a place is one of the past.  Outside the range the ratio is that of
+# the nearest point inside, so that a demand is never absent; `outside` says which rows are
+# concerned.  Below a/r = 0.005 this is within some 7 % of the half space's value; above 0.3 Hertz's
+# contact has ended anyway.
 
 #: ranges of the tables
 CONTACT_RATIO: Final = (0.005, 0.3)
 POISSON: Final = (0.0, 0.5)
-#: of those of the weakest link: above 0.4 a ring of hoop tension around the contact comes up, and the integrals bend
+#: of those of the weakest link: above 0.4 a ring of hoop tension around the contact comes up, and
+#: the integrals bend
 POISSON_WEIBULL: Final = (0.0, 0.4)
 MODULUS: Final = (2.0, 50.0)
 #: rows evaluated at a time, so that the polynomials stay in the cache
@@ -364,7 +381,9 @@ class Table:
     def __call__(
         self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None
     ) -> Array:
-        """The ratio of n rows, (n,) or of the shape the arguments broadcast to; `modulus` for three-way tables."""
+        """The ratio of n rows, (n,) or of the shape the arguments broadcast to; `modulus` for
+        three-way tables.
+        """
         if modulus is None:
             return _two_way([self.coefficients], contact_ratio, nu, POISSON)[0]
         if np.ndim(modulus) == 0:
@@ -414,8 +433,8 @@ def _two_way(
 
 
 def _whole(piece: Array) -> Array:
-    """Always as many rows: products of matrices add up in an order that depends on their shape, and a row must not
-    depend on how many others come with it."""
+    """Always as many rows: products of matrices add up in an order that depends on their shape, and
+    a row must not depend on how many others come with it."""
     return piece if len(piece) == _CHUNK else np.pad(piece, (0, _CHUNK - len(piece)), mode="edge")
 
 
@@ -451,8 +470,9 @@ def _polynomials(x: Array, count: int) -> Array:
 
 @cache
 def load_table(name: str) -> Table:
-    """A table over p_0: core, shear (largest on the axis), equator (over (a/r)²), volume, surface (I^(1/m)), rim (over
-    that of the half space); with `_one` where one pole is pressed, with `_depth` where it lies, (1 - u)/(a/r).
+    """A table over p_0: core, shear (largest on the axis), equator (over (a/r)²), volume, surface
+    (I^(1/m)), rim (over that of the half space); with `_one` where one pole is pressed, with
+    `_depth` where it lies, (1 - u)/(a/r).
 
     >>> load_table("shear").coefficients.ndim
     2
@@ -460,7 +480,8 @@ def load_table(name: str) -> Table:
     with (Path(__file__).with_name("stress_tables.json")).open(encoding="utf-8") as file:
         entry = json.load(file)[name]
     coefficients = np.zeros(entry["shape"])
-    # whole numbers of `unit`; they fall off towards the end of every row, and what is not written is zero
+    # whole numbers of `unit`; they fall off towards the end of every row, and what is not written
+    # is zero
     for index, row in enumerate(entry["rows"]):
         coefficients.reshape(-1, entry["shape"][-1])[index, : len(row)] = (
             np.array(row) * entry["unit"]
@@ -476,8 +497,8 @@ def ratio(name: str, contact_ratio: Values, nu: Values, modulus: Values = None) 
 def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, Array]:
     """Largest hoop tension on the axis over p_0, and its depth below the surface over r.
 
-    The place moves to the centre as the contact grows.  Its squared distance u from there passes through zero
-    smoothly; where it is negative, the largest tension is that of the centre itself.
+    The place moves to the centre as the contact grows.  Its squared distance u from there passes
+    through zero smoothly; where it is negative, the largest tension is that of the centre itself.
 
     >>> tension, depth = core_ratio(0.1, 0.25)
     >>> print(f"{float(tension):.4f} {float(depth):.3f}")

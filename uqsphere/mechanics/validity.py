@@ -1,7 +1,9 @@
-"""Where the model may be trusted: checks of every row against the assumptions behind it, theory section 9.
+"""Where the model may be trusted: checks of every row against the assumptions behind it, theory
+section 9.
 
-Each check measures one number per row and grades it 0 ok, 1 information, 2 warning or 3 failure.  A breach
-never stops a run; it is shown with the share of rows that break it.  Failed rows (status not 0) are left out.
+Each check measures one number per row and grades it 0 ok, 1 information, 2 warning or 3 failure.  A
+breach never stops a run; it is shown with the share of rows that break it.  Failed rows (status not
+0) are left out.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from uqsphere.mechanics.yielding import Body, Face
 
 #: a dent [m] after which a lapped flat is no flat any more
 _RELAP: Final = 1e-6
-#: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory section 5
+#: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory
+#: section 5
 _IMBALANCE: Final = (1.318, 0.45)
 
 
@@ -39,11 +42,12 @@ _IMBALANCE: Final = (1.318, 0.45)
 class Rule:
     """One check: how a row is measured, and beyond what it is graded how.
 
-    measure: function of (scene, answers) that gives the number per row, (n,), NaN where it says nothing about a row; or
-    a text, why the check is left out; or None where the scene has nothing to check.  information, warning, failure:
-    beyond these, above if `rising` and else below, a row gets the grade 1, 2, 3.  words: sentence on a breach,
-    with {worst} and {limit}.  laws, rigs: for which it is asked.  further: function of
-    (scene, answers, good rows), what is said further on a breach.
+    measure: function of (scene, answers) that gives the number per row, (n,), NaN where it says
+    nothing about a row; or a text, why the check is left out; or None where the scene has nothing
+    to check.  information, warning, failure: beyond these, above if `rising` and else below, a row
+    gets the grade 1, 2, 3.  words: sentence on a breach, with {worst} and {limit}.  laws, rigs: for
+    which it is asked.  further: function of (scene, answers, good rows), what is said further on a
+    breach.
     """
 
     name: str
@@ -66,7 +70,9 @@ class Rule:
         )
 
     def statement(self, worst: float, broken: str, further: str = "") -> str:
-        """What the worst number means: in `broken`, which rows break the check, or that none does."""
+        """What the worst number means: in `broken`, which rows break the check, or that none
+        does.
+        """
         seen = f"{worst:.3g}" if np.isfinite(worst) else "endlessly many"
         limit = f"{self.limit:.3g}"
         if not broken:
@@ -78,8 +84,9 @@ class Rule:
 class Check:
     """Result of one check over a batch.
 
-    The three shares are of the rows that were computed and do not overlap: each row has one grade.  `worst`
-    is the worst measured number, None where the check was left out; `text` says it in plain words.
+    The three shares are of the rows that were computed and do not overlap: each row has one grade.
+    `worst` is the worst measured number, None where the check was left out; `text` says it in plain
+    words.
     """
 
     check: str
@@ -165,7 +172,9 @@ def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags
 
 
 def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
-    """The pressure that the largest force is at each face over that at which its partner yields; the largest."""
+    """The pressure that the largest force is at each face over that at which its partner yields;
+    the largest.
+    """
     found = []
     for one in dict.fromkeys(one.table for one in scene.there):
         partner = next(part for part in scene.there if part.table == one)
@@ -195,8 +204,8 @@ def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Arra
 
 
 def _other_onset(scene: Scene, answers: Answers) -> Array | str:
-    """Onset of the harder body over that of the softer one, the least of the faces that yield; 1 where the harder body
-    has the lower hardness."""
+    """Onset of the harder body over that of the softer one, the least of the faces that yield; 1
+    where the harder body has the lower hardness."""
     sphere, found = sphere_body(scene.columns), []
     for one in (one for one in scene.there if isinstance(one.face, Face)):
         body = body_of(scene.columns, one.table, scene.rigid_contact)
@@ -250,7 +259,9 @@ def _imbalance(scene: Scene, answers: Answers) -> Array | str:
 
 
 def _transits(scene: Scene, answers: Answers, time: str) -> Array:
-    """Passages of a wave through the sphere during the rise, or of one contact under load, of which that is 0.314."""
+    """Passages of a wave through the sphere during the rise, or of one contact under load, of which
+    that is 0.314.
+    """
     c = scene.columns
     with np.errstate(all="ignore"):
         transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
@@ -258,8 +269,8 @@ def _transits(scene: Scene, answers: Answers, time: str) -> Array:
 
 
 def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:
-    """Thickness over contact radius, or transits of the thickness under load where these are fewer (not below 2:
-    a plate that is thick beside the blow is no failure, `thick` is nearer)."""
+    """Thickness over contact radius, or transits of the thickness under load where these are fewer
+    (not below 2: a plate that is thick beside the blow is no failure, `thick` is nearer)."""
     plate = next((one.table for one in scene.there if one.kind == "plate"), None)
     if plate is None:
         return None
@@ -275,7 +286,8 @@ def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:
 
 
 def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
-    """Time under load over the return of a bending wave from the edge, at the group speed of the blow's half period.
+    """Time under load over the return of a bending wave from the edge, at the group speed of the
+    blow's half period.
 
     c_g = 2 (D/(rho h))^(1/4) sqrt(pi/t), way there and back the width.
     """
@@ -357,7 +369,10 @@ def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
     echoing = [scene.column(f"bars.{bar}_end", 1.0) != 0.0 for bar in ("incident", "receiving")]
     first = np.where(np.stack(echoing, axis=1), scene.round_trips, np.inf).min(axis=1)
     if not np.any(np.isfinite(first)):
-        return "not checked: the bars are taken as infinite and no length with a reflecting end is given"
+        return (
+            "not checked: the bars are taken as infinite and no length with a reflecting end is "
+            "given"
+        )
     return np.asarray(answers.record / first)
 
 
@@ -387,7 +402,8 @@ RULES: Final[tuple[Rule, ...]] = (
         laws=("hertz",),
         rigs=_BARS,
         further=_static(softest_partner),
-        words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to; "
+        words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which "
+        "they begin to; "
         "harder bars or inserts, thinner bars or a shorter pulse help",
     ),
     Rule(
@@ -396,7 +412,9 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_pulse_over_yield,
         warning=1.0,
         rigs=_BARS,
-        words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
+        words=(
+            "the pulse makes the bars yield, its stress reaches {worst} times their yield strength"
+        ),
     ),
     Rule(
         name="force_balance",
@@ -405,7 +423,8 @@ RULES: Final[tuple[Rule, ...]] = (
         information=0.05,
         warning=0.1,
         rigs=(*_BARS, *_WEIGHTS),
-        words="the forces of the two faces differ by up to {worst} of the largest at some instant (limit {limit}). "
+        words="the forces of the two faces differ by up to {worst} of the largest at some instant "
+        "(limit {limit}). "
         "What measures one of them does not measure the other",
     ),
     Rule(
@@ -416,7 +435,8 @@ RULES: Final[tuple[Rule, ...]] = (
         failure=3.0,
         rising=False,
         rigs=(*_BARS, *_WEIGHTS),
-        words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
+        words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises "
+        "from "
         "10 % to 90 % (at least {limit}); too few for a quasi-static sphere",
     ),
     Rule(
@@ -436,7 +456,8 @@ RULES: Final[tuple[Rule, ...]] = (
         information=2.0,
         rising=False,
         rigs=_BARS,
-        words="the pulse is short: {worst} times the time scale of the contact (limit {limit}). The force depends on "
+        words="the pulse is short: {worst} times the time scale of the contact (limit {limit}). "
+        "The force depends on "
         "the pulse's length; the formula Z v_0/2 would overestimate it",
     ),
     Rule(
@@ -445,7 +466,8 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_record_over_echo,
         information=1.0,
         rigs=_BARS,
-        words="infinite bars were requested; but the record runs to {worst} times the first return of a "
+        words="infinite bars were requested; but the record runs to {worst} times the first return "
+        "of a "
         "reflected wave in bars of the given length",
     ),
     Rule(
@@ -455,7 +477,10 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=1.0,
         laws=("hertz",),
         further=_static(lambda s: sphere_body(s.columns)),
-        words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to",
+        words=(
+            "the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it "
+            "begins to"
+        ),
     ),
     Rule(
         name="dented",
@@ -464,7 +489,10 @@ RULES: Final[tuple[Rule, ...]] = (
         information=1.0,
         laws=("plastic",),
         further=_dents,
-        words="a contact yields: the approach reaches {worst} times that at first yield; the pressures include it",
+        words=(
+            "a contact yields: the approach reaches {worst} times that at first yield; the "
+            "pressures include it"
+        ),
     ),
     Rule(
         name="softer_body",
@@ -473,7 +501,8 @@ RULES: Final[tuple[Rule, ...]] = (
         information=1.3,
         rising=False,
         laws=("plastic",),
-        words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear from {limit}). The "
+        words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (clear "
+        "from {limit}). The "
         "law lets only the softer one yield: beyond first yield it is a bound",
     ),
     Rule(
@@ -483,7 +512,10 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
         failure=1000.0,
         laws=("plastic",),
-        words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})",
+        words=(
+            "a face is pressed to {worst} times its first yield, beyond what its law was "
+            "compared with ({limit})"
+        ),
     ),
     Rule(
         name="deep_dent",
@@ -493,7 +525,9 @@ RULES: Final[tuple[Rule, ...]] = (
         ),
         warning=0.01,
         laws=("plastic",),
-        words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})",
+        words=(
+            "a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})"
+        ),
     ),
     Rule(
         name="insert_thickness",
@@ -501,7 +535,10 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_contact_over_insert,
         warning=1.0,
         rigs=_BARS,
-        words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them",
+        words=(
+            "the inserts are thin, three contact radii reach {worst} of their thickness: the bar "
+            "yields below them"
+        ),
     ),
     Rule(
         name="pressure_shape",
@@ -510,7 +547,8 @@ RULES: Final[tuple[Rule, ...]] = (
         information=2.0,
         warning=6.0,
         laws=("plastic",),
-        words="a contact is pressed to {worst} times its first yield: the true pressure is flatter than Hertz's "
+        words="a contact is pressed to {worst} times its first yield: the true pressure is flatter "
+        "than Hertz's "
         "(limit {limit}). Stresses inside the sphere and at the rim are approximate",
     ),
     Rule(
@@ -521,7 +559,8 @@ RULES: Final[tuple[Rule, ...]] = (
         failure=4.0,
         rising=False,
         rigs=_ONE,
-        words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}); "
+        words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed "
+        "(at least {limit}); "
         "too few for a quasi-static sphere",
     ),
     Rule(
@@ -532,7 +571,10 @@ RULES: Final[tuple[Rule, ...]] = (
         laws=("hertz",),
         rigs=(*_BLOWS, "platens"),
         further=_static(softest_partner),
-        words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins",
+        words=(
+            "what stands at a pole yields under the sphere, p_0 reaches {worst} times the "
+            "pressure where it begins"
+        ),
     ),
     Rule(
         name="thin_plate",
@@ -542,7 +584,8 @@ RULES: Final[tuple[Rule, ...]] = (
         failure=2.0,
         rising=False,
         rigs=("impact", "drop_weight"),
-        words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); where few "
+        words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); "
+        "where few "
         "waves cross its thickness under load, a thick target is nearer",
     ),
     Rule(
@@ -551,7 +594,10 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_plate_edge,
         warning=1.0,
         rigs=("impact", "drop_weight"),
-        words="the bending wave is back from the plate's edge while the sphere is pressed: {worst} returns",
+        words=(
+            "the bending wave is back from the plate's edge while the sphere is pressed: {worst} "
+            "returns"
+        ),
     ),
     Rule(
         name="gravity",
@@ -560,11 +606,14 @@ RULES: Final[tuple[Rule, ...]] = (
         information=0.01,
         warning=0.05,
         rigs=_BLOWS,
-        words="weights, which the motion leaves out, reach {worst} of the largest force (limit {limit})",
+        words=(
+            "weights, which the motion leaves out, reach {worst} of the largest force (limit "
+            "{limit})"
+        ),
     ),
     Rule(
         name="drag",
-        meaning="fall over that in which the drag of the air would stop the gain of speed, g h/v_t²",
+        meaning="fall over that in which air drag would stop the gain of speed, g h/v_t²",
         measure=lambda s, a: (
             s.columns["rig.drop_height"]
             * GRAVITY
@@ -575,7 +624,10 @@ RULES: Final[tuple[Rule, ...]] = (
         information=0.05,
         warning=0.2,
         rigs=_ONE,
-        words="the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} (limit {limit})",
+        words=(
+            "the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} "
+            "(limit {limit})"
+        ),
     ),
     Rule(
         name="oblique",
@@ -588,7 +640,8 @@ RULES: Final[tuple[Rule, ...]] = (
         failure=20.0,
         rising=False,
         rigs=_ONE,
-        words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and tension by sliding at "
+        words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and "
+        "tension by sliding at "
         "the rim are left out, the normal part of the speed counts",
     ),
     Rule(
@@ -599,7 +652,10 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=0.05,
         rigs=_ONE,
         further=_restitution_of_waves,
-        words="the target carries off {worst} of the energy as waves (limit {limit}); forces leave that out",
+        words=(
+            "the target carries off {worst} of the energy as waves (limit {limit}); forces leave "
+            "that out"
+        ),
     ),
     Rule(
         name="one_dimensional_rod",
@@ -608,7 +664,10 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=5.0,
         rising=False,
         rigs=("impact", "drop_weight", "load_cell"),
-        words="the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves of one dimension",
+        words=(
+            "the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves "
+            "of one dimension"
+        ),
     ),
     Rule(
         name="echo_in_contact",
@@ -623,7 +682,9 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="contact that comes so near to a loss that rounding decides (1 or 0)",
         measure=lambda s, a: np.where(a.grazes, 1.0, 0.0),
         information=0.0,
-        words="contact grazes zero: the first loss and the duration of those rows may be a swing off",
+        words=(
+            "contact grazes zero: the first loss and the duration of those rows may be a swing off"
+        ),
     ),
     Rule(
         name="chatter",
@@ -641,7 +702,8 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=0.2,
         failure=0.3,
         rigs=_BLOWS,
-        words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}); the "
+        words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit "
+        "{limit}); the "
         "field of one force is not half that of two",
     ),
 )
@@ -706,9 +768,14 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | N
 
 
 def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:
-    """A check that measures nothing: left out, or a jump of the pulse, which concerns every row alike."""
+    """A check that measures nothing: left out, or a jump of the pulse, which concerns every row
+    alike.
+    """
     if rule.name == "one_dimensional_bars" and any_row:
-        text = f"the ideal {scene.shape} pulse jumps, sharper than any bar can carry: a real one needs time"
+        text = (
+            f"the ideal {scene.shape} pulse jumps, sharper than any bar can carry: a real one "
+            "needs time"
+        )
         return _result(rule.name, np.array([1.0, 0.0, 0.0]), 0.0, text)
     return _result(rule.name, np.zeros(3), None, why)
 
@@ -731,9 +798,10 @@ def _percent(share: float) -> str:
     return "all" if share == 1.0 else f"{100.0 * share:.3g} % of the"
 
 
-# --- ranges of criteria -------------------------------------------------------------------------------
-# Outside the range of a table the ratio at its edge is used, and outside the range of a formula the formula itself, so
-# that a demand is never absent.  How many rows that concerns is a check like the others.
+# --- ranges of criteria ---------------------------------------------------------------------------
+# Outside the range of a table the ratio at its edge is used, and outside the range of a formula the
+# formula itself, so that a demand is never absent.  How many rows that concerns is a check like the
+# others.
 
 #: how the ranges are called, by the column or parameter that each is of
 _WORDS: Final = {"sphere.nu": "nu", "modulus": "m"}
@@ -742,10 +810,11 @@ _WORDS: Final = {"sphere.nu": "nu", "modulus": "m"}
 def check_ranges(
     scene: Scene, answers: Answers, quantities: Collection[str], demands: Demands | None = None
 ) -> list[Check]:
-    """One check per criterion whose demand is among the quantities, named ``range_of_`` and the quantity.
+    """One check per criterion whose demand is among the quantities, named ``range_of_`` and the
+    quantity.
 
-    answers: with `p_max` and `a_max`; demands: name -> (criterion, parameters), those of the scene if None.  Each row
-    is judged at its largest force; one that breaks earlier never comes so far.
+    answers: with `p_max` and `a_max`; demands: name -> (criterion, parameters), those of the scene
+    if None.  Each row is judged at its largest force; one that breaks earlier never comes so far.
     """
     known: dict[str, tuple[str, Mapping[str, float]]] = {
         entry.quantity: (name, {})
@@ -788,7 +857,8 @@ def _check_range(
             else "of the formula all the same"
         )
         text = (
-            f"in {_percent(share)} rows {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
+            f"in {_percent(share)} rows {criterion.name} is outside its range "
+            f"({criterion.range_text}): {left}; its "
             f"value there is that {edge}"
         )
     return _result(name, np.array([0.0, share, 0.0]), worst, text)

@@ -1,11 +1,14 @@
-"""Contact that yields: one family of laws from Hertz through metal plasticity and Thornton's law to a crushed cap.
+"""Contact that yields: one family of laws from Hertz through metal plasticity and Thornton's law to
+a crushed cap.
 
-A face is elastic up to the onset, the approach alpha_y where Hertz's centre pressure is `onset` (p_y).  Beyond it the
-force leaves Hertz smoothly and its slope tends to pi r_eff C H: H is the mean pressure of full flow, C the pile-up
-(a² -> C r_eff alpha).  Unloading is Hertz with another curvature, from the largest approach down to the dent.
+A face is elastic up to the onset, the approach alpha_y where Hertz's centre pressure is `onset`
+(p_y).  Beyond it the force leaves Hertz smoothly and its slope tends to pi r_eff C H: H is the mean
+pressure of full flow, C the pile-up (a² -> C r_eff alpha).  Unloading is Hertz with another
+curvature, from the largest approach down to the dent.
 
-Every function is elementwise on arrays in SI or in the scaled numbers of the face: z = alpha/alpha_y, L = P/P_y,
-A = a²/(r_eff alpha_y).  Numbering (C...) of docs/theory.md.  With s = sqrt(z) - 1 the force is written as
+Every function is elementwise on arrays in SI or in the scaled numbers of the face: z =
+alpha/alpha_y, L = P/P_y, A = a²/(r_eff alpha_y).  Numbering (C...) of docs/theory.md.  With s =
+sqrt(z) - 1 the force is written as
 
     L = 1 + 3 s + 3 s² + 3 b² (b - 1) G(s/b),      G(t) = t²/2 - t + ln(1 + t) = t³/3 - t⁴/4 + ...
 
@@ -23,20 +26,24 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics.roots import newton
 
-#: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel: 0.3^40/40 < 1e-22
+#: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel:
+#: 0.3^40/40 < 1e-22
 _TERMS: Final = 40
 _NEAR: Final = 0.3
 #: mean pressure over yield strength of a metal that flows fully (Jackson and Green 2005)
 FLOW: Final = 2.84
-#: pile-up C of a perfectly plastic body (Jackson and Green 2005), and of a cap cut off flat: a² = 2 r alpha
+#: pile-up C of a perfectly plastic body (Jackson and Green 2005), and of a cap cut off flat: a² = 2
+#: r alpha
 METAL_PILE_UP: Final = 8.0 / 3.0
 CAP_PILE_UP: Final = 2.0
 
 
 def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
-    """Centre pressure p_y [Pa] at which a metal begins to yield under a sphere: 1.295 exp(0.736 nu) Y.
+    """Centre pressure p_y [Pa] at which a metal begins to yield under a sphere: 1.295 exp(0.736 nu)
+    Y.
 
-    Source: Jackson and Green, J. Tribol. 127 (2005) 343, von Mises along the axis; 1.61 Y at nu = 0.3.
+    Source: Jackson and Green, J. Tribol. 127 (2005) 343, von Mises along the axis; 1.61 Y at nu =
+    0.3.
 
     >>> round(float(metal_onset(1.0, 0.3)), 3)
     1.615
@@ -45,7 +52,9 @@ def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
 
 
 class Body(NamedTuple):
-    """What one body of a face has of the law: onset p_y [Pa] (infinite: elastic), hardness H [Pa], pile-up C; (n,)."""
+    """What one body of a face has of the law: onset p_y [Pa] (infinite: elastic), hardness H [Pa],
+    pile-up C; (n,).
+    """
 
     onset: Array
     hardness: Array
@@ -53,7 +62,9 @@ class Body(NamedTuple):
 
 
 def metal_body(yield_strength: Array, nu: Array) -> Body:
-    """A metal by its yield strength [Pa] and Poisson ratio; a strength that is not a number is none."""
+    """A metal by its yield strength [Pa] and Poisson ratio; a strength that is not a number is
+    none.
+    """
     onset = metal_onset(yield_strength, nu)
     known = np.isfinite(onset)
     return Body(
@@ -64,7 +75,9 @@ def metal_body(yield_strength: Array, nu: Array) -> Body:
 
 
 def softer(one: Body, other: Body) -> Body:
-    """Of two bodies that meet the one whose onset is lower, row by row: all three numbers are its own."""
+    """Of two bodies that meet the one whose onset is lower, row by row: all three numbers are its
+    own.
+    """
     first = one.onset <= other.onset
     onset, hardness, pile_up = (np.where(first, a, b) for a, b in zip(one, other, strict=True))
     return Body(onset, hardness, pile_up)
@@ -90,8 +103,9 @@ def _bend(t: Array, moment: int = 0) -> Array:
 class Press:
     """What a face has taken at its largest approach; arrays of n rows in SI.
 
-    `approach` and `force` at the largest approach, `radius` of the contact, `mean` and `centre` pressure there, `dent`
-    that stays, `stored` elastic energy, `plastic` work, and `depth` z = alpha/alpha_y (below 1: elastic).
+    `approach` and `force` at the largest approach, `radius` of the contact, `mean` and `centre`
+    pressure there, `dent` that stays, `stored` elastic energy, `plastic` work, and `depth` z =
+    alpha/alpha_y (below 1: elastic).
     """
 
     depth: Array
@@ -107,9 +121,11 @@ class Press:
 
 @dataclass(frozen=True, kw_only=True)
 class Face:
-    """The law of n faces: onset p_y, hardness H >= p_y [Pa], pile-up C (1 to 3), E* [Pa] and r_eff [m]; each (n,).
+    """The law of n faces: onset p_y, hardness H >= p_y [Pa], pile-up C (1 to 3), E* [Pa] and r_eff
+    [m]; each (n,).
 
-    Source: docs/theory.md (C2) to (C13); b = 0 and C = 1 is Thornton, J. Appl. Mech. 64 (1997) 383, with p_y = H.
+    Source: docs/theory.md (C2) to (C13); b = 0 and C = 1 is Thornton, J. Appl. Mech. 64 (1997) 383,
+    with p_y = H.
     """
 
     onset: Array
@@ -130,8 +146,9 @@ class Face:
 
     @property
     def valid(self) -> Flags:
-        """Rows whose numbers make a law: no b between 0 and 0.2, where it has a singularity near onset, and none above
-        100, where the face is Hertz's but for rounding.  One whose onset is infinite is elastic, and valid."""
+        """Rows whose numbers make a law: no b between 0 and 0.2, where it has a singularity near
+        onset, and none above 100, where the face is Hertz's but for rounding.  One whose onset is
+        infinite is elastic, and valid."""
         elastic = np.isinf(self.onset)
         with np.errstate(invalid="ignore"):
             b = np.where(elastic, 1.0, self.softening)
@@ -208,7 +225,8 @@ class Face:
 
     def depth_of_work(self, work: Array) -> Array:
         """z at which virgin loading has taken a work over P_y alpha_y."""
-        # the softest law, b = 0, goes deepest: 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so Newton comes from above
+        # the softest law, b = 0, goes deepest: 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so
+        # Newton comes from above
         start = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (work - 0.4), 1.0)) - 1.0) / 1.5
         depth = newton(lambda z: (self.work(z) - np.maximum(work, 0.4)) / self.force(z), start, 1.0)
         return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
@@ -248,7 +266,9 @@ class Face:
         )
 
     def restitution(self, depth: Array) -> Array:
-        """Speed after over speed before a blow on a rigid wall that presses to z: sqrt(recovered/work)."""
+        """Speed after over speed before a blow on a rigid wall that presses to z:
+        sqrt(recovered/work).
+        """
         return np.asarray(
             np.sqrt(0.4 * self.force(depth) * self.recovery(depth) / self.work(depth))
         )

@@ -17,14 +17,17 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
 
-#: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs as a dict or a
-#: DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,) where there is one output
+#: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs
+#: as a dict or a DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,)
+#: where there is one output
 BlackBox = Callable[[dict[str, Array]], Any]
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A function of a Python file, with the content of the file: what was read at first is run, here and elsewhere."""
+    """A function of a Python file, with the content of the file: what was read at first is run,
+    here and elsewhere.
+    """
 
     path: Path
     name: str
@@ -54,7 +57,8 @@ class ModelFile:
                 if inspect.isfunction(value) and key[0] != "_"
             ]
             raise UsageError(
-                f"{self.path} has no function {self.name!r} (it has: {', '.join(functions) or 'none'})"
+                f"{self.path} has no function {self.name!r} (it has: "
+                f"{', '.join(functions) or 'none'})"
             )
         return function  # type: ignore[no-any-return]
 
@@ -74,7 +78,8 @@ def read_model(reference: str) -> ModelFile:
 
 
 def identity_of(box: ModelFile | BlackBox) -> bytes:
-    """What tells a model from another: of a file its content, of a function its value and the file that it is from.
+    """What tells a model from another: of a file its content, of a function its value and the file
+    that it is from.
 
     Empty for a function that cannot be pickled.  What either reads or imports besides is not seen.
     """
@@ -89,7 +94,9 @@ def identity_of(box: ModelFile | BlackBox) -> bytes:
 
 
 def _described(error: BaseException) -> str:
-    """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line 3)"."""
+    """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line
+    3)".
+    """
     others = (str(Path(__file__).parent), sys.prefix, sys.base_prefix, "<")
     places = [
         f" ({Path(frame.filename).name}, line {frame.lineno})"
@@ -107,7 +114,8 @@ def call_black_box(
     names : d inputs, the columns of `rows`.
     outputs : q outputs, in the order in which the study has them.
 
-    Raises ModelRaised with what the model raised, and where; ModelError where it returned something of the wrong form.
+    Raises ModelRaised with what the model raised, and where; ModelError where it returned something
+        of the wrong form.
     """
     columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
     try:
@@ -124,8 +132,10 @@ def call_black_box(
             returned = {outputs[0]: returned}
         else:
             raise ModelError(
-                f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array of shape ({count}, "
-                f"{len(outputs)}); it returned {type(returned).__name__}{f' of shape {shape}' if shape else ''}"
+                f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array "
+                f"of shape ({count}, "
+                f"{len(outputs)}); it returned "
+                f"{type(returned).__name__}{f' of shape {shape}' if shape else ''}"
             )
     if missing := [name for name in outputs if name not in returned]:
         keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
@@ -136,7 +146,9 @@ def call_black_box(
 
 
 def by_index(value: Any, count: int) -> Any:
-    """A Series or DataFrame in the order of the rows, if its index numbers them; anything else as it is."""
+    """A Series or DataFrame in the order of the rows, if its index numbers them; anything else as
+    it is.
+    """
     if hasattr(value, "iloc") and len(value) == count:
         labels = np.asarray(value.index)
         if labels.dtype.kind in "iu" and np.array_equal(np.sort(labels), np.arange(count)):
@@ -150,7 +162,8 @@ def _column(value: Any, name: str, count: int) -> Array:
         given = np.asanyarray(value)
         if given.dtype.kind not in "fiubO":
             raise TypeError(
-                f"its type is {given.dtype}; of complex numbers return the real part or the absolute value"
+                f"its type is {given.dtype}; of complex numbers return the real part or the "
+                "absolute value"
             )
         column: Array = np.ma.filled(given.astype(float), np.nan)
     except Exception as error:  # what was returned computes its content as it likes
@@ -164,7 +177,8 @@ def _column(value: Any, name: str, count: int) -> Array:
             "; a function of one row can be wrapped by numpy.vectorize" if column.ndim == 0 else ""
         )
         raise ModelError(
-            f"the model's {name!r} must have shape ({count},), one number for each row of its inputs; "
+            f"the model's {name!r} must have shape ({count},), one number for each row of its "
+            "inputs; "
             f"its shape is {column.shape}{hint}"
         )
     return column

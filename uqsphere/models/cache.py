@@ -1,7 +1,8 @@
 """What a slow black box has answered, in one SQLite file, so that no answer is computed twice.
 
-SQLite sees to a process that is killed while it writes and to two runs that write at once. A file that is damaged, or
-cannot be written, ends the run with an error: what it has stored by then is there for the next.
+SQLite sees to a process that is killed while it writes and to two runs that write at once. A file
+that is damaged, or cannot be written, ends the run with an error: what it has stored by then is
+there for the next.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ _WAIT: Final = 30.0
 
 
 class Cache:
-    """Answers of a black box by `black_box.identity_of` it, its inputs and their numbers, and its outputs.
+    """Answers of a black box by `black_box.identity_of` it, its inputs and their numbers, and its
+    outputs.
 
     Every method raises AccessError where the cache cannot be used.
     """
@@ -40,7 +42,8 @@ class Cache:
             if path.is_symlink():
                 raise sqlite3.Error("it is a link, which is not followed")
             self._database = sqlite3.connect(path, timeout=_WAIT)
-            # what a killed process has written stays; what a power cut damages is found by the check
+            # what a killed process has written stays; what a power cut damages is found by the
+            # check
             self._database.execute("PRAGMA synchronous = OFF")
             self._database.execute(_TABLE)
             state = self._database.execute("PRAGMA quick_check(1)").fetchone()[0]
@@ -65,7 +68,9 @@ class Cache:
         ]
 
     def read(self, rows: Array) -> tuple[Array, Flags]:
-        """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is, (n,)."""
+        """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,
+        (n,).
+        """
         found: list[bytes] = [b""] * len(rows)
         with self._access():
             if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():

@@ -1,4 +1,6 @@
-"""The model of a study, rows in and columns out: in blocks, what was slow is stored, what failed is said."""
+"""The model of a study, rows in and columns out: in blocks, what was slow is stored, what failed is
+said.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ _MOST_ROWS: Final = 16_384
 _CALLS: Final = 64
 #: seconds of work that are worth starting processes for
 _WORTH: Final = 2.0
-#: seconds per row below which to evaluate again costs less than to store, and more rows in a call less than more calls
+#: seconds per row below which to evaluate again costs less than to store, and more rows in a call
+#: less than more calls
 _QUICK: Final = 1e-4
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
@@ -56,21 +59,24 @@ def evaluate(
 ) -> pd.DataFrame:
     """Quantities of n scenes, or outputs of a model of one's own at n rows.
 
-    frame : a DataFrame, or a mapping of names to arrays (n,), Series or numbers: numbers of the scene by their dotted
-        paths, or inputs of the black box, in SI, in any order. A DataFrame has every random input of the study; what a
-        mapping leaves out stands at the study's mean. Several Series are matched by their index.
-    quantities : names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or outputs of the black
-        box; those of the study if None.
+    frame : a DataFrame, or a mapping of names to arrays (n,), Series or numbers: numbers of the
+        scene by their dotted paths, or inputs of the black box, in SI, in any order. A DataFrame
+        has every random input of the study; what a mapping leaves out stands at the study's mean.
+        Several Series are matched by their index.
+    quantities : names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or
+        outputs of the black box; those of the study if None.
     tolerance : relative error of every quantity, 1e-12 to 1e-2; the study's if None.
     threads : all processors if None. No answer depends on it.
     model : "FILE.py:FUNCTION" or function, the black box of a black-box study.
 
-    Returns a DataFrame with the index of `frame`: a column for each quantity (SI, NaN where a row has no answer) and
-    `censored`, whether any of them is a lower bound, since the record ended first.
+    Returns a DataFrame with the index of `frame`: a column for each quantity (SI, NaN where a row
+    has no answer) and `censored`, whether any of them is a lower bound, since the record ended
+    first.
 
-    Raises UsageError for an unknown, missing or repeated name, a column that has no numbers, an unknown quantity, a
-    wrong tolerance; ModelError when the model raises or returns something of the wrong form. Warns of a number far
-    outside its usual range (is the unit right?), and of rows without an answer.
+    Raises UsageError for an unknown, missing or repeated name, a column that has no numbers, an
+    unknown quantity, a wrong tolerance; ModelError when the model raises or returns something of
+    the wrong form. Warns of a number far outside its usual range (is the unit right?), and of rows
+    without an answer.
     """
     import pandas as pd
 
@@ -97,7 +103,8 @@ def evaluate(
             missing := [name for name in study.random if name not in names]
         ):
             raise UsageError(
-                f"the column {missing[0]!r} is missing: a table has every random input of the study "
+                f"the column {missing[0]!r} is missing: a table has every random input of the "
+                "study "
                 f"({', '.join(study.random)}); a dict leaves the others at the study's means"
             )
         rows = columns_of(frame, names) if names else np.zeros((1, 0))
@@ -118,9 +125,11 @@ def evaluate(
 class Model:
     """Evaluates rows of a study; a context manager.
 
-    model : "FILE.py:FUNCTION" or function, the black box of a black-box study. A reference is called in a process of
-        its own, which may hang or die; a function in this process, or by value in others where it is slow.
-    executor : anything with submit(), such as a pool of `concurrent.futures` or a `distributed.Client` (black boxes).
+    model : "FILE.py:FUNCTION" or function, the black box of a black-box study. A reference is
+        called in a process of its own, which may hang or die; a function in this process, or by
+        value in others where it is slow.
+    executor : anything with submit(), such as a pool of `concurrent.futures` or a
+        `distributed.Client` (black boxes).
     threads : threads of the impact model, processes of a slow black box; all processors if None.
     cache_file : where answers of a slow black box are kept, by `identity_of` it.
     stop : checked between two calls of the model; once it is true, `Interrupted` is raised.
@@ -128,7 +137,8 @@ class Model:
     evaluations, reused : rows that were evaluated, and that came from the cache.
     notes : what a user should know of the answers.
 
-    Raises UsageError where study, model and executor do not fit together; AccessError where the cache cannot be used.
+    Raises UsageError where study, model and executor do not fit together; AccessError where the
+        cache cannot be used.
     """
 
     study: Study
@@ -152,11 +162,13 @@ class Model:
             )
         if not study.black_box and box is not None:
             raise UsageError(
-                "a model of one's own belongs to a black-box study; this one describes an impact scene"
+                "a model of one's own belongs to a black-box study; this one describes an impact "
+                "scene"
             )
         if self.executor is not None and study.analysis.time_limit is not None:
             raise UsageError(
-                "analysis.time_limit needs local processes, which can be ended: leave out it or the executor"
+                "analysis.time_limit needs local processes, which can be ended: leave out it or "
+                "the executor"
             )
         if self.threads is not None and (type(self.threads) is not int or self.threads < 1):
             raise UsageError(f"threads must be a whole number from 1 on, not {self.threads!r}")
@@ -192,7 +204,9 @@ class Model:
 
     @property
     def seconds_per_row(self) -> float | None:
-        """Mean seconds that a row took, without the first call where there are more; None before the first."""
+        """Mean seconds that a row took, without the first call where there are more; None before
+        the first.
+        """
         return self._seconds / self._rows if self._rows else None
 
     def check_names(self, names: Sequence[str], columns: Sequence[str]) -> None:
@@ -212,14 +226,14 @@ class Model:
     def evaluate(self, names: Sequence[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
         """Answers of n rows.
 
-        names : d dotted paths, or inputs of the black box; the others are the study's numbers, means where they
-            scatter.
+        names : d dotted paths, or inputs of the black box; the others are the study's numbers,
+            means where they scatter.
         rows : (n, d), SI.
         columns : q quantities, demands, or outputs of the black box.
 
-        Raises Interrupted once `stop` is true; UsageError for an unknown name; ModelError where a black box returns
-        something of the wrong form, or fails and `analysis.on_failure` is "abort"; AccessError where the cache cannot
-        be used; what an executor raises that is lost.
+        Raises Interrupted once `stop` is true; UsageError for an unknown name; ModelError where a
+        black box returns something of the wrong form, or fails and `analysis.on_failure` is
+        "abort"; AccessError where the cache cannot be used; what an executor raises that is lost.
         """
         rows = np.asarray(rows, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != len(names):
@@ -240,16 +254,21 @@ class Model:
             if again.good[0] and differs.any():
                 j = int(np.argmax(differs))
                 self.notes.append(
-                    f"the model gave two answers to the same row ({one[j]:.6g} and {other[j]:.6g} as {columns[j]!r} "
-                    f"{where_of(names, rows[k])}): it is not deterministic, or it answers a row by the rows next to "
-                    "it, or what it reads or imports has changed since answers were stored (--fresh drops those)"
+                    f"the model gave two answers to the same row ({one[j]:.6g} and "
+                    f"{other[j]:.6g} as {columns[j]!r} "
+                    f"{where_of(names, rows[k])}): it is not deterministic, or it answers a row "
+                    "by the rows next to "
+                    "it, or what it reads or imports has changed since answers were stored "
+                    "(--fresh drops those)"
                 )
         return answers
 
     def _evaluate_scene(
         self, names: Sequence[str], rows: Array, columns: Sequence[str]
     ) -> EvaluatedRows:
-        """Answers of the impact model, in blocks: what is in work stays small, and `stop` is checked between two."""
+        """Answers of the impact model, in blocks: what is in work stays small, and `stop` is
+        checked between two.
+        """
         if not self._calls and len(rows):
             announce_compilation()
             # the kernel is compiled, or loaded, before anything is timed
@@ -272,8 +291,9 @@ class Model:
     def _evaluate_box(
         self, names: Sequence[str], rows: Array, columns: Sequence[str], cache: Cache | None
     ) -> EvaluatedRows:
-        """Answers of the black box: rows that are not in the cache are split into calls, handed out, and settled as
-        they come. A call that fails is cut in two, so that one bad row does not take the others with it."""
+        """Answers of the black box: rows that are not in the cache are split into calls, handed
+        out, and settled as they come. A call that fails is cut in two, so that one bad row does not
+        take the others with it."""
         given = [self._inputs.index(name) for name in names]
         taken = [self._outputs.index(name) for name in columns]
         total, before, analysis = len(rows), self.evaluations + self.reused, self.study.analysis
@@ -287,13 +307,16 @@ class Model:
             return block
 
         def settle(places: Places, answers: Array) -> None:
-            """Take the columns that were requested; a row fails where one of them is not finite, or too large."""
+            """Take the columns that were requested; a row fails where one of them is not finite, or
+            too large.
+            """
             values[places] = part = answers[:, taken]
             unusable = ~(np.abs(part) <= _LARGEST)
             if unusable.any():
                 status[places[unusable.any(axis=1)]] = FAILED
 
-        # two sizes, none between: the last digits of a model may depend on the rows of a call, and time does not repeat
+        # two sizes, none between: the last digits of a model may depend on the rows of a call, and
+        # time does not repeat
         size = (
             _MOST_ROWS
             if self._calls > 1 and not self._is_slow()
@@ -380,8 +403,8 @@ class Model:
         return (self.seconds_per_row or 0.0) >= _QUICK
 
     def _staff(self, rows: int) -> None:
-        """Have as many processes as rows are worth: a function begins in this process, a file in one of its own.
-        Nothing may be running."""
+        """Have as many processes as rows are worth: a function begins in this process, a file in
+        one of its own. Nothing may be running."""
         limit = self.study.analysis.time_limit
         worth = limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH
         count = self._processes if worth else 0 if callable(self.model) else 1
@@ -396,7 +419,9 @@ class Model:
 
 @lru_cache(maxsize=1)
 def announce_compilation() -> None:
-    """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once in a process."""
+    """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once
+    in a process.
+    """
     from uqsphere.mechanics.integrator.compiled import cache_folder
 
     kept = cache_folder()
@@ -418,7 +443,8 @@ def _warn_of_unusual(names: Sequence[str], rows: Array) -> None:
         if far.size:
             usual = f"{format_value(low, name)} to {format_value(high, name)}"
             warnings.warn(
-                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}); numbers are in SI: "
+                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}); numbers "
+                "are in SI: "
                 "is the unit right?",
                 stacklevel=3,
             )

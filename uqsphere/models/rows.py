@@ -17,7 +17,9 @@ _MOST_NAMED: Final = 6
 
 
 class Interrupted(Exception):
-    """`stop` was true between two calls of the model. What a slow black box has answered is in the cache."""
+    """`stop` was true between two calls of the model. What a slow black box has answered is in the
+    cache.
+    """
 
 
 class NoAnswer(Exception):

@@ -1,4 +1,6 @@
-"""Where physics meets probability: a study and rows of its inputs become a scene, a scene columns of answers."""
+"""Where physics meets probability: a study and rows of its inputs become a scene, a scene columns
+of answers.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         for name, number in numbers.items()
     }
     if study.record is not None:
-        # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of each row
+        # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of
+        # each row
         gain = columns.get("pulse.gain", np.ones(n))
         columns["striker.speed"] = (
             2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
@@ -76,7 +79,9 @@ def scene_at(study: Study, names: Sequence[str], rows: Array) -> Scene:
 
 
 def _library_onset(study: Study) -> dict[str, float]:
-    """Onset and hardness that the library has of a sphere, for the check of a contact that is taken for elastic."""
+    """Onset and hardness that the library has of a sphere, for the check of a contact that is taken
+    for elastic.
+    """
     given = {**study.fixed, **study.random}
     if (
         "sphere" not in study.materials
@@ -101,10 +106,11 @@ def solve_scene(
     threads: int | None = None,
     quantities: Sequence[str] | None = None,
 ) -> Answers:
-    """Answers of n scenes: in closed form where that is exact for the fidelity, else by integration.
+    """Answers of n scenes: in closed form where that is exact for the fidelity, else by
+    integration.
 
-    fidelity : "full"; "massless", a sphere without mass; "linear", a contact that is a spring (both: bars only, but for
-        a weight that falls on a massless sphere).
+    fidelity : "full"; "massless", a sphere without mass; "linear", a contact that is a spring
+        (both: bars only, but for a weight that falls on a massless sphere).
     tolerance : relative error of every quantity.
     threads : all processors if None. No answer depends on it.
     quantities : names of `uqsphere.quantities.OUTPUTS` or demands of the scene; all if None.
@@ -144,7 +150,8 @@ def evaluate_scene(
 ) -> EvaluatedRows:
     """Answers of the impact model to rows (n, d).
 
-    names : d dotted paths, the columns of `rows`; the other numbers of the scene are those of the study.
+    names : d dotted paths, the columns of `rows`; the other numbers of the scene are those of the
+        study.
     columns : q quantities, or demands of the study's limits.
 
     Raises UsageError where the scene or the request contradicts itself.
@@ -175,7 +182,7 @@ def evaluate_scene(
     )
 
 
-# --- what else the impact model says of a study and its rows ----------------------------------------------------------
+# --- what else the impact model says of a study and its rows --------------------------------------
 
 
 def absent_quantity(study: Study, quantity: str) -> str:
@@ -186,8 +193,9 @@ def absent_quantity(study: Study, quantity: str) -> str:
 
 
 def check_scene(study: Study) -> None:
-    """Refuse a quantity that the rig of a study does not have, and a range of the free number at whose ends the scene
-    at its means has no answer. Raises UsageError with the place in the study and the reason."""
+    """Refuse a quantity that the rig of a study does not have, and a range of the free number at
+    whose ends the scene at its means has no answer. Raises UsageError with the place in the study
+    and the reason."""
     from uqsphere.mechanics.scene import STATUS
 
     if study.black_box:
@@ -209,8 +217,8 @@ def check_scene(study: Study) -> None:
 def checked_rows(
     study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str]
 ) -> tuple[list[Check], dict[str, Places]]:
-    """The validity checks of rows (n, d), those of the ranges of criteria among the quantities, and the grade of every
-    row, (n,), by the name of its check."""
+    """The validity checks of rows (n, d), those of the ranges of criteria among the quantities, and
+    the grade of every row, (n,), by the name of its check."""
     from uqsphere.mechanics.validity import check_ranges, check_validity, grades, rules_of
 
     scene = scene_at(study, names, rows)
@@ -227,7 +235,9 @@ def checked_rows(
 def rows_under_plastic_contact(
     study: Study, names: Sequence[str], rows: Array, columns: Sequence[str]
 ) -> EvaluatedRows | None:
-    """Rows with faces that yield, where the study takes them for elastic; None where it does not, or none would."""
+    """Rows with faces that yield, where the study takes them for elastic; None where it does not,
+    or none would.
+    """
     if study.options.get("contact.law", "hertz") != "hertz":
         return None
     yielding = replace(study, options={**study.options, "contact.law": "plastic"})
@@ -238,14 +248,18 @@ def rows_under_plastic_contact(
 
 
 def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:
-    """The pressure that no face exceeds, the largest of the faces' hardness, (n,) [Pa]; None where no face yields."""
+    """The pressure that no face exceeds, the largest of the faces' hardness, (n,) [Pa]; None where
+    no face yields.
+    """
     faces = [partner.face for partner in scene_at(study, names, rows).there]
     known = [face.hardness for face in faces if face is not None]
     return np.maximum.reduce(known) if known and len(known) == len(faces) else None
 
 
 def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:
-    """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is harder."""
+    """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is
+    harder.
+    """
     from uqsphere.mechanics.integrator import solve
 
     return solve.later_loading(

@@ -1,4 +1,6 @@
-"""Where a black box is called: in this process, in processes that can be ended, or by an executor of the user."""
+"""Where a black box is called: in this process, in processes that can be ended, or by an executor
+of the user.
+"""
 
 from __future__ import annotations
 
@@ -43,13 +45,18 @@ def answer(task: Task | bytes, rows: Array) -> Timed:
 
 
 def pack(task: Task) -> bytes:
-    """A task for other processes: a function by value. Raises UsageError where what it holds cannot be sent."""
+    """A task for other processes: a function by value. Raises UsageError where what it holds cannot
+    be sent.
+    """
     import cloudpickle  # type: ignore[import-untyped]
 
     try:
         return cloudpickle.dumps(task)  # type: ignore[no-any-return]
     except Exception as error:  # what a function holds refuses as it likes
-        text = f"the model cannot be sent to another process ({type(error).__name__}: {as_text(error, 120)})"
+        text = (
+            f"the model cannot be sent to another process ({type(error).__name__}: "
+            f"{as_text(error, 120)})"
+        )
         raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
 
 
@@ -63,7 +70,8 @@ def _unpacked(packed: bytes) -> Task:
 def result(future: Future[Timed], limit: float | None) -> Timed:
     """The answers of a call that has ended, and the seconds that they took.
 
-    Raises NoAnswer where the model raised, exceeded the limit [s], or ended its process; else what the call raised.
+    Raises NoAnswer where the model raised, exceeded the limit [s], or ended its process; else what
+        the call raised.
     """
     try:
         return future.result()
@@ -86,7 +94,9 @@ def result(future: Future[Timed], limit: float | None) -> Timed:
 
 
 def _prepare(parent: int, packed: bytes) -> None:
-    """Set up a process: what it prints goes to stderr; with its parent it ends, and what it has started."""
+    """Set up a process: what it prints goes to stderr; with its parent it ends, and what it has
+    started.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -126,10 +136,12 @@ class _Context(LokyContext):  # type: ignore[misc]
 class Workers:
     """Where a black box is called. Where it is changes no answer.
 
-    executor : of the user, as those of `concurrent.futures`, or a `distributed.Client`; its errors are its own.
+    executor : of the user, as those of `concurrent.futures`, or a `distributed.Client`; its errors
+        are its own.
     limit : seconds that a call in processes of this machine may take.
-    count : those processes, by pebble: one that dies, or exceeds the limit, is replaced. They are started as loky does
-        it, which does not run the user's main module again. 0 for this process.
+    count : those processes, by pebble: one that dies, or exceeds the limit, is replaced. They are
+        started as loky does it, which does not run the user's main module again. 0 for this
+        process.
     """
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
@@ -147,13 +159,17 @@ class Workers:
         self.count = 0 if executor is None else _MANY
 
     def hire(self, count: int) -> None:
-        """Have so many processes of this machine; nothing may be running. Raises UsageError as `pack`."""
+        """Have so many processes of this machine; nothing may be running. Raises UsageError as
+        `pack`.
+        """
         self._packed = pack(self._task)
         self.close()
         self.count = count
 
     def submit(self, rows: Array) -> Future[Timed]:
-        """A future of the answers to rows (n, inputs); in this process they are there when it returns."""
+        """A future of the answers to rows (n, inputs); in this process they are there when it
+        returns.
+        """
         future: Future[Timed] = Future()
         if self._executor is not None:
             future = self._executor.submit(answer, self._packed, rows)

@@ -1,4 +1,6 @@
-"""What a person reads of a run: one page, its figures, the terminal's summary, and runs side by side."""
+"""What a person reads of a run: one page, its figures, the terminal's summary, and runs side by
+side.
+"""
 
 from __future__ import annotations
 

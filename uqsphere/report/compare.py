@@ -29,11 +29,12 @@ COMPARED = (
 
 
 def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
-    """Answers of several runs, merged: the first run against each other one, the largest practical change first.
+    """Answers of several runs, merged: the first run against each other one, the largest practical
+    change first.
 
-    Columns: subject, answer, at, then for each run NAME its value; change, the largest over the first run's value
-    (of a probability over its target where there is one), and significant, whether that change lies outside the
-    interval of the difference.
+    Columns: subject, answer, at, then for each run NAME its value; change, the largest over the
+    first run's value (of a probability over its target where there is one), and significant,
+    whether that change lies outside the interval of the difference.
 
     Raises UsageError for fewer than two runs.
     """
@@ -68,7 +69,9 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
 
 
 def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:
-    """Relative change of an answer from the first run to the k-th, and whether it is outside the interval."""
+    """Relative change of an answer from the first run to the k-th, and whether it is outside the
+    interval.
+    """
     before, after = row["value_0"], row[f"value_{k}"]
     if not (math.isfinite(before) and math.isfinite(after)):
         return 0.0, False
@@ -110,7 +113,8 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
         lines.append(f"... {len(moved) - most} more; --csv has all")
     if table[list(names)].notna().sum(axis=1).max() < 2:
         lines.append(
-            "the runs have no answer in common: runs of one study with something set otherwise are compared"
+            "the runs have no answer in common: runs of one study with something set otherwise "
+            "are compared"
         )
     elif moved.empty:
         lines.append("no answer moved by more than 0.1 %")

@@ -1,6 +1,7 @@
 """Figures of a run, by matplotlib: fragility, densities, Sobol' indices, speed against error.
 
-Each `draw_...` takes axes and the results; `svg` makes a small, self-contained drawing of one of them.
+Each `draw_...` takes axes and the results; `svg` makes a small, self-contained drawing of one of
+them.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ STYLE: Final[dict[str, Any]] = {
 
 
 def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -> str:
-    """An SVG of what `draw` puts on axes: text stays text, no date, one id namespace per drawing."""
+    """An SVG of what `draw` puts on axes: text stays text, no date, one id namespace per
+    drawing.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -67,7 +70,9 @@ def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -
 
 
 def _likeliest(results: Results, subjects: list[str]) -> list[str]:
-    """Of too many limits and failure modes for a drawing those that are exceeded most often, in their order."""
+    """Of too many limits and failure modes for a drawing those that are exceeded most often, in
+    their order.
+    """
     rows = (row for row in results["answers"] if row["answer"] == "exceedance_probability")
     often = {row["subject"]: row["value"] or 0.0 for row in rows}
     kept = sorted(subjects, key=lambda subject: -often.get(subject, 0.0))[:MOST_CURVES]
@@ -75,7 +80,9 @@ def _likeliest(results: Results, subjects: list[str]) -> list[str]:
 
 
 def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> None:
-    """Fracture probability over the free number, on normal paper: all limits and failure modes, target and plan."""
+    """Fracture probability over the free number, on normal paper: all limits and failure modes,
+    target and plan.
+    """
     from scipy.special import ndtri
 
     free = results["study"]["free"]
@@ -192,7 +199,9 @@ def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
 
 
 def _plain_logarithms(axis: Axis, ratio: float) -> None:
-    """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where there is room."""
+    """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where
+    there is room.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     few = (
@@ -215,7 +224,8 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     entry = results["study"]["quantities"].get(quantity)
     if entry is None:
         raise UsageError(
-            f"the run has no quantity {quantity!r} (known: {', '.join(results['study']['quantities'])})"
+            f"the run has no quantity {quantity!r} (known: "
+            f"{', '.join(results['study']['quantities'])})"
         )
     middle = entry["range"][1]
     unit, factor = display_unit(quantity, middle or math.inf)
@@ -303,7 +313,9 @@ def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> N
 
 
 def draw_convergence(axes: Axes, results: Results) -> None:
-    """Speed against error: the largest half-width over what is required, at each doubling of the model runs."""
+    """Speed against error: the largest half-width over what is required, at each doubling of the
+    model runs.
+    """
     rows = [(row["runs"], row["error"]) for row in results["accuracy"]["reached"] if row["error"]]
     if not rows:
         raise UsageError("the run has no history of its accuracy")

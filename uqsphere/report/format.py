@@ -1,4 +1,6 @@
-"""Answers as text: one formatter for values, estimates and probabilities, for page, terminal and figures alike."""
+"""Answers as text: one formatter for values, estimates and probabilities, for page, terminal and
+figures alike.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def of(rows: Sequence[Row], subject: str, answer: str) -> list[Row]:
 
 
 def verdicts(results: Results) -> list[tuple[str, Mapping[str, Any]]]:
-    """Limits with their verdict, those that say the same together; those without a target where none has one."""
+    """Limits with their verdict, those that say the same together; those without a target where
+    none has one.
+    """
     known = results["verdicts"]
     groups: dict[tuple[str, str], list[str]] = {}
     for name, one in ({n: v for n, v in known.items() if v["target"] is not None} or known).items():
@@ -37,8 +41,9 @@ def verdicts(results: Results) -> list[tuple[str, Mapping[str, Any]]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """A limit, a failure mode beside it, or all of them together (no `entry`): rows of the answers that stand side by
-    side, `index` being the reliability index and `margin` the free number at the target."""
+    """A limit, a failure mode beside it, or all of them together (no `entry`): rows of the answers
+    that stand side by side, `index` being the reliability index and `margin` the free number at the
+    target."""
 
     subject: str
     name: str
@@ -127,7 +132,8 @@ def estimate(row: Row | None, name: str = "", most: int = 4) -> str:
 def index(row: Row | None) -> str:
     """A Sobol' index with its interval, to three decimals.
 
-    >>> index({"value": 0.98412, "low": 0.981, "high": 0.987}), index({"value": 4e-5, "low": 0.0, "high": 9e-5})
+    >>> small = {"value": 4e-5, "low": 0.0, "high": 9e-5}
+    >>> index({"value": 0.98412, "low": 0.981, "high": 0.987}), index(small)
     ('0.984 (0.981 to 0.987)', '0.000')
     """
     if row is None or row["value"] is None:

@@ -1,4 +1,6 @@
-"""One scene over time, every number at its mean: what `uqsphere history` prints, its table and its figures."""
+"""One scene over time, every number at its mean: what `uqsphere history` prints, its table and its
+figures.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,14 @@ if TYPE_CHECKING:
 def history(
     study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000
 ) -> History:
-    """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give it.
+    """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give
+    it.
 
-    With the signals of the study's gauges, or of one half-way along each bar or rod that has a length.
+    With the signals of the study's gauges, or of one half-way along each bar or rod that has a
+    length.
 
-    Raises UsageError for a scene outside the model's domain, or a number that a scene does not have.
+    Raises UsageError for a scene outside the model's domain, or a number that a scene does not
+        have.
     """
     from uqsphere.mechanics.field import default_positions, gauge_record
     from uqsphere.mechanics.history import rod_length, rod_record, trace
@@ -72,7 +77,9 @@ def history(
 
 
 def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
-    """What a person asks of a scene, as (text, value with unit): its quantities, its events, its bars."""
+    """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
+    bars.
+    """
     from uqsphere.mechanics.field import BARS, first_tension
     from uqsphere.mechanics.history import equilibrium
     from uqsphere.mechanics.outputs import OUTPUTS, absent_in

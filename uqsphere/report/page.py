@@ -190,7 +190,9 @@ def _modes(results: Results) -> list[dict[str, str]]:
 
 
 def _quantities(results: Results) -> list[dict[str, Any]]:
-    """Distributions: one row a quantity, with its caution where a check says that it does not hold."""
+    """Distributions: one row a quantity, with its caution where a check says that it does not
+    hold.
+    """
     rows, answers = [], results["answers"]
     for number, (name, entry) in enumerate(results["study"]["quantities"].items()):
         quantiles = {row["at"]: row for row in of(answers, name, "quantile")}
@@ -216,7 +218,9 @@ def _quantities(results: Results) -> list[dict[str, Any]]:
 
 
 def _indices(results: Results) -> dict[str, Any]:
-    """First-order and total Sobol' indices: a row an input, the largest total first, and two columns a quantity."""
+    """First-order and total Sobol' indices: a row an input, the largest total first, and two
+    columns a quantity.
+    """
     answers, columns, largest = results["answers"], [], dict[str, float]()
     methods = {
         "chaos": "from polynomial chaos corrected by model runs",
@@ -254,7 +258,9 @@ def _indices(results: Results) -> dict[str, Any]:
 
 
 def _margins(results: Results) -> dict[str, Any] | None:
-    """The free number at the probabilities that were asked for, a column for each of the study's own limits."""
+    """The free number at the probabilities that were asked for, a column for each of the study's
+    own limits.
+    """
     free, answers = results["study"]["free"], results["answers"]
     names = [
         name
@@ -289,7 +295,9 @@ def _assumptions(results: Results) -> list[tuple[str, str, str]]:
 
 
 def _drivers(results: Results) -> dict[str, Any] | None:
-    """What drives each failure probability, a column a mode, and the most probable failure by the study's limits."""
+    """What drives each failure probability, a column a mode, and the most probable failure by the
+    study's limits.
+    """
     answers, inputs = results["answers"], results["inputs"]
     changes: dict[str, dict[str, float]] = {}
     modes = []
@@ -336,7 +344,9 @@ def _drivers(results: Results) -> dict[str, Any] | None:
 
 
 def _fracture(results: Results) -> list[tuple[str, str]]:
-    """Fracture by any limit: its probability, the share of each, and the state in which it comes."""
+    """Fracture by any limit: its probability, the share of each, and the state in which it
+    comes.
+    """
     answers = results["answers"]
     found = find(answers, "fracture", "exceedance_probability")
     if found is None:
@@ -372,7 +382,8 @@ def _accuracy(results: Results) -> dict[str, Any]:
             for row in accuracy["reached"]
         ],
         "missed": [
-            f"{meaning(m['subject'])}, {m['answer'].replace('_', ' ')}: half-width {m['reached']:.2g}, required "
+            f"{meaning(m['subject'])}, {m['answer'].replace('_', ' ')}: half-width "
+            f"{m['reached']:.2g}, required "
             f"{m['required']:.2g}"
             for m in accuracy["missed"]
             if m["reached"] is not None

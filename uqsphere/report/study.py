@@ -118,7 +118,10 @@ def cost(study: Study) -> str:
     first, price = first_rows(study), study.analysis.cost
     if study.black_box:
         long = "" if price is None else f", {first * price:,.0f} s by analysis.cost"
-        return f"a run begins with {first:,} model runs{long}; one too slow for its budget has one design of fewer runs"
+        return (
+            f"a run begins with {first:,} model runs{long}; one too slow for its budget has one "
+            "design of fewer runs"
+        )
     design = Design.of(study)
     with Model(design.judged, threads=1) as model:
         names = design.inputs
@@ -130,7 +133,10 @@ def cost(study: Study) -> str:
         model.evaluate(names, rows, design.columns)
         each = model.seconds_per_row or 0.0
     took = max(first * each, 0.1)
-    return f"a run begins with {first:,} model runs, about {took:.1f} s, and doubles them until accurate"
+    return (
+        f"a run begins with {first:,} model runs, about {took:.1f} s, and doubles them until "
+        "accurate"
+    )
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

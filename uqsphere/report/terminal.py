@@ -1,4 +1,6 @@
-"""The terminal's summary of a run: the sentence to act on, failure modes, quantities and indices, in 40 lines."""
+"""The terminal's summary of a run: the sentence to act on, failure modes, quantities and indices,
+in 40 lines.
+"""
 
 from __future__ import annotations
 

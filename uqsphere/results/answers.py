@@ -1,4 +1,6 @@
-"""The long table of answers: one row an answer, SI units, with its 95 % interval and where it comes from."""
+"""The long table of answers: one row an answer, SI units, with its 95 % interval and where it comes
+from.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A result folder: few files, written whole or not at all, with checksums; nothing in it is followed or run."""
+"""A result folder: few files, written whole or not at all, with checksums; nothing in it is
+followed or run.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,8 @@ LARGEST: Final = 64 << 20
 def locked(folder: Path) -> Iterator[None]:
     """The folder, made if it is new and locked against another run.
 
-    Raises FolderError where it is no result folder or another run has it, AccessError where the system refuses.
+    Raises FolderError where it is no result folder or another run has it, AccessError where the
+        system refuses.
     """
     try:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -62,7 +65,8 @@ def locked(folder: Path) -> Iterator[None]:
         strange = [name for name in names if name not in OWN and not name.startswith(PART)]
         if strange:
             raise FolderError(
-                f"{folder} holds {strange[0]!r}, which is of no run: choose another folder with --out"
+                f"{folder} holds {strange[0]!r}, which is of no run: choose another folder with "
+                "--out"
             )
         lock = FileLock(folder / ".lock", timeout=0)
         lock.acquire()
@@ -81,9 +85,11 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write files whole: all of them beside their places first, then moved there; the checksums are the last.
+    """Write files whole: all of them beside their places first, then moved there; the checksums are
+    the last.
 
-    Raises AccessError where the system refuses (a full disk, no permission): what stood there before stands.
+    Raises AccessError where the system refuses (a full disk, no permission): what stood there
+        before stands.
     """
     sums, part = {} if RESULTS in files else _sums(folder), None
     contents = {
@@ -134,7 +140,8 @@ def clear(folder: Path) -> None:
 def read_results(folder: Path) -> dict[str, Any]:
     """The results.json of a folder.
 
-    Raises FolderError where there is none, or it is damaged or of another schema; AccessError where it cannot be read.
+    Raises FolderError where there is none, or it is damaged or of another schema; AccessError where
+        it cannot be read.
     """
     path = folder / RESULTS
     try:
@@ -162,7 +169,9 @@ def read_results(folder: Path) -> dict[str, Any]:
 
 
 def damaged_files(folder: Path) -> list[str]:
-    """Files whose checksum differs from `SHA256SUMS`, or that are missing; empty where the folder is whole."""
+    """Files whose checksum differs from `SHA256SUMS`, or that are missing; empty where the folder
+    is whole.
+    """
     sums, wrong = _sums(folder), []
     if not sums:
         raise FolderError(f"{folder} holds no {SUMS}: it is no result folder, or an unfinished one")
@@ -177,7 +186,9 @@ def damaged_files(folder: Path) -> list[str]:
 
 
 class Log:
-    """Lines of a run's log, each with its time (UTC); none where a link or no plain file stands in its place."""
+    """Lines of a run's log, each with its time (UTC); none where a link or no plain file stands in
+    its place.
+    """
 
     def __init__(self, path: Path | None) -> None:
         plain = path is not None and not path.is_symlink() and (path.is_file() or not path.exists())

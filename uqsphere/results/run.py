@@ -35,12 +35,15 @@ class Run:
 
     def __repr__(self) -> str:
         study, accuracy = self.results["study"], self.results["accuracy"]
-        return f"<Run {study['title']!r}: {len(self.results['answers'])} answers of {accuracy['runs']:,} model runs>"
+        return (
+            f"<Run {study['title']!r}: {len(self.results['answers'])} answers of "
+            f"{accuracy['runs']:,} model runs>"
+        )
 
     @cached_property
     def answers(self) -> pd.DataFrame:
-        """The long table of answers, SI units: subject, answer, at, value, low, high, std_error, unit, method, runs,
-        note."""
+        """The long table of answers, SI units: subject, answer, at, value, low, high, std_error,
+        unit, method, runs, note."""
         return frame_of(self.results["answers"])
 
     @cached_property
@@ -62,7 +65,8 @@ class Run:
         return dict(self.results["verdicts"])
 
     def sobol(self, quantity: str) -> pd.DataFrame:
-        """First-order and total Sobol' indices of a quantity by input, with their 95 % intervals and the method.
+        """First-order and total Sobol' indices of a quantity by input, with their 95 % intervals
+        and the method.
 
         Raises UsageError for a quantity that the run has not.
         """
@@ -83,7 +87,9 @@ class Run:
         return found[[*(name for name in found.columns if name != "method"), "method"]]
 
     def quantiles(self, quantity: str) -> pd.DataFrame:
-        """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in `answers`."""
+        """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in
+        `answers`.
+        """
         table = self._of(quantity)
         rows = table[table["answer"] == "quantile"]
         return rows.set_index(rows["at"].astype(float).rename("probability"))[
@@ -101,15 +107,18 @@ class Run:
         return rows.set_index(rows["at"].astype(float).rename("free"))[["value", "low", "high"]]
 
     def margin(self, limit: str, probability: float) -> pd.Series:
-        """The free number at which a limit is exceeded with a probability: value, low, high, method, note."""
+        """The free number at which a limit is exceeded with a probability: value, low, high,
+        method, note.
+        """
         return self._one(limit, "margin", float(probability))
 
     def expansion(self, quantity: str) -> Any:
-        """The polynomial chaos of a quantity: `predict(rows)` with intervals, `to_frame()` (coefficients and
-        multi-indices), `moments()`, `quantiles(p)`, `sample(n)`, `indices()`, and `chaospy()` with chaospy's objects.
+        """The polynomial chaos of a quantity: `predict(rows)` with intervals, `to_frame()`
+        (coefficients and multi-indices), `moments()`, `quantiles(p)`, `sample(n)`, `indices()`, and
+        `chaospy()` with chaospy's objects.
 
-        It is fitted to up to 512 model runs of this run, when it is asked for.  Raises UsageError where there is none:
-        the quantity does not vary, or the run was read from a folder.
+        It is fitted to up to 512 model runs of this run, when it is asked for.  Raises UsageError
+        where there is none: the quantity does not vary, or the run was read from a folder.
         """
         if not self.live:
             raise UsageError(
@@ -118,16 +127,18 @@ class Run:
         made = self.live["fit"](quantity)
         if made is None:
             raise UsageError(
-                f"no expansion of {quantity!r}: it does not vary, or has no plain value in every row"
+                f"no expansion of {quantity!r}: it does not vary, or has no plain value in every "
+                "row"
             )
         return made
 
     def pairs(self, quantity: str) -> Any:
-        """The model runs behind the indices of a quantity, as SALib takes them: `problem`, `rows` and `outputs`, with
-        which `SALib.analyze.sobol.analyze(p.problem, p.outputs, calc_second_order=p.second)` goes on.
+        """The model runs behind the indices of a quantity, as SALib takes them: `problem`, `rows`
+        and `outputs`, with which `SALib.analyze.sobol.analyze(p.problem, p.outputs,
+        calc_second_order=p.second)` goes on.
 
-        Raises UsageError where there are none: the indices are those of the expansion, or the run was read from a
-        folder.
+        Raises UsageError where there are none: the indices are those of the expansion, or the run
+        was read from a folder.
         """
         made = self.live["pairs"](quantity) if self.live else None
         if made is None:
@@ -176,7 +187,8 @@ def open_run(folder: str | Path) -> Run:
     >>> open_run("nowhere")
     Traceback (most recent call last):
     ...
-    uqsphere.errors.FolderError: nowhere holds no results.json: it is no result folder of this version
+    uqsphere.errors.FolderError: nowhere holds no results.json: it is no result folder of this
+    version
     """
     path = Path(folder)
     return Run(results=read_results(path), folder=path)

@@ -68,20 +68,23 @@ def run(
     study : of `uqsphere.load_study` or `uqsphere.Study`
     model : the black box of a black-box study, a function of a dict of arrays or "FILE.py:FUNCTION"
     out : folder for the results; None keeps them in memory
-    executor : takes the evaluations of a black box, as those of `concurrent.futures`, or a Dask client
+    executor : takes the evaluations of a black box, as those of `concurrent.futures`, or a Dask
+        client
     threads : threads of the mechanics, or processes of a black box; the answers do not depend on it
     seconds : time budget [s] in place of the study's
-    progress : called with model runs, the share of the work that is done (an estimate, or nan), and a text; by default
-        a bar in a notebook and on a terminal
+    progress : called with model runs, the share of the work that is done (an estimate, or nan), and
+        a text; by default a bar in a notebook and on a terminal
     stop : asked between evaluations; once it is true the run ends with what is there
     fresh : forget what an earlier run of the study left in the folder
     rows : table of inputs and outputs that are known already, in place of a model (`Study.analyse`)
 
-    Raises UqsphereError (`uqsphere.errors`), KeyboardInterrupt where `stop` leaves nothing to answer with.
+    Raises UqsphereError (`uqsphere.errors`), KeyboardInterrupt where `stop` leaves nothing to
+        answer with.
     """
     if not isinstance(study, Study):
         raise UsageError(
-            f"run takes a study of uqsphere.load_study or uqsphere.Study, found {type(study).__name__}"
+            "run takes a study of uqsphere.load_study or uqsphere.Study, found "
+            f"{type(study).__name__}"
         )
     check_scene(study)
     if progress is None:
@@ -208,7 +211,9 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
 
 
 def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
-    """Refuse a folder of another study, and remove what an earlier run of this one left where it is asked."""
+    """Refuse a folder of another study, and remove what an earlier run of this one left where it is
+    asked.
+    """
     from uqsphere.errors import FolderError
 
     if fresh:
@@ -221,12 +226,15 @@ def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
         return
     changed = _changed_keys(folder, stored["overrides"], study)
     raise FolderError(
-        f"{folder} holds another study{changed}: choose another folder with --out, or replace it with --fresh"
+        f"{folder} holds another study{changed}: choose another folder with --out, or replace it "
+        "with --fresh"
     )
 
 
 def _changed_keys(folder: Path, overrides: list[str], study: Study) -> str:
-    """What a study has otherwise than the one that a folder holds; empty where the stored one cannot be read."""
+    """What a study has otherwise than the one that a folder holds; empty where the stored one
+    cannot be read.
+    """
     try:
         text = (folder / "study.toml").read_text(encoding="utf-8")
         before = load_study(folder / "files" / "study.toml", overrides, text=text)

@@ -1,6 +1,8 @@
-"""What an answer rests on beside its scatter: the tests behind a strength, assumed strengths, and the contact law.
+"""What an answer rests on beside its scatter: the tests behind a strength, assumed strengths, and
+the contact law.
 
-Each is one more failure probability, with something taken otherwise: epistemic uncertainty, told in rows of its own.
+Each is one more failure probability, with something taken otherwise: epistemic uncertainty, told in
+rows of its own.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from uqsphere.uq.union import make_union, residual_correlation
 
 #: strengths that the tests allow, for the range of a probability, and of a margin
 LAWS, MARGIN_LAWS = 200, 40
-#: what a strength may be instead, with the same mean and standard deviation: the other usual distribution
+#: what a strength may be instead, with the same mean and standard deviation: the other usual
+#: distribution
 OTHER_DISTRIBUTIONS: Final = ("lognormal strength", "Weibull strength")
 #: points of a replicate that these rest on at most
 MOST: Final = 512
@@ -41,8 +44,10 @@ class Assumptions:
     """Rows of answers, and what a verdict asks of them.
 
     answers : rows of failure probabilities and margins, each with something taken otherwise
-    tests : by limit, the 95 % range of the failure probability over the strengths that its tests allow
-    plastic : the first rows under a contact that yields; None where none would, or the study has such a contact
+    tests : by limit, the 95 % range of the failure probability over the strengths that its tests
+        allow
+    plastic : the first rows under a contact that yields; None where none would, or the study has
+        such a contact
     """
 
     answers: Answers
@@ -125,7 +130,9 @@ def _mean(limit: Limit, state: LimitState) -> float:
 
 
 def _possible_strengths(design: Design, limit: Limit, count: int) -> Iterator[Law] | None:
-    """Strengths that the tests behind a limit allow, one by one, all equally likely; None where no tests tell."""
+    """Strengths that the tests behind a limit allow, one by one, all equally likely; None where no
+    tests tell.
+    """
     law = strength_of(limit)
     if not isinstance(law, Law) or not is_fitted(law):
         return None
@@ -138,7 +145,9 @@ def _possible_strengths(design: Design, limit: Limit, count: int) -> Iterator[La
 
 
 def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answers) -> None:
-    """The free number at the target, with the range that the tests leave it and its conservative end."""
+    """The free number at the target, with the range that the tests leave it and its conservative
+    end.
+    """
     margins = design.study.margins
     laws = _possible_strengths(design, limit, MARGIN_LAWS)
     if margins is None or laws is None:
@@ -148,7 +157,10 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
     known = np.array([value for value in values if value is not None])
     # where a law has none in the range, it lies beyond an end of it, which is no number to promise
     if len(known) < 0.95 * len(values):
-        note = f"{len(values) - len(known)} of {len(values)} strengths that the tests allow leave none in the range"
+        note = (
+            f"{len(values) - len(known)} of {len(values)} strengths that the tests allow leave "
+            "none in the range"
+        )
         answers.row(
             design.subject(limit),
             "margin",
@@ -160,7 +172,10 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
         )
         return
     low, high = (float(x) for x in np.quantile(known, [0.025, 0.975]))
-    note = f"95 % range over the strengths that the tests allow, at the target {target_of(design, limit):g}"
+    note = (
+        "95 % range over the strengths that the tests allow, at the target "
+        f"{target_of(design, limit):g}"
+    )
     answers.row(
         design.subject(limit),
         "margin",
@@ -252,7 +267,7 @@ def _margin_under_plastic_contact(
     )
 
 
-# --- several limits together ----------------------------------------------------------------------------------------
+# --- several limits together ----------------------------------------------------------------------
 
 
 def together(design: Design, sample: Sample, limits: Sequence[Limit]) -> Array:
@@ -263,7 +278,9 @@ def together(design: Design, sample: Sample, limits: Sequence[Limit]) -> Array:
 
 
 def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
-    """Cholesky factor of the correlation that strengths have with each other, given all that is drawn."""
+    """Cholesky factor of the correlation that strengths have with each other, given all that is
+    drawn.
+    """
     joint, covariance = design.joint, np.eye(len(limits))
     names = [strength_name(limit.name) for limit in limits]
     random = [k for k, name in enumerate(names) if name in joint.names]
@@ -278,7 +295,9 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
 
 
 def along_line(design: Design, limits: Sequence[Limit]) -> Callable[[Sample, float], Array]:
-    """What `fragility.curve_by` asks: the probability that any of some limits is exceeded at a value."""
+    """What `fragility.curve_by` asks: the probability that any of some limits is exceeded at a
+    value.
+    """
     margins = design.study.margins
 
     def probability(sample: Sample, value: float) -> Array:

@@ -1,14 +1,16 @@
-"""Polynomial chaos of a run: fitted to one replicate of the sample, and held against the rows of all others.
+"""Polynomial chaos of a run: fitted to one replicate of the sample, and held against the rows of
+all others.
 
-With the expansion f of a quantity y, r = y - f the residual at rows that it was not fitted to, and P_u the projection
-onto the terms of a set of inputs u, every variance of y is
+With the expansion f of a quantity y, r = y - f the residual at rows that it was not fitted to, and
+P_u the projection onto the terms of a set of inputs u, every variance of y is
 
     |P_u y|² = |P_u f|² + 2 <P_u f, r> + |P_u r|²,    0 <= |P_u r|² <= |r|².
 
-The first part is a sum of squared coefficients, the second a mean over rows, and the third is bounded by the error of
-the expansion, which the same rows measure.  So an index from chaos has an interval that holds whatever the fit; its
-value takes the third to be made up as the expansion is.  An expansion of ln y is taken where it leaves less than half
-as much: its variances are integrated, and projected by its plain form.
+The first part is a sum of squared coefficients, the second a mean over rows, and the third is
+bounded by the error of the expansion, which the same rows measure.  So an index from chaos has an
+interval that holds whatever the fit; its value takes the third to be made up as the expansion is.
+An expansion of ln y is taken where it leaves less than half as much: its variances are integrated,
+and projected by its plain form.
 """
 
 from __future__ import annotations
@@ -36,12 +38,14 @@ from uqsphere.uq.chaos import (
     rows_of,
 )
 
-#: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth ones need fewer
+#: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth
+#: ones need fewer
 MOST_ROWS: Final = 512
 #: rows of a replicate that correct its indices at most
 MOST_TERMS: Final = 2048
-#: share of the variance that an expansion may leave and still have a design point searched on it, and serve as control
-#: variate: what it leaves more than that costs the tails as much as it gains (granite, p_max against contact_duration)
+#: share of the variance that an expansion may leave and still have a design point searched on it,
+#: and serve as control variate: what it leaves more than that costs the tails as much as it gains
+#: (granite, p_max against contact_duration)
 MOST_LEFT, CONTROL = 0.05, 1e-3
 #: share below which more rows are not worth a second fit
 GOOD: Final = 0.01
@@ -54,7 +58,8 @@ class Expansion:
     fit : the expansion, of the quantity or its logarithm, in the germs of the inputs
     rows : rows of the first replicate that it was fitted to
     values : its values (R-1, n) at the rows of all other replicates
-    terms : values (R-1, m, T) of the terms of its plain form at the first m of these rows; the first term is 1
+    terms : values (R-1, m, T) of the terms of its plain form at the first m of these rows; the
+        first term is 1
     residuals : (R-1, m) what it leaves of those
     left : share of the variance that it leaves, of all rows it was not fitted to
     """
@@ -72,7 +77,8 @@ class Expansion:
         return integrals(self.fit)
 
     def projection(self, which: npt.NDArray[np.bool_], share: float) -> tuple[Array, Array]:
-        """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is left is added.
+        """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is
+        left is added.
 
         share : of the expansion's own variance that belongs to these terms
         """
@@ -89,7 +95,8 @@ class Expansion:
 def expansions(
     design: Design, sample: Sample, columns: Sequence[str], before: Mapping[str, Expansion]
 ) -> dict[str, Expansion]:
-    """Expansions of the columns whose rows all have a plain value, in the independent germs of the inputs.
+    """Expansions of the columns whose rows all have a plain value, in the independent germs of the
+    inputs.
 
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
@@ -135,13 +142,15 @@ def expansions(
 
 
 def _left(outputs: Array, values: Array) -> float:
-    """Share of the variance of the last R - 1 replicates of outputs (R, n) that values (R-1, n) leave."""
+    """Share of the variance of the last R - 1 replicates of outputs (R, n) that values (R-1, n)
+    leave.
+    """
     return float((outputs[1:] - values).var() / outputs[1:].var())
 
 
 def points_of(design: Design, normals: Array) -> Array:
-    """Germ points (..., d) of the inputs at independent normals (..., D) of all variables, of which they are the
-    first."""
+    """Germ points (..., d) of the inputs at independent normals (..., D) of all variables, of which
+    they are the first."""
     germs = germs_of(design.joint.only(design.inputs).laws)
     shape = (*normals.shape[:-1], len(germs))
     return germ_points(

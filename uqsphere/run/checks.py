@@ -1,4 +1,6 @@
-"""Where the model may be trusted: its validity checks on the first rows, and cautions on inputs and answers."""
+"""Where the model may be trusted: its validity checks on the first rows, and cautions on inputs and
+answers.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from uqsphere.uq import Law
 
 #: rows that are checked
 ROWS = 512
-#: share of strengths above the hardness that is worth a word, and from which most of the strength cannot be reached
+#: share of strengths above the hardness that is worth a word, and from which most of the strength
+#: cannot be reached
 REACH = (0.01, 0.5)
 #: what a loss of contact that comes a swing sooner or later changes
 _TIMES = {"time_to_first_loss", "contact_duration"}
@@ -26,7 +29,9 @@ GRADES = ("ok", "note", "warning", "failure")
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One check: the share of rows that breach it, its grade, and the share of each limit's failures that do."""
+    """One check: the share of rows that breach it, its grade, and the share of each limit's
+    failures that do.
+    """
 
     name: str
     text: str
@@ -48,7 +53,9 @@ class Check:
 
 
 def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:
-    """Checks of the model on the first rows of every replicate, those of the tables, and what the model noted."""
+    """Checks of the model on the first rows of every replicate, those of the tables, and what the
+    model noted.
+    """
     found = [
         Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified")
         for note in notes
@@ -119,7 +126,10 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 name="few_runs",
                 share=1.0,
                 grade="note",
-                text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
+                text=(
+                    f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in "
+                    "them"
+                ),
                 effect=f"failure probabilities below {3.0 / n:.2g} are bounds",
             )
         )
@@ -128,7 +138,9 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
 
 
 def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
-    """Whether bars load the sphere harder after the record, which ends at the first loss of contact."""
+    """Whether bars load the sphere harder after the record, which ends at the first loss of
+    contact.
+    """
     with np.errstate(all="ignore"):
         ratio = later_loading(design.study, design.inputs, rows)
     known = ratio[np.isfinite(ratio)]
@@ -143,9 +155,13 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             share=share,
             grade="failure",
             failures=whole,
-            text=f"in {format_probability(share)} of the rows a later echo loads the sphere with {median:.3g} times "
+            text=f"in {format_probability(share)} of the rows a later echo loads the sphere with "
+            f"{median:.3g} times "
             "the force of the record, which ends at the first loss of contact",
-            effect="forces, pressures and fracture probabilities are too small: set model.whole_record = true",
+            effect=(
+                "forces, pressures and fracture probabilities are too small: set "
+                "model.whole_record = true"
+            ),
             remedy="set model.whole_record = true to count every loading up to the horizon, or "
             "model.first_loading_only = true to count the first only",
         )
@@ -153,7 +169,9 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
 
 
 def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
-    """Strengths that are true pressures above the hardness, which no pressure exceeds: such spheres never break."""
+    """Strengths that are true pressures above the hardness, which no pressure exceeds: such spheres
+    never break.
+    """
     hardness = hardness_of(design.study, design.inputs, rows)
     found: list[Check] = []
     if hardness is None:
@@ -171,10 +189,17 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
                 share=share,
                 grade="warning" if share < REACH[1] else "failure",
                 failures={limit.name: share},
-                text=f"{format_probability(share)} of the strengths of {limit.name} lie above the hardness, which no "
+                text=f"{format_probability(share)} of the strengths of {limit.name} lie above the "
+                "hardness, which no "
                 "pressure exceeds",
-                effect="such spheres never break by it; more do if the strength was computed from a force by Hertz",
-                remedy='set strength_is = "hertz" if the strength was computed from a force, or measure the hardness',
+                effect=(
+                    "such spheres never break by it; more do if the strength was computed from a "
+                    "force by Hertz"
+                ),
+                remedy=(
+                    'set strength_is = "hertz" if the strength was computed from a force, or '
+                    "measure the hardness"
+                ),
             )
         )
     return found

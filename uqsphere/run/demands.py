@@ -1,8 +1,9 @@
-"""What strengths are held against: a quantity, or the equivalent force where the strength is that of crushing tests.
+"""What strengths are held against: a quantity, or the equivalent force where the strength is that
+of crushing tests.
 
-A crushing test gives a force on its own sphere.  A row fails where the force that would give its value of the
-criterion in the rig of the tests, on the row's own sphere, exceeds the force of the tests.  So the scatter of E and nu
-in the tests is never counted a second time.
+A crushing test gives a force on its own sphere.  A row fails where the force that would give its
+value of the criterion in the rig of the tests, on the row's own sphere, exceeds the force of the
+tests.  So the scatter of E and nu in the tests is never counted a second time.
 """
 
 from __future__ import annotations
@@ -27,12 +28,16 @@ SPHERE = ("sphere.E", "sphere.nu", "sphere.density")
 
 
 def strength_of(limit: Limit) -> Law | float:
-    """What a limit is held against: the distribution of the force of its crushing tests, or its strength."""
+    """What a limit is held against: the distribution of the force of its crushing tests, or its
+    strength.
+    """
     return limit.strength if limit.tested is None or limit.tested.law is None else limit.tested.law
 
 
 def by_force(limit: Limit) -> bool:
-    """Whether a limit is held against the force of crushing tests, or against draws with a law of size."""
+    """Whether a limit is held against the force of crushing tests, or against draws with a law of
+    size.
+    """
     return limit.tested is not None and (
         limit.tested.law is not None or limit.tested.exponent != 0.0
     )
@@ -44,7 +49,9 @@ def column_of(limit: Limit) -> str:
 
 
 def demands_of(limit: Limit, sample: Sample) -> Array:
-    """Demands (R, n) of a limit, with its model factor; those against forces of tests have it already."""
+    """Demands (R, n) of a limit, with its model factor; those against forces of tests have it
+    already.
+    """
     return sample.answer(column_of(limit)) * (1.0 if by_force(limit) else _factor(limit, sample))
 
 
@@ -68,10 +75,11 @@ def _law(limit: Limit, moving: Mapping[str, Array], sample: Sample) -> list[str]
 
 
 def _test_force(limit: Limit, value: Array, sphere: Mapping[str, Array], radius: Array) -> Array:
-    """The force (n,) [N] in the limit's tests that is worth a row's value, carried to their size by the size law.
+    """The force (n,) [N] in the limit's tests that is worth a row's value, carried to their size by
+    the size law.
 
-    Of draws it is the value itself, in the size that they hold for.  So one law of size serves rows, curves and the
-    free number: `Tested.exponent`.
+    Of draws it is the value itself, in the size that they hold for.  So one law of size serves
+    rows, curves and the free number: `Tested.exponent`.
     """
     tested = limit.tested
     assert tested is not None
@@ -86,7 +94,8 @@ def with_test_forces(
     moving: Mapping[str, Array],
     limits: Sequence[Limit] | None = None,
 ) -> Sample:
-    """An evaluated sample with a column of equivalent test forces for every limit, or some, that need them.
+    """An evaluated sample with a column of equivalent test forces for every limit, or some, that
+    need them.
 
     `moving` are values (R, n) of numbers in place of the sample's or the study's.
     """

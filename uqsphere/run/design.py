@@ -1,7 +1,8 @@
-"""What a run evaluates: the random variables, the columns of every failure mode, and the points of each table.
+"""What a run evaluates: the random variables, the columns of every failure mode, and the points of
+each table.
 
-Points are scrambled Sobol' sequences, `REPLICATES` of them, each an independent randomisation of the same design: what
-the replicates differ by is every interval of the run.
+Points are scrambled Sobol' sequences, `REPLICATES` of them, each an independent randomisation of
+the same design: what the replicates differ by is every interval of the run.
 """
 
 from __future__ import annotations
@@ -83,14 +84,18 @@ class Design:
 
     @cached_property
     def drawn(self) -> Joint:
-        """The variables that points are drawn of: the model's inputs and model factors.  Strengths are integrated."""
+        """The variables that points are drawn of: the model's inputs and model factors.  Strengths
+        are integrated.
+        """
         return self.joint.only(
             [name for name in self.joint.names if not name.endswith(".strength")]
         )
 
     @cached_property
     def described(self) -> tuple[str, ...]:
-        """The quantities whose distributions and indices are answered: those asked for, and those of limits."""
+        """The quantities whose distributions and indices are answered: those asked for, and those
+        of limits.
+        """
         return tuple(
             dict.fromkeys(
                 [*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]
@@ -118,7 +123,9 @@ class Design:
     def points(
         self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None
     ) -> Sample:
-        """`count` points of every replicate, from the `start`-th of its sequence on; `joint` replaces the variables."""
+        """`count` points of every replicate, from the `start`-th of its sequence on; `joint`
+        replaces the variables.
+        """
         drawn = self.drawn if joint is None else joint
         if not drawn.names:
             return Sample.at((), np.zeros((REPLICATES, count, 0)), np.zeros((REPLICATES, count, 0)))

@@ -1,4 +1,6 @@
-"""Distributions of the quantities: mean, standard deviation, quantiles, density, and the share beyond the record."""
+"""Distributions of the quantities: mean, standard deviation, quantiles, density, and the share
+beyond the record.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from uqsphere.run.tables import Tables
 from uqsphere.uq import exact
 from uqsphere.uq.describe import Description, describe, describe_controlled
 
-#: points at which an expansion that serves as control is evaluated, for each point of the sample, and at most: a sample
-#: of so many needs no control
+#: points at which an expansion that serves as control is evaluated, for each point of the sample,
+#: and at most: a sample of so many needs no control
 MANY, MOST_MANY = 16, 1 << 16
 SAMPLED = "sample"
 CONTROLLED = "sample, chaos as control variate"
@@ -92,7 +94,8 @@ def _many_points(design: Design, count: int) -> Array:
 
 
 def density(values: Array) -> list[list[float]] | None:
-    """Density of samples of any shape over their range, by a kernel of Silverman's width on 160 places.
+    """Density of samples of any shape over their range, by a kernel of Silverman's width on 160
+    places.
 
     None where the values do not vary.
     """

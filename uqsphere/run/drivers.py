@@ -1,7 +1,8 @@
-"""What drives a failure probability: its change per standard deviation that the centre of an input is moved by.
+"""What drives a failure probability: its change per standard deviation that the centre of an input
+is moved by.
 
-Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement, the strength being
-integrated.
+Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement, the
+strength being integrated.
 """
 
 from __future__ import annotations
@@ -70,9 +71,10 @@ def change_per_sd(
 ) -> list[Estimate]:
     """Change of the failure probability per standard deviation that an input's centre is moved by.
 
-    For T (R, n) and gradients (R, n, d) of `Joint.score_gradients` it is E[T g_i], by the density that moves with the
-    law's centre in normal scores, everything that ties inputs staying as it is; T is taken about its mean, which
-    changes nothing but the noise.  `moved` (R, n, d) adds what a strength that is tied to the inputs does meanwhile.
+    For T (R, n) and gradients (R, n, d) of `Joint.score_gradients` it is E[T g_i], by the density
+    that moves with the law's centre in normal scores, everything that ties inputs staying as it is;
+    T is taken about its mean, which changes nothing but the noise.  `moved` (R, n, d) adds what a
+    strength that is tied to the inputs does meanwhile.
     """
     about = probabilities - probabilities.mean()
     rows = (about[:, :, None] * gradients + moved).mean(axis=1)

@@ -1,4 +1,6 @@
-"""Failure modes: the ways in which a rock sphere can break, and the strengths assumed for those without a limit."""
+"""Failure modes: the ways in which a rock sphere can break, and the strengths assumed for those
+without a limit.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,8 @@ from uqsphere.quantities import lookup
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law, make_law
 
-#: by the place in the sphere where each begins: what it is called, the criterion that is assumed for it, and the
-#: library's strength
+#: by the place in the sphere where each begins: what it is called, the criterion that is assumed
+#: for it, and the library's strength
 _FAILURE_MODES: Final = {
     "contact": ("contact pressure", "contact_pressure", "contact_strength"),
     "rim": ("ring crack", "ring_crack", "fracture_toughness"),
@@ -25,7 +27,9 @@ _FAILURE_MODES: Final = {
 
 @dataclass(frozen=True, kw_only=True)
 class FailureMode:
-    """A failure mode with an assumed strength: its limit, and the strength at both ends of the library's 95 % range."""
+    """A failure mode with an assumed strength: its limit, and the strength at both ends of the
+    library's 95 % range.
+    """
 
     called: str
     limit: Limit
@@ -37,14 +41,17 @@ class FailureMode:
 
 @dataclass(frozen=True, kw_only=True)
 class FailureModes:
-    """The failure modes that a study has no limit for: those assumed, and why the others are not judged."""
+    """The failure modes that a study has no limit for: those assumed, and why the others are not
+    judged.
+    """
 
     assumed: tuple[FailureMode, ...]
     not_judged: Mapping[str, str]
 
 
 def breaks_by(limit: Limit) -> str:
-    """Which of `_FAILURE_MODES` a limit is on; "force" for one on the force itself, empty where it is no fracture.
+    """Which of `_FAILURE_MODES` a limit is on; "force" for one on the force itself, empty where it
+    is no fracture.
 
     >>> breaks_by(Limit(name="a", quantity="core_tension", strength=1e7))
     'core'
@@ -60,12 +67,16 @@ def breaks_by(limit: Limit) -> str:
 
 
 def means_fracture(limit: Limit) -> bool:
-    """Whether a limit is on a failure mode; one that must break means it, also where it is not counted twice."""
+    """Whether a limit is on a failure mode; one that must break means it, also where it is not
+    counted twice.
+    """
     return breaks_by(limit) != "" and (limit.fracture is not False or limit.aim == "break")
 
 
 def failure_modes_of(study: Study) -> FailureModes:
-    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is not to be."""
+    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is
+    not to be.
+    """
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
     given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if (
@@ -89,7 +100,8 @@ def failure_modes_of(study: Study) -> FailureModes:
             continue
         values = (entry.value, *entry.range)
         if place == "core":
-            # the strength of a specimen says nothing of a volume that is a million times smaller, but by the size law
+            # the strength of a specimen says nothing of a volume that is a million times smaller,
+            # but by the size law
             own = {
                 "modulus": rock.properties["weibull_modulus"].value,
                 "reference_volume": entry.further["volume"],

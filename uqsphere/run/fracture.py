@@ -1,7 +1,8 @@
-"""Fracture by any limit of the study: how likely, by which mode first, and in what state of loading.
+"""Fracture by any limit of the study: how likely, by which mode first, and in what state of
+loading.
 
-The moment of fracture is read off the loading of a few hundred spheres, drawn with their strengths from those that
-break.
+The moment of fracture is read off the loading of a few hundred spheres, drawn with their strengths
+from those that break.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ METHOD = "spheres that break, along their loading"
 
 
 def fracture(design: Design, tables: Tables) -> Answers:
-    """Probability of fracture by any limit, the share of each mode, and time and force at fracture."""
+    """Probability of fracture by any limit, the share of each mode, and time and force at
+    fracture.
+    """
     answers = Answers()
     limits = design.fracture
     if len(limits) < 2 or design.study.black_box or not design.drawn.names:

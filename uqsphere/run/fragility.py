@@ -1,7 +1,8 @@
-"""Fragility: the probability of exceedance over the free number, and the free number at a probability.
+"""Fragility: the probability of exceedance over the free number, and the free number at a
+probability.
 
-The same points serve every value, so that the curve is smooth; each replicate has its own curve, and their spread is
-the interval.
+The same points serve every value, so that the curve is smooth; each replicate has its own curve,
+and their spread is the interval.
 """
 
 from __future__ import annotations
@@ -74,13 +75,17 @@ def fragility(design: Design, tables: Tables) -> Answers:
 
 
 def allowable_probability(design: Design, limit: Limit) -> float:
-    """The probability of exceedance at which the aim is just met: the target, or 1 less the target for "break"."""
+    """The probability of exceedance at which the aim is just met: the target, or 1 less the target
+    for "break".
+    """
     target = target_of(design, limit)
     return 1.0 - target if limit.aim == "break" else target
 
 
 def target_of(design: Design, limit: Limit) -> float:
-    """The target of a limit; an assumed mode has that of the limits beside it, and none leaves the least asked for."""
+    """The target of a limit; an assumed mode has that of the limits beside it, and none leaves the
+    least asked for.
+    """
     if limit.target is not None:
         return limit.target
     own = [one.target for one in design.limits if one.target is not None]
@@ -105,7 +110,9 @@ def curve_by(
     chance: Callable[[Sample, float], Array],
     targets: Sequence[float],
 ) -> Fragility:
-    """The curve of what `chance` gives (R, n) at points and a value, with the free number at each of the targets."""
+    """The curve of what `chance` gives (R, n) at points and a value, with the free number at each
+    of the targets.
+    """
     margins = design.study.margins
     assert margins is not None
     pairs = (
@@ -168,7 +175,9 @@ def curve_of(
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
-    """The free number at the target, and half of what the curve takes from 16 to 84 %: what its accuracy is held to."""
+    """The free number at the target, and half of what the curve takes from 16 to 84 %: what its
+    accuracy is held to.
+    """
     wanted = allowable_probability(design, limit)
     values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
     low, high = values[0.16].value, values[0.84].value

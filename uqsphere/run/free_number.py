@@ -1,4 +1,6 @@
-"""The free number of an inverse question: its values between two ends, and what of a study each of them moves."""
+"""The free number of an inverse question: its values between two ends, and what of a study each of
+them moves.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,11 @@ from uqsphere.uq import Law
 
 
 def values_at(margins: Margins, shares: Values) -> Array:
-    """The values a share of the way from the lowest to the highest: in ratios where all are positive, else in steps.
+    """The values a share of the way from the lowest to the highest: in ratios where all are
+    positive, else in steps.
 
-    >>> values_at(Margins(solve="striker.speed", between=(0.1, 10.0)), np.array([0.0, 0.5, 1.0])).round(12).tolist()
+    >>> margins = Margins(solve="striker.speed", between=(0.1, 10.0))
+    >>> values_at(margins, np.array([0.0, 0.5, 1.0])).round(12).tolist()
     [0.1, 1.0, 10.0]
     """
     low, high = margins.between
@@ -39,7 +43,8 @@ def grid(margins: Margins, count: int) -> list[float]:
 
 
 def moved(study: Study, value: float) -> Study:
-    """The study whose rows are sampled where its free number has a value: itself, unless it is one of its numbers.
+    """The study whose rows are sampled where its free number has a value: itself, unless it is one
+    of its numbers.
 
     Raises LawError where a random number has no law with this mean.
     """
@@ -54,8 +59,9 @@ def moved(study: Study, value: float) -> Study:
 def with_number(study: Study, path: str, value: float) -> Study:
     """The study with a number at `value`: the mean of its law, or the number itself.
 
-    A moved law is cut where its number has no meaning if a notable share of it has come to lie there: a height of 12 mm
-    with a standard deviation of 0.5 mm is never negative; one of 0.2 mm with the same often would be.
+    A moved law is cut where its number has no meaning if a notable share of it has come to lie
+    there: a height of 12 mm with a standard deviation of 0.5 mm is never negative; one of 0.2 mm
+    with the same often would be.
     """
     if path not in study.random:
         return replace(study, fixed={**study.fixed, path: value})
@@ -67,7 +73,9 @@ def with_number(study: Study, path: str, value: float) -> Study:
 
 
 def demand_factor(margins: Margins, limit: Limit, value: float) -> float:
-    """What the demands of a limit are multiplied by where the number has a value, in place of its free strength."""
+    """What the demands of a limit are multiplied by where the number has a value, in place of its
+    free strength.
+    """
     if margins.limit != limit.name:
         return 1.0
     return (

@@ -1,10 +1,10 @@
-"""The loop of a run: one size n, doubled until every answer is accurate enough, or the budget, the time or the user
-ends it.
+"""The loop of a run: one size n, doubled until every answer is accurate enough, or the budget, the
+time or the user ends it.
 
-Three tables grow together: `sample`, n points in each of `REPLICATES` randomisations; `line`, a sixteenth of the same
-points at each of 25 values of the free number, and more where a margin needs them; and `pairs`, n/4 points of the
-design of Sobol' indices, only for quantities whose polynomial chaos is not accurate enough.  A probability too small
-for n is left to one search for rare events.
+Three tables grow together: `sample`, n points in each of `REPLICATES` randomisations; `line`, a
+sixteenth of the same points at each of 25 values of the free number, and more where a margin needs
+them; and `pairs`, n/4 points of the design of Sobol' indices, only for quantities whose polynomial
+chaos is not accurate enough.  A probability too small for n is left to one search for rare events.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def grow(
 ) -> Tables:
     """The tables of a study, as large as its accuracies need.
 
-    Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures, ModelError.
+    Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures,
+        ModelError.
     """
     end, budget = time.monotonic() + seconds, design.study.analysis.budget.evaluations
     history: list[dict[tuple[str, str], float]] = []
@@ -94,7 +95,9 @@ def grow(
 
 
 def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], error: Accuracy) -> bool:
-    """Whether two doublings have left the error of an answer where it had been: no number of rows would lower it."""
+    """Whether two doublings have left the error of an answer where it had been: no number of rows
+    would lower it.
+    """
     before = max(
         (errors.get((error.subject, error.answer), 0.0) for errors in history[:-2]),
         default=math.inf,
@@ -103,7 +106,9 @@ def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], error: Accurac
 
 
 def first_count(study: Study) -> int:
-    """Points of a replicate at first: fewer where the budget has no room for more, two of one row without scatter."""
+    """Points of a replicate at first: fewer where the budget has no room for more, two of one row
+    without scatter.
+    """
     if not any(not is_strength(name) for name in study.laws()):
         return 2
     count = FIRST
@@ -128,7 +133,9 @@ def _rows(design: Design, tables: Tables, count: int) -> int:
 
 
 def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
-    """Tables of `count` points that continue those before; a line that is accurate enough stays as it is."""
+    """Tables of `count` points that continue those before; a line that is accurate enough stays as
+    it is.
+    """
     sample = _sampled(design, model, before, count)
     line = along(design, model, before)
     tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
@@ -157,7 +164,9 @@ def _grown(design: Design, model: Model, before: Tables | None, count: int) -> T
 
 
 def _sampled(design: Design, model: Model, before: Tables | None, count: int) -> Sample:
-    """The sample of `count` points, grown in place and by parts; the tables before keep its head, and no copy of it."""
+    """The sample of `count` points, grown in place and by parts; the tables before keep its head,
+    and no copy of it.
+    """
     if before is None:
         return evaluate(design, model, design.points(count))
     known = before.sample.count
@@ -173,9 +182,11 @@ def _sampled(design: Design, model: Model, before: Tables | None, count: int) ->
 
 
 def along(design: Design, model: Model, before: Tables | None) -> Mapping[float, Sample]:
-    """The first points of the sample at each value of the free number, all values in one evaluation.
+    """The first points of the sample at each value of the free number, all values in one
+    evaluation.
 
-    Where a margin is too inaccurate the values draw closer together about it, and have twice the points there.
+    Where a margin is too inaccurate the values draw closer together about it, and have twice the
+    points there.
     """
     margins = design.study.margins
     if margins is None or margins.limit is not None:
@@ -242,7 +253,9 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
 def paired(
     design: Design, model: Model, count: int, names: list[str], before: dict[str, Array]
 ) -> dict[str, Array]:
-    """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need it."""
+    """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need
+    it.
+    """
     if not names or design.joint.only(design.inputs).dependent:
         return {}
     known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
@@ -269,7 +282,9 @@ def _blocks(design: Design) -> Blocks:
 
 
 def pair_rows(design: Design, count: int, start: int = 0) -> Array:
-    """Inputs (R, count, blocks, d) of the design of Sobol' indices; those of a replicate are in SALib's order."""
+    """Inputs (R, count, blocks, d) of the design of Sobol' indices; those of a replicate are in
+    SALib's order.
+    """
     blocks = _blocks(design)
     inputs, mixed = design.joint.only(design.inputs), []
     for replicate in range(REPLICATES):

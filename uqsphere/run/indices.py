@@ -1,5 +1,5 @@
-"""Sobol' indices of the quantities, first and total: from the polynomial chaos where that is accurate enough, else from
-pairs of runs (pick and freeze)."""
+"""Sobol' indices of the quantities, first and total: from the polynomial chaos where that is
+accurate enough, else from pairs of runs (pick and freeze)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ CHAOS = "polynomial chaos, corrected by rows"
 
 
 def indices(design: Design, tables: Tables) -> Answers:
-    """First-order and total indices of every quantity, second-order ones where the study asks for them."""
+    """First-order and total indices of every quantity, second-order ones where the study asks for
+    them.
+    """
     answers = Answers()
     for name in design.explained:
         for label, row in of_quantity(design, tables, name).items():
@@ -43,8 +45,8 @@ TRAJECTORIES, GIVEN = 64, 4096
 
 
 def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
-    """The measures of SALib that a study names in `analysis.methods`: Morris by a design of its own, which a slow model
-    is not asked for, the others from the rows that are there."""
+    """The measures of SALib that a study names in `analysis.methods`: Morris by a design of its
+    own, which a slow model is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
 
     answers, inputs = Answers(), design.joint.only(design.inputs)
@@ -138,8 +140,9 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
 
 
 def _index(expansion: chaos.Expansion, which: np.ndarray, share: float) -> Estimate:
-    """One index of the terms `which`, of which the expansion has `share`: what no term of it holds, between nothing and
-    all that is left, widens it upwards, and the value takes that to be made up as the expansion is."""
+    """One index of the terms `which`, of which the expansion has `share`: what no term of it holds,
+    between nothing and all that is left, widens it upwards, and the value takes that to be made up
+    as the expansion is."""
     value, off = ratio_of_means(*expansion.projection(which, share))
     estimate = from_replicates(value + off, CHAOS, expansion.residuals.size, float(value))
     if estimate.value is None or estimate.low is None or estimate.high is None:

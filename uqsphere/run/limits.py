@@ -1,4 +1,6 @@
-"""Limits and failure modes: demand against strength at the sampled points, the strength integrated exactly."""
+"""Limits and failure modes: demand against strength at the sampled points, the strength integrated
+exactly.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from uqsphere.uq.limit_state import reliability_index, safety_factor, tails
 
 
 def limits(design: Design, tables: Tables) -> Answers:
-    """Fracture and failure probability, reliability index, strength over demand and design point of every limit."""
+    """Fracture and failure probability, reliability index, strength over demand and design point of
+    every limit.
+    """
     answers = Answers()
     for limit in design.judged.limits:
         subject, runs = design.subject(limit), tables.sample.size
@@ -102,7 +106,9 @@ def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
 def state_of(
     design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None
 ) -> LimitState:
-    """Demands of a limit at points, against its strength or another one, with the dependence between the two."""
+    """Demands of a limit at points, against its strength or another one, with the dependence
+    between the two.
+    """
     column = column_of(limit)
     policy = design.study.analysis.policy
     state = LimitState(

@@ -1,4 +1,6 @@
-"""What a person sees of a run: a bar with its stage, the share that is done and the time left, or lines."""
+"""What a person sees of a run: a bar with its stage, the share that is done and the time left, or
+lines.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-#: called with model runs, the share of the work that is done (an estimate; nan where only the stage moves), and a text
+#: called with model runs, the share of the work that is done (an estimate; nan where only the stage
+#: moves), and a text
 Progress = Callable[[int, float, str], None]
 #: seconds between two lines
 EVERY: Final = 3.0
@@ -19,7 +22,9 @@ FORMAT: Final = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}{postfix}"
 
 
 def share_done(error: float) -> float:
-    """The share of the work that is done at an error over its tolerance: with runs n it falls about as n^(-3/4)."""
+    """The share of the work that is done at an error over its tolerance: with runs n it falls about
+    as n^(-3/4).
+    """
     return 1.0 if not error > 1.0 else error ** (-4.0 / 3.0)
 
 
@@ -31,7 +36,9 @@ def in_notebook() -> bool:
 
 @contextlib.contextmanager
 def watched(*, lines: bool = False) -> Iterator[Progress]:
-    """A bar in a notebook and on a terminal; elsewhere nothing, or `lines` every few seconds; all on stderr."""
+    """A bar in a notebook and on a terminal; elsewhere nothing, or `lines` every few seconds; all
+    on stderr.
+    """
     notebook = in_notebook()
     if notebook or (sys.stderr.isatty() and os.environ.get("TERM") != "dumb"):
         with warnings.catch_warnings():

@@ -1,8 +1,9 @@
-"""Small failure probabilities, by a search (FORM points, subset simulation, importance sampling), and design points.
+"""Small failure probabilities, by a search (FORM points, subset simulation, importance sampling),
+and design points.
 
-The design point is the failure that is most probable: in standard normal variables the one nearest to the origin.
-Limits on one quantity have failure domains inside each other: what one search has seen serves those that are rarer,
-and is searched anew only where too little of it fails.
+The design point is the failure that is most probable: in standard normal variables the one nearest
+to the origin. Limits on one quantity have failure domains inside each other: what one search has
+seen serves those that are rarer, and is searched anew only where too little of it fails.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability,
 
 #: a probability below this is searched for where sampling does not reach it
 SMALL: Final = 0.01
-#: runs of the model that a search takes at most (tests/campaigns/rare.py), and the least that are worth one
+#: runs of the model that a search takes at most (tests/campaigns/rare.py), and the least that are
+#: worth one
 MOST, LEAST = 30_000, 1000
 #: values of an expansion that the search for a design point takes at most
 MOST_VALUES = 20_000
@@ -51,7 +53,8 @@ def can_search(design: Design) -> bool:
 
 
 def search(design: Design, model: Model, tables: Tables, end: float) -> None:
-    """Search for the failure probabilities that are too small for the sample, into `tables.rare`, until time is up.
+    """Search for the failure probabilities that are too small for the sample, into `tables.rare`,
+    until time is up.
 
     The likelier of two limits comes first: its draws may serve the other.
     """
@@ -106,7 +109,9 @@ def _rank(limit: Limit) -> float:
 
 
 def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
-    """The design point of a limit on the expansion of its quantity; empty where that is not accurate enough."""
+    """The design point of a limit on the expansion of its quantity; empty where that is not
+    accurate enough.
+    """
     if limit.name in tables.rare:
         return tables.rare[limit.name].design_point
     expansion = tables.expansions.get(limit.quantity)
@@ -125,9 +130,11 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
 def _problem(
     design: Design, limit: Limit, answered: Callable[[Sample], Sample], budget: float
 ) -> Evaluator:
-    """A limit in standard normal variables: what is left to failure, the score of a random strength integrated.
+    """A limit in standard normal variables: what is left to failure, the score of a random strength
+    integrated.
 
-    Where failure hangs on the quantity alone, its values are the answers: draws for one limit then serve another.
+    Where failure hangs on the quantity alone, its values are the answers: draws for one limit then
+    serve another.
     """
     from uqsphere.run.limits import state_of
 
@@ -167,7 +174,9 @@ def _physical(
     answered: Callable[[Sample], Sample],
     points: Sequence[DesignPoint],
 ) -> dict[str, float]:
-    """The variables at the nearest design point, a random strength behind the others; empty if there is none."""
+    """The variables at the nearest design point, a random strength behind the others; empty if
+    there is none.
+    """
     from uqsphere.run.limits import state_of
 
     if not points:

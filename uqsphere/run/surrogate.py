@@ -1,9 +1,10 @@
-"""Slow models: one design, a polynomial chaos corrected by its own rows, and the same tables as any run.
+"""Slow models: one design, a polynomial chaos corrected by its own rows, and the same tables as any
+run.
 
-A model is slow where the first size of the loop would take longer than the budget allows.  It gets one design of N
-rows, to which the eight expansions of `uqsphere.uq.response` are fitted; replicate r of a table is predicted by
-expansion r modulo eight, and every answer is corrected by the N rows.  An event rarer than about 3/N is not in N rows:
-every answer says so.
+A model is slow where the first size of the loop would take longer than the budget allows.  It gets
+one design of N rows, to which the eight expansions of `uqsphere.uq.response` are fitted; replicate
+r of a table is predicted by expansion r modulo eight, and every answer is corrected by the N rows.
+An event rarer than about 3/N is not in N rows: every answer says so.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from uqsphere.uq.surrogate import columns_of, each_once
 if TYPE_CHECKING:
     from uqsphere.run.progress import Progress
 
-#: rows that measure what the model costs, rows of a design at most and at least, and points of a replicate of a table
+#: rows that measure what the model costs, rows of a design at most and at least, and points of a
+#: replicate of a table
 PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
 #: share of the budget that rows along the free number take
 LINE_BUDGET: Final = 0.4
@@ -100,7 +102,9 @@ def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow
 
 
 class KnownRows(NamedTuple):
-    """Rows that were answered elsewhere: their points (1, N), and a model that looks their answers up."""
+    """Rows that were answered elsewhere: their points (1, N), and a model that looks their answers
+    up.
+    """
 
     points: Sample
     model: Callable[[Mapping[str, Array]], dict[str, Array]]
@@ -109,21 +113,23 @@ class KnownRows(NamedTuple):
 def known_rows(design: Design, frame: Any) -> KnownRows:
     """Inputs and outputs (N rows) by their names; model factors of limits are drawn besides.
 
-    Rows that repeat count once, with a warning.  Raises UsageError for a study of a scene, columns that are missing,
-    unknown or no numbers, fewer than 16 rows, and inputs that do not follow their distributions (one value beyond them,
-    or Kolmogorov and Smirnov at one in a million).
+    Rows that repeat count once, with a warning.  Raises UsageError for a study of a scene, columns
+    that are missing, unknown or no numbers, fewer than 16 rows, and inputs that do not follow their
+    distributions (one value beyond them, or Kolmogorov and Smirnov at one in a million).
     """
     from scipy.stats import kstest
 
     study, inputs = design.study, design.inputs
     if not study.black_box or not inputs:
         raise UsageError(
-            "analyse takes rows of a black-box study with random inputs; run evaluates a scene itself"
+            "analyse takes rows of a black-box study with random inputs; run evaluates a scene "
+            "itself"
         )
     outputs = study.outputs
     if not hasattr(frame, "fillna"):
         raise UsageError(
-            f"analyse takes a DataFrame with {', '.join((*inputs, *outputs))}, not {type(frame).__name__}"
+            f"analyse takes a DataFrame with {', '.join((*inputs, *outputs))}, not "
+            f"{type(frame).__name__}"
         )
     columns_of(frame.fillna(0.0), (*inputs, *outputs))
     x, y = each_once(
@@ -139,7 +145,8 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
     ):
         if (beyond := np.flatnonzero((law.cdf(values) <= 0.0) | (law.sf(values) <= 0.0))).size:
             raise UsageError(
-                f"column {name!r}: {values[beyond[0]]:g} cannot come from the distribution of the study, "
+                f"column {name!r}: {values[beyond[0]]:g} cannot come from the distribution of "
+                "the study, "
                 f"{law!r}: {len(beyond)} of {len(x)} rows lie beyond it"
             )
         if kstest(column, "norm").pvalue < 1e-6:
@@ -174,7 +181,8 @@ def tables_of(
 
     known : the design, where its rows were chosen elsewhere
 
-    Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget that is too small.
+    Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
+        that is too small.
     """
     from uqsphere.run.grow import accuracies
 
@@ -191,7 +199,8 @@ def tables_of(
     )
     if count < LEAST_ROWS:
         raise UsageError(
-            f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at least: "
+            f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at "
+            "least: "
             "raise analysis.budget or --budget"
         )
     stopped, rows = "", None
@@ -241,7 +250,9 @@ def tables_of(
 
 
 def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
-    """The expansions of all columns, and a table of their values; a column that stays rough keeps its rows."""
+    """The expansions of all columns, and a table of their values; a column that stays rough keeps
+    its rows.
+    """
     dropped = 0.0
     if design.study.analysis.policy == "drop" and rows.failed.any():
         dropped, rows = float(rows.failed.mean()), rows.where(~rows.failed[0])
@@ -262,7 +273,8 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
             points = points_of(design, table.scores)
             values = np.stack([response.table(points) for response in responses], axis=2)
             return slow, table.with_answers(rows.quantities, values)
-    # one table for all columns: where one is rough the rows answer for all, in blocks that stand for replicates
+    # one table for all columns: where one is rough the rows answer for all, in blocks that stand
+    # for replicates
     count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
     each = rows.count // count
     blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
@@ -309,11 +321,13 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     return found
 
 
-# --- answers corrected by the rows ------------------------------------------------------------------------------------
+# --- answers corrected by the rows ----------------------------------------------------------------
 
 
 def described(design: Design, slow: Slow, sample: Sample, name: str) -> Description:
-    """The description of a quantity: of the table, corrected by what the expansions leave of the rows."""
+    """The description of a quantity: of the table, corrected by what the expansions leave of the
+    rows.
+    """
     analysis = design.study.analysis
     if name not in slow.responses:
         return describe(
@@ -331,7 +345,9 @@ def described(design: Design, slow: Slow, sample: Sample, name: str) -> Descript
 
 
 def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
-    """A failure probability of the table, corrected by the failure probabilities (1, N) of the rows."""
+    """A failure probability of the table, corrected by the failure probabilities (1, N) of the
+    rows.
+    """
     if table.value is None or not slow.responses:
         return (
             replace(table, high=max(table.high or 0.0, 3.0 / slow.count))

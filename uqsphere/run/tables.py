@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
-    """How accurate an answer is, and how accurate it is required to be: half-widths in the unit of the requirement."""
+    """How accurate an answer is, and how accurate it is required to be: half-widths in the unit of
+    the requirement.
+    """
 
     subject: str
     answer: str
@@ -82,7 +84,8 @@ def evaluate(
     *,
     part: bool = False,
 ) -> Sample:
-    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from point to point.
+    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from
+    point to point.
 
     part : of a design whose failures are counted when it is whole
     """
@@ -139,6 +142,8 @@ def check_failures(
     )
     if share > most:
         raise TooManyFailures(
-            f"{format_probability(share)} of the evaluations failed, more than {format_probability(most)}: {note}; "
-            f'analysis.on_failure takes a larger share, such as "{math.ceil(100.0 * share)} %", or "bound"'
+            f"{format_probability(share)} of the evaluations failed, more than "
+            f"{format_probability(most)}: {note}; "
+            f'analysis.on_failure takes a larger share, such as "{math.ceil(100.0 * share)} %", '
+            'or "bound"'
         )

@@ -1,7 +1,9 @@
-"""The verdict on every limit: met, not met, undecided, or not established with its reasons, and the number to use.
+"""The verdict on every limit: met, not met, undecided, or not established with its reasons, and the
+number to use.
 
-A verdict is not established where something that the study takes for granted could turn it: a contact law, an assumed
-strength of another failure mode, the few tests behind a strength, a model outside its range, synthetic data.
+A verdict is not established where something that the study takes for granted could turn it: a
+contact law, an assumed strength of another failure mode, the few tests behind a strength, a model
+outside its range, synthetic data.
 """
 
 from __future__ import annotations
@@ -122,7 +124,9 @@ def _joint(
     modes: Sequence[Limit],
     p: Estimate,
 ) -> tuple[dict[str, Estimate], list[list[float]]]:
-    """Failure probability by all modes together, the free number at the target, the curve; empty for a single mode."""
+    """Failure probability by all modes together, the free number at the target, the curve; empty
+    for a single mode.
+    """
     if limit.aim != "survive" or len(modes) < 2:
         return {}, []
     head = tables.sample.head(min(tables.sample.count, MOST))
@@ -138,7 +142,9 @@ def _joint(
 
 
 def _judged_together(design: Design, limit: Limit) -> list[Limit]:
-    """The limit, and for a sphere that must survive all other limits of the study that mean its fracture."""
+    """The limit, and for a sphere that must survive all other limits of the study that mean its
+    fracture.
+    """
     if not means_fracture(limit) or limit.aim != "survive":
         return [limit]
     others = [one for one in design.fracture if one.name != limit.name and one.aim == "survive"]
@@ -156,7 +162,7 @@ def _added(own: Estimate, more: Array) -> Estimate:
     return replace(own, value=value, low=min(max(low, 0.0), value), high=max(min(high, 1.0), value))
 
 
-# --- reasons --------------------------------------------------------------------------------------------------------
+# --- reasons --------------------------------------------------------------------------------------
 
 
 def _reasons(
@@ -193,7 +199,10 @@ def _reasons(
             low, high = (_clipped(rest + end) for end in assumed.tests[one.name])
             if (low < target) is not (high < target) or turned(low):
                 n = count_tests(law) if isinstance(law, Law) else 0
-                text = f"the {n} tests of {one.name} leave {format_probability(low)} to {format_probability(high)} open"
+                text = (
+                    f"the {n} tests of {one.name} leave {format_probability(low)} to "
+                    f"{format_probability(high)} open"
+                )
                 found.append(Reason("tests", text, _more_tests(n, (low, high), target)))
         for row in answers.where(design.subject(one), "failure_probability"):
             name = str(row["at"]).removeprefix("assumed: ")
@@ -209,7 +218,10 @@ def _reasons(
     for check in checks:
         share = check.failures.get(limit.name)
         if share is not None and share > target and check.grade == "failure":
-            text = f"the model does not hold in {format_probability(share)} of the failures: {check.text}"
+            text = (
+                f"the model does not hold in {format_probability(share)} of the failures: "
+                f"{check.text}"
+            )
             found.append(Reason("model", text, check.remedy))
     synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
     if synthetic & set(design.study.made_up):
@@ -241,7 +253,9 @@ def _assumed_modes(
     whole: float,
     turned: Callable[[float], bool],
 ) -> list[Reason]:
-    """The failure modes whose assumed strengths would turn the verdict, each by itself or all of them together."""
+    """The failure modes whose assumed strengths would turn the verdict, each by itself or all of
+    them together.
+    """
     if not design.modes:
         return []
     sample = tables.sample.head(min(tables.sample.count, 256))
@@ -269,7 +283,9 @@ def _assumed_modes(
 
 
 def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
-    """How many tests in all would settle a target: the range of the log-odds shrinks with the root of their number."""
+    """How many tests in all would settle a target: the range of the log-odds shrinks with the root
+    of their number.
+    """
     logit = [math.log(max(x, 1e-12) / max(1.0 - x, 1e-12)) for x in (*ends, target)]
     middle, half = 0.5 * (logit[0] + logit[1]), 0.5 * (logit[1] - logit[0])
     distance = abs(middle - logit[2])
@@ -279,7 +295,7 @@ def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
     return f"test more: about {max(math.ceil(needed), n + 1)} tests in all would settle the target"
 
 
-# --- the number to use ----------------------------------------------------------------------------------------------
+# --- the number to use ----------------------------------------------------------------------------
 
 
 def _number_to_use(
@@ -289,7 +305,9 @@ def _number_to_use(
     modes: Sequence[Limit],
     joint: dict[str, Estimate],
 ) -> dict[str, Any] | None:
-    """The conservative value of the free number: by all modes, at the unsafe end of what the tests leave open."""
+    """The conservative value of the free number: by all modes, at the unsafe end of what the tests
+    leave open.
+    """
     margins = design.study.margins
     if margins is None:
         return None
@@ -338,7 +356,9 @@ def _number_to_use(
 def _conservative_margin(
     answers: Answers, subject: str, probability: float, *, survive: bool
 ) -> float | None:
-    """The safe end of the free number at a probability, of the computation and of what the tests leave open."""
+    """The safe end of the free number at a probability, of the computation and of what the tests
+    leave open.
+    """
     row, tests = (answers.get(subject, "margin", at) for at in (probability, "tests"))
     if row is None or row["value"] is None:
         return None
@@ -358,7 +378,7 @@ def _rising(answers: Answers, subject: str) -> bool:
     return not curve or (curve[-1]["value"] or 0.0) >= (curve[0]["value"] or 0.0)
 
 
-# --- words ----------------------------------------------------------------------------------------------------------
+# --- words ----------------------------------------------------------------------------------------
 
 
 def _next(word: str, limit: Limit, reasons: Sequence[Reason]) -> str:
@@ -408,7 +428,10 @@ def _headline(
         elif joint.get("margin") is not None and safe is not None:
             most = _rising(answers, design.subject(limit))
             rest.append(
-                f"No value to use: by all failure modes, {joint['margin'].reason}; widen margins.between. "
+                (
+                    f"No value to use: by all failure modes, {joint['margin'].reason}; widen "
+                    "margins.between. "
+                )
                 + _by_one(limit, safe, margins.solve, most=most)
             )
         elif curve:
@@ -417,7 +440,8 @@ def _headline(
                 (end["at"], end["value"]) for end in (curve[0], curve[-1])
             )
             rest.append(
-                f"No value to use: between {format_value(low, path, 3)} and {format_value(high, path, 3)} the "
+                f"No value to use: between {format_value(low, path, 3)} and "
+                f"{format_value(high, path, 3)} the "
                 f"probability of exceedance runs from {format_probability(p_low)} to "
                 f"{format_probability(p_high)}; widen margins.between."
             )
@@ -443,7 +467,8 @@ def _headline(
                 else f" for a probability of {format_probability(target_of(design, limit))}"
             )
             rest.append(
-                f"That is the conservative, {'lower' if most else 'upper'} end of its interval{at}; best "
+                f"That is the conservative, {'lower' if most else 'upper'} end of its "
+                f"interval{at}; best "
                 f"estimate {best}, by {number['by']}."
             )
         if number["by"] != limit.name and safe is not None:

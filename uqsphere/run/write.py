@@ -117,7 +117,10 @@ def _description(design: Design) -> list[str]:
     """What was studied, in two lines: rock, size and rig; strength with its tests."""
     study = design.study
     if study.black_box:
-        first = f"Black box of {len(study.fixed) + len(study.random)} inputs: {', '.join(study.outputs)}"
+        first = (
+            f"Black box of {len(study.fixed) + len(study.random)} inputs: "
+            f"{', '.join(study.outputs)}"
+        )
     else:
         means = study.at_means()
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"

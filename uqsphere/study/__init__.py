@@ -1,4 +1,6 @@
-"""Study files: TOML text → validated, frozen `Study` in SI, with faults at their lines, a stage of them at once."""
+"""Study files: TOML text → validated, frozen `Study` in SI, with faults at their lines, a stage of
+them at once.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ __all__ = [
 
 
 def shipped_studies() -> dict[str, Path]:
-    """Shipped studies by name, but for the labs' input files: in the package when installed, else in the repository."""
+    """Shipped studies by name, but for the labs' input files: in the package when installed, else
+    in the repository.
+    """
     package = Path(__file__).parent.parent
     for folder in (package / "templates", package.parent / "studies"):
         found = {

@@ -1,7 +1,9 @@
-"""From the tables of a file to a `Study`: library values, defaults, and what the tables say of each other.
+"""From the tables of a file to a `Study`: library values, defaults, and what the tables say of each
+other.
 
-Every check is a generator of faults, and may raise its last one.  Checks stand in stages: a stage is looked at once
-those before it have found nothing, so that its checks may rely on what they have read, and no fault is told twice.
+Every check is a generator of faults, and may raise its last one.  Checks stand in stages: a stage
+is looked at once those before it have found nothing, so that its checks may rely on what they have
+read, and no fault is told twice.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ _KINDS: Final = {
     "insert": ("plates", "bars"),
 }
 _NO_SPHERE: Final = (
-    "A rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
+    "A rock is no sphere: corners and edges break at less, flat lumps at other forces and "
+    "energies than a sphere of "
     "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
 )
 #: keys of tables that are no numbers of the scene, as `uqsphere.mechanics.forms` has those
@@ -93,7 +96,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     )
 
 
-# --- 1: each table by itself ---------------------------------------------------------------------------------------
+# --- 1: each table by itself ----------------------------------------------------------------------
 
 
 def tables(draft: Draft) -> Faults:
@@ -118,19 +121,25 @@ def tables(draft: Draft) -> Faults:
                     draft.numbers[numbers_of(table)[key].name] = number
 
 
-# --- 2: which tables and numbers there are -------------------------------------------------------------------------
+# --- 2: which tables and numbers there are --------------------------------------------------------
 
 
 def _rig(draft: Draft) -> Faults:
     """The tables of the rig."""
     data, rig = draft.data, draft.rig
     if not set(data) & set(SCENE):
-        said = "missing: neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])"
+        said = (
+            "missing: neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], "
+            "[outputs])"
+        )
         raise Fault(f"{said}; 'uqsphere new -o FILE' writes a study to start from", "sphere")
     for table in data:
         homes = [shown(name) for name, own in RIG_TABLES.items() if table in own]
         if homes and shown(rig) not in homes:
-            said = f"[{table}] belongs to the rig {one_of(homes)}, and this is {shown(rig)}: leave it out"
+            said = (
+                f"[{table}] belongs to the rig {one_of(homes)}, and this is {shown(rig)}: leave "
+                "it out"
+            )
             yield Fault(said, table)
     striker = ["striker"] if draft.document.pulse.shape == "measured" else []
     for table in {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *striker, *data}:
@@ -195,11 +204,13 @@ def _library(draft: Draft) -> Faults:
             draft.warn((table, "material"), f"{name} is no elastic solid: {E.note}")
 
 
-# --- 3: what each table needs by its kind --------------------------------------------------------------------------
+# --- 3: what each table needs by its kind ---------------------------------------------------------
 
 
 def _forms(draft: Draft) -> Faults:
-    """Words that choose an equation, defaults, what each table needs by its kind, and what belongs to another kind."""
+    """Words that choose an equation, defaults, what each table needs by its kind, and what belongs
+    to another kind.
+    """
     document, numbers, options = draft.document, draft.numbers, draft.options
     options |= {
         f"{table}.kind": getattr(document, table).kind
@@ -255,7 +266,11 @@ def _forms(draft: Draft) -> Faults:
                     for one, text in FORMS[table].items()
                     if one and key in re.findall(r"\w+", text)
                 ]
-                of = f"[{table}]{f' with {shown(kind)}' * bool(kind)}{f', but with {one_of(homes)}' * bool(homes)}"
+                of = f"[{table}]"
+                if kind:
+                    of += f" with {shown(kind)}"
+                if homes:
+                    of += f", but with {one_of(homes)}"
                 yield Fault(f"{key} does not belong to {of}: leave it out", table, key)
         for keys in forms.needs_of(needs):
             given = [
@@ -278,7 +293,7 @@ def _forms(draft: Draft) -> Faults:
                 )
 
 
-# --- 4: what contradicts, random numbers at their nominal means ----------------------------------------------------
+# --- 4: what contradicts, random numbers at their nominal means -----------------------------------
 
 
 def _model(draft: Draft) -> Faults:
@@ -299,7 +314,10 @@ def _model(draft: Draft) -> Faults:
         (("fidelity", "linear"), ("compare_with_paper", True)) if bars and draft.plastic else ()
     ):
         if getattr(model, key) == word:
-            said = 'the linear model and the paper know Hertz only, contact.law is "plastic": leave one out'
+            said = (
+                'the linear model and the paper know Hertz only, contact.law is "plastic": leave '
+                "one out"
+            )
             yield Fault(said, "model", key)
     if model.whole_record and model.first_loading_only:
         said = "the whole record goes on after the first loading: leave first_loading_only out"
@@ -364,7 +382,10 @@ def _scene(draft: Draft) -> Faults:
                 f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law
             )
             values = re.sub("(nan|inf) GPa", "missing", values)
-            said = f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 to 100 are required"
+            said = (
+                f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 "
+                "to 100 are required"
+            )
             yield Fault(
                 f"{said}; pile_up = 1 and no hardness make it 0",
                 "contact" if own else softer,
@@ -374,7 +395,10 @@ def _scene(draft: Draft) -> Faults:
         return
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
     if across > bars:
-        said = f"the sphere is larger than its bars: take bars of {format_value(across, 'bars.diameter')} or more"
+        said = (
+            "the sphere is larger than its bars: take bars of "
+            f"{format_value(across, 'bars.diameter')} or more"
+        )
         yield Fault(said, "sphere", "radius")
     if shape == "step" and horizon is None:
         yield Fault(
@@ -392,7 +416,10 @@ def _scene(draft: Draft) -> Faults:
             )
         elif scene.striker_ratio is not None:
             place = ("striker", "")
-            why = f"{why}; or the striker's impedance, {scene.striker_ratio[0]:.3g} times that of the bars, exceeds 9"
+            why = (
+                f"{why}; or the striker's impedance, {scene.striker_ratio[0]:.3g} times that of "
+                "the bars, exceeds 9"
+            )
         raise Fault(f"{why}, {format_value(scene.scales.duration[0], 'pulse.duration')}", *place)
     lasts, trip = scene.pulse.end[0], scene.round_trips[0, 0]
     if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
@@ -400,8 +427,10 @@ def _scene(draft: Draft) -> Faults:
         place = {"step": ("pulse", "shape"), "measured": ("pulse", "file")}.get(shape, timed)
         said, back = (format_value(time, "pulse.duration") for time in (lasts, trip))
         raise Fault(
-            f"the whole pulse lasts {said}, longer than the round trip of {back} in the incident bar, whose far end "
-            "cannot reflect before the striker has left it: shorten the pulse, lengthen the bar, or set "
+            f"the whole pulse lasts {said}, longer than the round trip of {back} in the incident "
+            "bar, whose far end "
+            "cannot reflect before the striker has left it: shorten the pulse, lengthen the bar, "
+            "or set "
             'incident_end = "absorbing"',
             *place,
         )
@@ -420,11 +449,14 @@ def _gauges(draft: Draft) -> Faults:
             yield Fault(said, *place, "bar")
         elif position > (length := draft.mean(path)):
             found, end = format_value(position, path), format_value(length, path)
-            said = f"found {found}, beyond the far end of the {what} of {end}: the distance counts from the sphere"
+            said = (
+                f"found {found}, beyond the far end of the {what} of {end}: the distance counts "
+                "from the sphere"
+            )
             yield Fault(said, *place)
 
 
-# --- 5: limits and quantities; 6: what names them ------------------------------------------------------------------
+# --- 5: limits and quantities; 6: what names them -------------------------------------------------
 
 
 def _limits(draft: Draft) -> Faults:
@@ -455,7 +487,10 @@ def _dependence(draft: Draft) -> Faults:
             if name not in random:
                 said = unknown("random input", name, random)
                 if name in draft.numbers:
-                    said = f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
+                    said = (
+                        f"{shown(name)} is a fixed number here: give it a distribution, or leave "
+                        "it out"
+                    )
                 yield Fault(said, "dependence", index, "of", at)
                 return
     for index, tie in enumerate(ties):
@@ -475,7 +510,10 @@ def _margins(draft: Draft) -> Faults:
     solve = re.sub(r"^insert\.", "bars.insert_", table.solve)
     names = [name for name in draft.numbers if not name.endswith(".model_factor")]
     if solve not in names:
-        said = f"{shown(table.solve)} is no {'input' if draft.box else 'number'} of this study, which has"
+        said = (
+            f"{shown(table.solve)} is no {'input' if draft.box else 'number'} of this study, "
+            "which has"
+        )
         raise Fault(f"{said} {one_of(names[:30])}{suggestion(solve, names)}", "margins", "solve")
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
     own, number, ends = strengths.get(solve, solve), draft.numbers[solve], []

@@ -1,7 +1,9 @@
-"""The tables of a study file as pydantic models: words, and numbers with their units or distributions.
+"""The tables of a study file as pydantic models: words, and numbers with their units or
+distributions.
 
-The numbers of a scene are declared in `uqsphere.quantities.INPUTS`; what the tables say of each other is checked in
-`uqsphere.study.check`.  The JSON schema and docs/study-file.md follow from all three.
+The numbers of a scene are declared in `uqsphere.quantities.INPUTS`; what the tables say of each
+other is checked in `uqsphere.study.check`.  The JSON schema and docs/study-file.md follow from all
+three.
 """
 
 from __future__ import annotations
@@ -60,11 +62,13 @@ SCENE: Final = (
 )
 
 
-# --- what a key can hold -------------------------------------------------------------------------------------------
+# --- what a key can hold --------------------------------------------------------------------------
 
 
 def _fixed_schema(dimension: str) -> dict[str, Any]:
-    """JSON schema of a fixed number: a text with a unit, or a plain number where there is no unit."""
+    """JSON schema of a fixed number: a text with a unit, or a plain number where there is no
+    unit.
+    """
     if dimension == "number":
         return {"type": ["number", "string"]}
     units = "|".join(map(re.escape, UNITS[dimension])) + "|rpm.+" * (dimension == "speed")
@@ -72,7 +76,9 @@ def _fixed_schema(dimension: str) -> dict[str, Any]:
 
 
 def _fixed(name: str) -> Any:
-    """The mark of a fixed number with its unit: a parameter of a criterion, or any number of a dimension."""
+    """The mark of a fixed number with its unit: a parameter of a criterion, or any number of a
+    dimension.
+    """
     part = PARAMETERS.get(name) or Parameter(name=name, dimension=name, meaning=name)
     quantity = Quantity(
         name=name,
@@ -124,7 +130,7 @@ Methods = Annotated[
 ]
 
 
-# --- the scene -----------------------------------------------------------------------------------------------------
+# --- the scene ------------------------------------------------------------------------------------
 
 
 class Body(Table):
@@ -225,7 +231,7 @@ class ModelChoice(Table):
     )
 
 
-# --- limits and what is asked --------------------------------------------------------------------------------------
+# --- limits and what is asked ---------------------------------------------------------------------
 
 
 class LimitTable(Table):
@@ -235,7 +241,8 @@ class LimitTable(Table):
     criterion: Literal[*CRITERIA] | None = keyed("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
     strength: Num = keyed("value, distribution, or a file with tests or draws", ...)
     strength_is: Literal["hertz", "pressure"] | None = keyed(
-        'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the true one'
+        'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the '
+        "true one"
     )
     aim: Literal["survive", "break"] = keyed(
         "the quantity must stay below the strength, or exceed it", "survive"
@@ -248,7 +255,8 @@ class LimitTable(Table):
         "whether exceeding it breaks the sphere; without it the quantity decides"
     )
     energy_is: Literal["contact", "sphere", "input"] | None = keyed(
-        "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or offered"
+        "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or "
+        "offered"
     )
     modulus: Annotated[float, *_fixed("modulus")] | None = keyed(
         "of a weakest link, unless the strength has it"
@@ -298,7 +306,9 @@ def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -
 
 
 def _with_numbers(table: str, words: type[Table]) -> type[Table]:
-    """A table with the numbers of the scene that it can have: a word where one stands for it, fixed, or a law."""
+    """A table with the numbers of the scene that it can have: a word where one stands for it,
+    fixed, or a law.
+    """
     numbers: dict[str, Any] = {}
     for name, quantity in numbers_of(table).items():
         known = [*END_COEFFICIENTS] * name.endswith("end") + ["flat"] * name.endswith("face_radius")
@@ -312,7 +322,9 @@ def _with_numbers(table: str, words: type[Table]) -> type[Table]:
 
 
 class Dependence(Table):
-    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
+    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a
+    Student t copula.
+    """
 
     of: Annotated[tuple[str, ...], *_several(2, 1_000)] = keyed("random numbers, two or more", ...)
     spearman: Correlation | None = keyed("Spearman's rank correlation; required, or `kendall`")
@@ -326,7 +338,9 @@ class Dependence(Table):
 
 
 class Accuracy(Table):
-    """Half-widths of the 95 % intervals: mean and quantile over sd, sobol absolute, probability relative."""
+    """Half-widths of the 95 % intervals: mean and quantile over sd, sobol absolute, probability
+    relative.
+    """
 
     mean: Positive = 0.005
     quantile: Positive = 0.02
@@ -342,14 +356,21 @@ class Budget(Table):
 
 
 class Analysis(Table):
-    """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box evaluation."""
+    """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box
+    evaluation.
+    """
 
     quantities: Annotated[tuple[str, ...], *_several()] = keyed(
-        "answered to this accuracy; without it `p_max` and `contact_duration`, or all outputs of a black box",
+        (
+            "answered to this accuracy; without it `p_max` and `contact_duration`, or all "
+            "outputs of "
+            "a black box"
+        ),
         (),
     )
     accuracy: Accuracy = keyed(
-        "half-widths of 95 % intervals, mean and quantile over the standard deviation, probability relative; `{ mean = "
+        "half-widths of 95 % intervals, mean and quantile over the standard deviation, "
+        "probability relative; `{ mean = "
         "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`",
         Accuracy.model_construct(),
     )
@@ -365,7 +386,8 @@ class Analysis(Table):
         "`all`: those of a rock that have no limit, too", "all"
     )
     on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
-        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` leaves out up to 1 %, '
+        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` '
+        "leaves out up to 1 %, "
         'a share such as `"5 %"` up to that',
         "abort",
     )
@@ -392,8 +414,9 @@ def limit_of(path: str) -> str | None:
 class Margins(Table):
     """The inverse question: at which value of one number is a failure probability reached?
 
-    The number is one of the scene or of a black box, the mean of its law where it scatters, or the mean strength of a
-    limit, all its values in proportion; of a `Study` it lies between two values in SI.
+    The number is one of the scene or of a black box, the mean of its law where it scatters, or the
+    mean strength of a limit, all its values in proportion; of a `Study` it lies between two values
+    in SI.
     """
 
     solve: str = keyed('the free number: `"striker.speed"`, `"limits.NAME.strength"`', ...)
@@ -455,18 +478,21 @@ _scene: dict[str, Any] = {
 Document: Final = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
 
 
-# --- a study while it is read ---------------------------------------------------------------------------------------
+# --- a study while it is read ---------------------------------------------------------------------
 
 
 @dataclass(kw_only=True)
 class Draft:
     """What is understood of a study.
 
-    folder : that of the study, outside of which no file is read; files: those it has read, by the names it gives them.
+    folder : that of the study, outside of which no file is read; files: those it has read, by the
+        names it gives them.
     data : the tables as the file has them; document: the same, validated.
-    box, rig, plastic : whether it is a black box, what loads the sphere, whether contacts can yield.
+    box, rig, plastic : whether it is a black box, what loads the sphere, whether contacts can
+        yield.
     known : the quantities that can be asked for.
-    numbers : by dotted path (black box: bare name) in the order of the file, strengths and model factors last.
+    numbers : by dotted path (black box: bare name) in the order of the file, strengths and model
+        factors last.
     scene : the one row at its means.
     """
 
@@ -499,18 +525,21 @@ class Draft:
         return self.numbers[path].mean if path in self.numbers else absent
 
     def elastic(self, table: str) -> tuple[float, float]:
-        """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a table."""
+        """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a
+        table.
+        """
         E, nu = (
             self.mean(f"{table}.insert_{key}", self.mean(f"{table}.{key}")) for key in ("E", "nu")
         )
         return E, nu
 
 
-# --- the schema ----------------------------------------------------------------------------------------------------
+# --- the schema -----------------------------------------------------------------------------------
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and meanings.
+    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and
+    meanings.
 
     It says less than the reader: how numbers go together, only `load_study` knows.
     """

@@ -1,4 +1,6 @@
-"""[limits.NAME]: what is held against which strength, and strengths from the forces at which spheres broke in tests."""
+"""[limits.NAME]: what is held against which strength, and strengths from the forces at which
+spheres broke in tests.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +34,19 @@ _ENERGIES: Final = {
     "input": "specific_impact_energy",
 }
 _PRESSURES: Final = (
-    'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly all '
-    'tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds the hardness: the '
+    'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, '
+    "as nearly all "
+    'tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds '
+    "the hardness: the "
     "probabilities can differ by decades"
 )
-#: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law carries a strength
+#: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law
+#: carries a strength
 _SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
 #: a criterion rises at least with this power of the force
 _RISES: Final = 0.05
-#: at equal strength a force goes with this power of the diameter, but for flaws; with its square where nothing is said
+#: at equal strength a force goes with this power of the diameter, but for flaws; with its square
+#: where nothing is said
 _POWERS: Final = {
     "ring_crack": 1.0,
     "ring_crack_toughness": 1.0,
@@ -65,7 +71,10 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     limit = _demand(draft, name, table)
     if table.fracture and table.criterion is None and limit.quantity not in PATHS:
         paths = one_of(sorted(PATHS))
-        said = f"exceeding {limit.quantity} breaks no sphere: fracture = true is for a criterion or one of {paths}"
+        said = (
+            f"exceeding {limit.quantity} breaks no sphere: fracture = true is for a criterion or "
+            f"one of {paths}"
+        )
         raise Fault(said, "fracture")
     with within("model_factor"):
         factor = number_of(table.model_factor, _FACTOR, draft, (*place, "model_factor"))
@@ -81,7 +90,8 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
         if own is None:
             draft.warn(
                 place,
-                "the strength of a weakest link is a Weibull distribution of its modulus; with another "
+                "the strength of a weakest link is a Weibull distribution of its modulus; with "
+                "another "
                 "the probability is not that of the flaws",
             )
         elif modulus is not None and abs(own - modulus) > 1e-9 * modulus:
@@ -123,7 +133,10 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     # the modulus may stand in the strength, which is read later
     if missing := next((part for part in needs if part not in (*given, "modulus")), ""):
         raise Fault(
-            f"{missing} is missing: the criterion {criterion} needs the {PARAMETERS[missing].meaning}",
+            (
+                f"{missing} is missing: the criterion {criterion} needs the "
+                f"{PARAMETERS[missing].meaning}"
+            ),
             missing,
         )
     if entry and entry.quantity and not given:
@@ -135,7 +148,11 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     for wrong, said in (
         (
             meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
-            f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: leave it out",
+            (
+                f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: "
+                "leave it "
+                "out"
+            ),
         ),
         (draft.plastic and pressure and meant is None, _PRESSURES),
         (
@@ -144,7 +161,11 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         ),
         (
             draft.plastic and quantity == "first_peak" and meant == "hertz",
-            'first_peak is a true pressure where faces yield: write strength_is = "pressure", or quantity = "p_max"',
+            (
+                "first_peak is a true pressure where faces yield: write strength_is = "
+                '"pressure", or '
+                'quantity = "p_max"'
+            ),
         ),
     ):
         if wrong:
@@ -164,7 +185,9 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
 
 
 def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
-    """A strength: a number or law in the unit of the demand, or what tests tell of it; raises Fault."""
+    """A strength: a number or law in the unit of the demand, or what tests tell of it; raises
+    Fault.
+    """
     if draft.box:
         return number_of(table.strength, plain_quantity(limit.quantity), draft, place)
     entry = lookup(limit.quantity)
@@ -181,7 +204,7 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
     return found
 
 
-# --- strengths from crushing tests ---------------------------------------------------------------------------------
+# --- strengths from crushing tests ----------------------------------------------------------------
 
 
 def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Number:
@@ -221,7 +244,8 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     if draft.rig != "platens" and "rate_0" not in limit.parameters:
         draft.warn(
             place,
-            "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is conservative "
+            "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is "
+            "conservative "
             "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)",
         )
 
@@ -233,11 +257,13 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     if not np.isfinite(value(8.0)).all():
         raise Fault(
-            f"some tests lie beyond what {limit.quantity} can reach: raise largest_energy, or the hardness"
+            f"some tests lie beyond what {limit.quantity} can reach: raise largest_energy, or "
+            "the hardness"
         )
     if not (slopes > _RISES).all():
         raise Fault(
-            f"{limit.quantity} hardly rises with the force of such tests, so that no force tells its "
+            f"{limit.quantity} hardly rises with the force of such tests, so that no force tells "
+            "its "
             "strength: take another criterion"
         )
 
@@ -250,7 +276,9 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
 
 
 def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tuple[Law, float]:
-    """A law that needs a number, and the number that it gives: of the size law, of a weakest link; raises Fault."""
+    """A law that needs a number, and the number that it gives: of the size law, of a weakest link;
+    raises Fault.
+    """
     from scipy.optimize import fixed_point
 
     start = fitted(number)[1]  # what is wrong with the tests themselves is said first
@@ -268,7 +296,8 @@ def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tu
 def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: Place) -> None:
     """Warn of tests of another diameter than the sphere's, of its first radius [m].
 
-    Raises Fault where no size law, of the tests or of the criterion itself, carries them to one of the radii.
+    Raises Fault where no size law, of the tests or of the criterion itself, carries them to one of
+        the radii.
     """
     tested = limit.tested
     if tested is None:
@@ -279,7 +308,8 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
     ]
     refused = not linked and max(ratios) > _SIZES_REFUSED
     sizes = (
-        f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the sphere of "
+        f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the "
+        "sphere of "
         f"{2e3 * radii[ratios.index(max(ratios)) if refused else 0]:.4g} mm"
     )
     if refused:
@@ -300,7 +330,9 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
 def warn_of_tests(
     table: Observations, force: Array, diameter: Array, radius: float, draft: Draft, place: Place
 ) -> None:
-    """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them usual."""
+    """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them
+    usual.
+    """
     size, tension = diameter / (2.0 * radius), np.median(0.9 * force / np.square(diameter))
     far = (size > 3.0) | (size < 1.0 / 3.0)
     first = int(np.argmax(far))
@@ -311,7 +343,8 @@ def warn_of_tests(
             (1.0 / 3.0, 3.0),
             UNITS["length"],
             table.diameter_unit,
-            f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, the first "
+            f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, "
+            "the first "
             f"{1e3 * diameter[first]:.4g} mm",
         ),
         (
@@ -320,7 +353,10 @@ def warn_of_tests(
             _TENSION,
             UNITS["force"],
             table.force_unit,
-            f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to {1e-6 * _TENSION[1]:g} MPa",
+            (
+                f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to "
+                f"{1e-6 * _TENSION[1]:g} MPa"
+            ),
         ),
     ):
         if not low <= typical <= high:
@@ -331,7 +367,7 @@ def warn_of_tests(
             return
 
 
-# --- the sphere in the tests ---------------------------------------------------------------------------------------
+# --- the sphere in the tests ----------------------------------------------------------------------
 
 
 def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
@@ -355,7 +391,8 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
             )
         if math.isnan(choices[raw][0]):
             raise Fault(
-                'there are no bars here: write what it was measured between, platens = "rigid" or a material'
+                'there are no bars here: write what it was measured between, platens = "rigid" '
+                "or a material"
             )
     return choices[raw]
 

@@ -33,13 +33,16 @@ def load_study(
 ) -> Study:
     """The study of a TOML file, of such a text, or of the same tables as a dict, validated.
 
-    path : the file; nothing outside its folder is read.  With a `text` what it is called, and where its data lie.  A
-    mapping holds the tables themselves: ``{"inputs": {"x": {"dist": "normal", "mean": 0, "sd": 1}}, ...}``.
-    overrides : ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before anything is checked.
+    path : the file; nothing outside its folder is read.  With a `text` what it is called, and where
+    its data lie.  A mapping holds the tables themselves: ``{"inputs": {"x": {"dist": "normal",
+    "mean": 0, "sd": 1}}, ...}``.
+    overrides : ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before
+        anything is checked.
     text : the content of a study file, in place of reading one.
 
-    Raises StudyError with every fault of the first of `STAGES` that has one, each with its line; AccessError where the
-    file is missing or cannot be read; UsageError for an override that is none, and a value that no study file can hold.
+    Raises StudyError with every fault of the first of `STAGES` that has one, each with its line;
+    AccessError where the file is missing or cannot be read; UsageError for an override that is
+    none, and a value that no study file can hold.
 
     >>> inputs = {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
@@ -66,11 +69,13 @@ def load_study(
     return replace(resolve(draft, path, text), overrides=tuple(overrides))
 
 
-# --- keys of earlier studies ---------------------------------------------------------------------------------------
+# --- keys of earlier studies ----------------------------------------------------------------------
 
 
 def _removed(node: Any, ways: Mapping[str, str], above: Place = ()) -> Faults:
-    """Every key and value of an earlier study that is renamed or dropped, with the way out; a table by its keys."""
+    """Every key and value of an earlier study that is renamed or dropped, with the way out; a table
+    by its keys.
+    """
     for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
         place: Place = (*above, key)
         path, held = (

@@ -1,4 +1,6 @@
-"""What a study is: the frozen nouns that everything above the parser works with, all values in SI."""
+"""What a study is: the frozen nouns that everything above the parser works with, all values in
+SI.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +39,10 @@ if TYPE_CHECKING:
 class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
 
-    With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.  `fracture`:
-    whether exceeding it breaks the sphere; None leaves that to the quantity.  `tested`: the crushing tests behind the
-    strength, if it has such; `uqsphere.run.demands` makes their forces comparable with those of a row.
+    With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's
+    own.  `fracture`: whether exceeding it breaks the sphere; None leaves that to the quantity.
+    `tested`: the crushing tests behind the strength, if it has such; `uqsphere.run.demands` makes
+    their forces comparable with those of a row.
     """
 
     name: str
@@ -66,23 +69,26 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class Study:
-    """A validated study: `Study(title=..., inputs=..., outputs=..., limits=..., margins=..., analysis=...)`.
+    """A validated study: `Study(title=..., inputs=..., outputs=..., limits=..., margins=...,
+    analysis=...)`.
 
-    The arguments are the tables of a study file as mappings, with laws of this package, of scipy.stats or chaospy where
-    a number scatters, and `outputs` a name or several; they make the same document, which `text` has.  A file is read
-    by `load_study`.
+    The arguments are the tables of a study file as mappings, with laws of this package, of
+    scipy.stats or chaospy where a number scatters, and `outputs` a name or several; they make the
+    same document, which `text` has.  A file is read by `load_study`.
 
     >>> from scipy import stats
-    >>> Study(inputs={"load": stats.norm(3.0, 0.5)}, outputs="y", limits={"high": {"quantity": "y", "strength": 5.0,
-    ...       "aim": "survive"}}, analysis={"budget": {"evaluations": 1000}}, title="A beam")
+    >>> high = {"quantity": "y", "strength": 5.0, "aim": "survive"}
+    >>> Study(inputs={"load": stats.norm(3.0, 0.5)}, outputs="y", limits={"high": high},
+    ...       analysis={"budget": {"evaluations": 1000}}, title="A beam")
     <Study 'A beam': 1 random input, limits high, black box>
 
-    fixed, random : every number by dotted path (black box: bare name), SI, defaults included, in the order of the file;
-    a bar end is its velocity reflection coefficient.  What a scene does not have (lengths of infinite bars, say) is
-    absent.
+    fixed, random : every number by dotted path (black box: bare name), SI, defaults included, in
+    the order of the file; a bar end is its velocity reflection coefficient.  What a scene does not
+    have (lengths of infinite bars, say) is absent.
     record : the pulse of a measured record, from which `striker.speed` then follows.
     made_up : the random numbers whose observations the file calls synthetic.
-    overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
+    overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other
+        attributes.
     """
 
     title: str
@@ -135,11 +141,16 @@ class Study:
     def __repr__(self) -> str:
         parts = [f"{len(self.random)} random input{'' if len(self.random) == 1 else 's'}"]
         parts += [f"limits {', '.join(limit.name for limit in self.limits)}"] if self.limits else []
-        return f"<Study {self.title!r}: {', '.join([*parts, 'black box' if self.black_box else self.rig])}>"
+        return (
+            f"<Study {self.title!r}: "
+            f"{', '.join([*parts, 'black box' if self.black_box else self.rig])}>"
+        )
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments or layout."""
+        """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments
+        or layout.
+        """
         text = json.dumps(
             self._meaning(),
             sort_keys=True,
@@ -150,7 +161,8 @@ class Study:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def changed_keys(self, other: Study) -> list[str]:
-        """The dotted keys whose meaning differs in another study; those that leave the hash alone are not among them.
+        """The dotted keys whose meaning differs in another study; those that leave the hash alone
+        are not among them.
 
         >>> box = {"outputs": "y", "seed": 1}
         >>> Study(inputs={"x": 1.0}, **box).changed_keys(Study(inputs={"x": 2.0}, **box))
@@ -178,7 +190,9 @@ class Study:
         }
 
     def laws(self) -> dict[str, Law]:
-        """Every random variable and its law: inputs in file order, then strengths and model factors."""
+        """Every random variable and its law: inputs in file order, then strengths and model
+        factors.
+        """
         laws = dict(self.random)
         for limit in self.limits:
             for part, value in (("strength", limit.strength), ("model_factor", limit.model_factor)):
@@ -187,18 +201,24 @@ class Study:
         return laws
 
     def inputs(self) -> Joint:
-        """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
+        """The random variables of `laws` with their dependence, as the uncertainty side reads
+        them.
+        """
         laws = self.laws()
         return make_joint(tuple(laws), tuple(laws.values()), self.dependence)
 
     def joint(self) -> Distribution:
-        """The joint law of the random inputs as a distribution of chaospy; `uqsphere.uq.interop.joint_to_chaospy`."""
+        """The joint law of the random inputs as a distribution of chaospy;
+        `uqsphere.uq.interop.joint_to_chaospy`.
+        """
         from uqsphere.uq.interop import joint_to_chaospy
 
         return joint_to_chaospy(self.inputs().only(tuple(self.random)))
 
     def sample(self, count: int) -> DataFrame:
-        """Independent rows of every random number, strengths too, SI: the same for the same seed."""
+        """Independent rows of every random number, strengths too, SI: the same for the same
+        seed.
+        """
         from pandas import DataFrame
 
         joint = self.inputs()
@@ -208,11 +228,14 @@ class Study:
         return DataFrame(joint.physical(normals), columns=list(joint.names))
 
     def design(self, count: int) -> DataFrame:
-        """Rows of the random inputs for a solver elsewhere, SI: points of a scrambled Sobol' sequence, spread evenly.
+        """Rows of the random inputs for a solver elsewhere, SI: points of a scrambled Sobol'
+        sequence, spread evenly.
 
-        More rows continue fewer.  Their answers, in columns by the names of the outputs, are for `analyse`.
+        More rows continue fewer.  Their answers, in columns by the names of the outputs, are for
+        `analyse`.
 
-        >>> Study(inputs={"x": {"dist": "uniform", "lower": 0.0, "upper": 1.0}}, outputs="y").design(4).shape
+        >>> uniform = {"dist": "uniform", "lower": 0.0, "upper": 1.0}
+        >>> Study(inputs={"x": uniform}, outputs="y").design(4).shape
         (4, 1)
         """
         from pandas import DataFrame
@@ -226,10 +249,12 @@ class Study:
         )
 
     def analyse(self, frame: DataFrame, *, out: str | Path | None = None) -> Run:
-        """The run of a black-box study whose rows were answered elsewhere: every analysis, without calling a model.
+        """The run of a black-box study whose rows were answered elsewhere: every analysis, without
+        calling a model.
 
-        frame : random inputs and outputs by their names, 16 rows or more drawn as the study says (`design`, `sample`,
-            measurements); a row without an answer is nan, and counts as `analysis.on_failure` says.
+        frame : random inputs and outputs by their names, 16 rows or more drawn as the study says
+            (`design`, `sample`, measurements); a row without an answer is nan, and counts as
+            `analysis.on_failure` says.
 
         An event rarer than 3 in the number of rows is in no interval, and the answers say so.
         """
@@ -238,7 +263,9 @@ class Study:
         return run(self, rows=frame, out=out)
 
     def to_salib(self, count: int = 1024, *, second: bool = False) -> SalibDesign:
-        """The study's own design of Sobol' indices as a problem and rows of SALib; `uqsphere.uq.interop.to_salib`."""
+        """The study's own design of Sobol' indices as a problem and rows of SALib;
+        `uqsphere.uq.interop.to_salib`.
+        """
         from uqsphere.uq.interop import to_salib
 
         return to_salib(
@@ -246,7 +273,9 @@ class Study:
         )
 
     def at_means(self) -> dict[str, float]:
-        """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
+        """Every number of the scene (or black-box input), the random ones at their nominal mean;
+        SI.
+        """
         return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
     def resolved(self) -> dict[str, Json]:
@@ -266,7 +295,9 @@ Study.__signature__ = Signature(  # type: ignore[attr-defined]
 
 
 def _keys(meaning: Mapping[str, Json]) -> dict[str, Json]:
-    """The values of a study by their dotted keys: numbers by their paths, parts of tables by table and key."""
+    """The values of a study by their dotted keys: numbers by their paths, parts of tables by table
+    and key.
+    """
     keys: dict[str, Json] = {}
     for table, content in meaning.items():
         if table in ("fixed", "random", "options") and isinstance(content, dict):

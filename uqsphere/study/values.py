@@ -1,4 +1,5 @@
-"""A number of a study in SI: a fixed value, a distribution that a table describes, or what a file beside it tells.
+"""A number of a study in SI: a fixed value, a distribution that a table describes, or what a file
+beside it tells.
 
 Such a file has a column of observations, crushing tests, draws of a fit, or the pulse of a record.
 """
@@ -62,12 +63,13 @@ _UNLIKELY: Final = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Tested:
-    """Crushing tests of spheres behind a strength: what was measured, and the law of the force at failure.
+    """Crushing tests of spheres behind a strength: what was measured, and the law of the force at
+    failure.
 
-    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.  platens: E [Pa],
-    infinite if rigid, and nu.  sphere: as `uqsphere.mechanics.crushing` takes it.  law: of the force at
-    failure of a sphere of `diameter`.  exponent: that force goes with the diameter to this power.  The draws of a lab
-    have a diameter and an exponent alone.
+    diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.
+    platens: E [Pa], infinite if rigid, and nu.  sphere: as `uqsphere.mechanics.crushing` takes it.
+    law: of the force at failure of a sphere of `diameter`.  exponent: that force goes with the
+    diameter to this power.  The draws of a lab have a diameter and an exponent alone.
     """
 
     diameter: float
@@ -95,7 +97,9 @@ class Number:
 
 @cache
 def numbers_of(table: str) -> dict[str, Quantity]:
-    """The numbers that a table of a scene can have, by their keys; those of inserts stand among those of the bars."""
+    """The numbers that a table of a scene can have, by their keys; those of inserts stand among
+    those of the bars.
+    """
     start = "bars.insert_" if table == "insert" else f"{table}."
     numbers = {
         name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)
@@ -104,7 +108,9 @@ def numbers_of(table: str) -> dict[str, Quantity]:
 
 
 def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
-    """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its meaning."""
+    """SI value of a fixed number; raises Fault where it is none, or outside the bounds of its
+    meaning.
+    """
     if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
         if raw not in END_COEFFICIENTS:
             raise Fault(
@@ -146,13 +152,19 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     kind = raw.get("dist")
     if (family := family_named(kind) if isinstance(kind, str) else None) is None:
         near = suggestion(kind, FAMILIES) or suggestion(next(iter(raw), ""), ["dist"])
-        said = f'a distribution is required, such as {{ dist = "normal", … }}, known: {one_of(FAMILIES)}{near}'
+        said = (
+            f'a distribution is required, such as {{ dist = "normal", … }}, known: '
+            f"{one_of(FAMILIES)}{near}"
+        )
         raise Fault(said, *["dist"] * ("dist" in raw))
     keys = (*family.keys, "lower", "upper")
     given: dict[str, float] = {}
     for key in (key for key in raw if key != "dist"):
         if key not in keys:
-            said = f"{shown(key)} does not belong to the distribution {family.name}, which takes {one_of(keys)}"
+            said = (
+                f"{shown(key)} does not belong to the distribution {family.name}, which takes "
+                f"{one_of(keys)}"
+            )
             raise Fault(said + suggestion(key, keys), key)
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
         if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
@@ -171,11 +183,14 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
 
 
 def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None:
-    """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails without a meaning."""
+    """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails
+    without a meaning.
+    """
     name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
         raise Fault(
-            f"the distribution has its mean at {format_value(centre, name)}: {format_bounds(quantity)}"
+            f"the distribution has its mean at {format_value(centre, name)}: "
+            f"{format_bounds(quantity)}"
         )
     for key, end in ends.items() if law.family.bounded else ():
         if not quantity.lower <= end <= quantity.upper:
@@ -188,7 +203,10 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
         )
     if (mean := law.given.get("mean")) is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
-        said = f"the mean {format_value(mean, name)} lies {side} the bound {format_value(ends[key], name)}"
+        said = (
+            f"the mean {format_value(mean, name)} lies {side} the bound "
+            f"{format_value(ends[key], name)}"
+        )
         draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
     low = np.nextafter(quantity.lower, -np.inf) if quantity.closed else quantity.lower
     outside = float(law.cdf(np.array([low]))[0] + law.sf(np.array([quantity.upper]))[0])
@@ -201,7 +219,7 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
         )
 
 
-# --- tables of data -------------------------------------------------------------------------------------------------
+# --- tables of data -------------------------------------------------------------------------------
 
 
 def percent(raw: Any) -> Any:
@@ -237,17 +255,22 @@ class Discrete(Table):
 _TAKEN: Final = {
     "draws": "unit",
     "column": "file unit censored count modulus fit unbiased lower upper",
-    "force": "file force_unit diameter diameter_unit rate platens censored count modulus fit unbiased",
+    "force": (
+        "file force_unit diameter diameter_unit rate platens censored count modulus fit unbiased"
+    ),
 }
 
 
 class Observations(Table):
-    """A distribution from a file beside the study: a column, crushing tests of spheres, or the draws of a fit."""
+    """A distribution from a file beside the study: a column, crushing tests of spheres, or the
+    draws of a fit.
+    """
 
     dist: Literal["empirical"] | None = keyed("may be left out where a file is named")
     file: str | None = keyed("CSV or .xlsx beside the study")
     draws: str | None = keyed(
-        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), `scale`, `shape`, and if "
+        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), "
+        "`scale`, `shape`, and if "
         "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`"
     )
     decimal: Literal[".", ","] | None = keyed("decimal mark, where a column can be read both ways")
@@ -269,7 +292,8 @@ class Observations(Table):
         "Weibull modulus of the tests that is known; then few failures, or none, are enough"
     )
     fit: str | None = keyed(
-        "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, `rayleigh`, `gamma` or "
+        "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, "
+        "`rayleigh`, `gamma` or "
         "`beta`; without it `weibull` of forces, else `kde`"
     )
     unbiased: bool = keyed("takes the bias of few tests out of the modulus or the scatter", False)
@@ -296,13 +320,19 @@ class Observations(Table):
 def opened(
     name: str, draft: Draft, key: str = "file", decimal: str | None = None
 ) -> Iterator[Cells]:
-    """The table of a file in the study's folder; at the end all faults that were noted of it are one Fault."""
+    """The table of a file in the study's folder; at the end all faults that were noted of it are
+    one Fault.
+    """
     home, given = draft.folder.resolve(), Path(name)
     try:
         path = (home / given).resolve()
         if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
             raise Fault(
-                f"found {shown(name)}: a study reads files of its own folder only, by a relative path",
+                (
+                    f"found {shown(name)}: a study reads files of its own folder only, by a "
+                    "relative "
+                    "path"
+                ),
                 key,
             )
         if not path.exists():
@@ -329,7 +359,7 @@ def _blamed(*keys: str, otherwise: str) -> Iterator[None]:
         raise Fault(error.message, error.key if error.key in keys else otherwise) from None
 
 
-# --- distributions -------------------------------------------------------------------------------------------------
+# --- distributions --------------------------------------------------------------------------------
 
 
 def is_tests(raw: Any) -> bool:
@@ -346,7 +376,10 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     if raw.get("dist") == "discrete":
         if place[0] == "limits":
             raise Fault(
-                "strengths and model factors have a density, or are a column: discrete is for inputs",
+                (
+                    "strengths and model factors have a density, or are a column: discrete is for "
+                    "inputs"
+                ),
                 "dist",
             )
         weighted = declared(Discrete, raw)
@@ -410,9 +443,11 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
 def observations(
     table: Observations, draft: Draft, **dimensions: str
 ) -> tuple[Cells, Places, dict[str, Array], Flags]:
-    """Tests of a file by the keys that name its columns: the table, the row of each test, columns and stops (n,).
+    """Tests of a file by the keys that name its columns: the table, the row of each test, columns
+    and stops (n,).
 
-    A row is as many tests as its count says; a key that the table lacks has no column.  Raises Fault.
+    A row is as many tests as its count says; a key that the table lacks has no column.  Raises
+    Fault.
     """
     for key in ("file", *dimensions):
         if getattr(table, key) is None and key in _EXAMPLES:
@@ -455,7 +490,9 @@ def fit(
     *,
     slope: float = 1.0,
 ) -> Law:
-    """The law of some observations; raises Fault.  `slope`: they are forces to this power, which have the modulus."""
+    """The law of some observations; raises Fault.  `slope`: they are forces to this power, which
+    have the modulus.
+    """
     modulus = None if table.modulus is None else table.modulus / slope
     if modulus is None and (len(data) < 2 or stopped.all()):
         said = (
@@ -482,7 +519,9 @@ def fit(
 def warn_of_rows(
     found: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
 ) -> None:
-    """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a shape of no fit."""
+    """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
+    shape of no fit.
+    """
     said = list(found.notes)
     if far := outliers(x, ~stopped):
         lines = [
@@ -490,14 +529,16 @@ def warn_of_rows(
             for k, ratio in [*far.items()][:5]
         ]
         said.append(
-            f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal point?"
+            f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal "
+            "point?"
         )
     if (~stopped).sum() >= 6:
         with suppress(ValueError):
             tests = make_tests(x, stopped)
             if (p := max(probability_of(tests, law) for law in STRENGTHS.values())) < _UNLIKELY:
                 said.append(
-                    f"{found.name}: neither a Weibull nor a lognormal distribution fits (p = {p:.2g}): mixed "
+                    f"{found.name}: neither a Weibull nor a lognormal distribution fits (p = "
+                    f"{p:.2g}): mixed "
                     "or faulty rows?"
                 )
     if len(x) < _FEW:
@@ -508,13 +549,15 @@ def warn_of_rows(
         draft.warn((*place, "file"), text)
 
 
-# --- the pulse of a clean record ------------------------------------------------------------------------------------
+# --- the pulse of a clean record ------------------------------------------------------------------
 
 _MENDED: Final = "uqsphere shpb records cuts, mends and writes such a file"
 
 
 def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
-    """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the lab's."""
+    """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the
+    lab's.
+    """
     with opened(str(table.file), draft) as found:
         columns = table.columns or tuple(found.headings[:2])
         if len(columns) != 2:
@@ -547,7 +590,10 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
     except ValueError as error:
         raise Fault(f"{error}; {_MENDED}", "file") from None
     if misfit > 0.02:
-        said = f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record is noisy"
+        said = (
+            f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record "
+            "is noisy"
+        )
         notes.append(f"{said}; {_MENDED}")
     for note in notes:
         draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")

@@ -2,7 +2,8 @@
 
 Knows only arrays and callables rows -> rows; the physics is somewhere else.
 
-    inputs        law · families (the table of distributions) · forms (their functions) · joint (dependence)
+    inputs        law · families (the table of distributions) · forms (their functions) · joint
+    (dependence)
                   fitting (tests) · observed (columns, draws) · foreign (SciPy, chaospy, SALib)
     designs       points · sample
     answers       estimate · describe
@@ -10,9 +11,10 @@ Knows only arrays and callables rows -> rows; the physics is somewhere else.
     sensitivity   indices · shapley · interop (SALib's methods, chaospy's objects)
     limits        limit_state · curve · union · rare
 
-To add a distribution, write its standard form in `forms` (both tails, quantiles, density), its row in
-`families.FAMILIES` (keys of a study, location and scale) and its fit in `fitting`.  Truncation, moments, sampling,
-refusals, the schema and the table of docs/study-file.md follow.  Its test is a line in PAIRS of tests/uq/test_laws.py.
+To add a distribution, write its standard form in `forms` (both tails, quantiles, density), its row
+in `families.FAMILIES` (keys of a study, location and scale) and its fit in `fitting`.  Truncation,
+moments, sampling, refusals, the schema and the table of docs/study-file.md follow.  Its test is a
+line in PAIRS of tests/uq/test_laws.py.
 """
 
 from __future__ import annotations

@@ -16,7 +16,9 @@ METHOD = "common random numbers, monotone interpolation"
 
 @dataclass(frozen=True, kw_only=True)
 class Fragility:
-    """Curve [[value, probability, low, high], ...] along the grid, and the values by probability."""
+    """Curve [[value, probability, low, high], ...] along the grid, and the values by
+    probability.
+    """
 
     curve: list[list[float]]
     values: Mapping[float, Estimate]
@@ -25,12 +27,14 @@ class Fragility:
 def fragility(
     grid: Array, probabilities: Array, targets: Sequence[float], *, samples: int, evaluations: int
 ) -> Fragility:
-    """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the grid.
+    """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
+    grid.
 
-    `samples` is the number of samples behind one probability of one replicate; what lies below half a
-    sample in all replicates together is not told from zero.  The probability may rise or fall with the
-    value.  A value is absent where the probability does not pass through it between the ends of the grid,
-    and where the curve turns back by more than its noise and may pass through it more than once.
+    `samples` is the number of samples behind one probability of one replicate; what lies below half
+    a sample in all replicates together is not told from zero.  The probability may rise or fall
+    with the value.  A value is absent where the probability does not pass through it between the
+    ends of the grid, and where the curve turns back by more than its noise and may pass through it
+    more than once.
 
     Raises ValueError for a grid that does not increase or shapes that do not go together.
     """
@@ -61,7 +65,9 @@ def fragility(
 
 
 def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]:
-    """Rows of the curve, the interval in logits; none or all exceeding gets the bound of a count of zero."""
+    """Rows of the curve, the interval in logits; none or all exceeding gets the bound of a count of
+    zero.
+    """
     replicates = probabilities.shape[1]
     rows = []
     for value, row in zip(grid, probabilities, strict=True):
@@ -75,7 +81,9 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
 
 
 def _passes_once(probabilities: Array, target: float) -> bool:
-    """Whether curves (K, R) are surely on one side of a probability at first and on the other from some value on."""
+    """Whether curves (K, R) are surely on one side of a probability at first and on the other from
+    some value on.
+    """
     mean, error = (
         probabilities.mean(axis=1),
         probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1]),
@@ -85,7 +93,9 @@ def _passes_once(probabilities: Array, target: float) -> bool:
 
 
 def _turning(grid: Array, probabilities: Array) -> float | None:
-    """Value at which a curve that has risen falls, or has fallen rises, by more than four standard errors, if any."""
+    """Value at which a curve that has risen falls, or has fallen rises, by more than four standard
+    errors, if any.
+    """
     steps = np.diff(probabilities, axis=0)
     mean = steps.mean(axis=1)
     error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
@@ -95,8 +105,8 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
 
 
 def _crossings(places: Array, probabilities: Array, target: float, least: float) -> Array:
-    """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal scores; NaN if
-    nowhere."""
+    """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal
+    scores; NaN if nowhere."""
     from scipy.interpolate import PchipInterpolator
     from scipy.special import ndtri
 
@@ -120,7 +130,9 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
 def _value(
     grid: Array, probabilities: Array, target: float, least: float, evaluations: int
 ) -> Estimate:
-    """Value at the target with the spread of the replicates' own answers and the error of interpolation."""
+    """Value at the target with the spread of the replicates' own answers and the error of
+    interpolation.
+    """
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
     places, pooled = forward(grid), probabilities.mean(axis=1)[:, None]
@@ -137,8 +149,8 @@ def _value(
         return absent(
             "too close to an end of the range: some replicates do not reach it", METHOD, evaluations
         )
-    # What the curve through every other point answers differently bounds what is lost between the points:
-    # halving the grid costs a monotone cubic at least a factor of four.
+    # What the curve through every other point answers differently bounds what is lost between the
+    # points: halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
     other = (
         float(_crossings(places[coarse], pooled[coarse], target, least)[0])

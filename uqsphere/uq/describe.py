@@ -1,8 +1,10 @@
-"""The description of a sample drawn in independent randomisations: mean, standard deviation and quantiles.
+"""The description of a sample drawn in independent randomisations: mean, standard deviation and
+quantiles.
 
-Samples come as (R, n): R independent randomisations of n points each.  The spread over the R rows is the only thing
-that an interval rests on, so that it is right for quasi-random points as for random ones.  Moments are made in two
-passes, the second about the mean of all samples: no cancellation, whatever the offset of the quantity.
+Samples come as (R, n): R independent randomisations of n points each.  The spread over the R rows
+is the only thing that an interval rests on, so that it is right for quasi-random points as for
+random ones.  Moments are made in two passes, the second about the mean of all samples: no
+cancellation, whatever the offset of the quantity.
 """
 
 from __future__ import annotations
@@ -27,11 +29,13 @@ from uqsphere.uq.estimate import (
     student,
 )
 
-#: samples that must lie beyond a quantile for it to be estimated at all: their count is known to half of itself
+#: samples that must lie beyond a quantile for it to be estimated at all: their count is known to
+#: half of itself
 LEAST_BEYOND: Final = 5
-#: share of the variance that one of so many samples may make: where it is s the squares have a tail of order 1 - s, the
-#: mean of their sum over the largest being 1/s (D. A. Darling, Trans. Amer. Math. Soc. 73, 1952, 95), the samples 1.2;
-#: of a thousand normal variables the largest makes a hundredth
+#: share of the variance that one of so many samples may make: where it is s the squares have a tail
+#: of order 1 - s, the mean of their sum over the largest being 1/s (D. A. Darling, Trans. Amer.
+#: Math. Soc. 73, 1952, 95), the samples 1.2; of a thousand normal variables the largest makes a
+#: hundredth
 DOMINANT, CONVERGES = 0.4, 1000
 
 
@@ -39,8 +43,8 @@ DOMINANT, CONVERGES = 0.4, 1000
 class Description:
     """What a sample of one quantity says.
 
-    `scale` is the standard deviation that accuracies are relative to (half the 16-84 % range where the standard
-    deviation is absent).
+    `scale` is the standard deviation that accuracies are relative to (half the 16-84 % range where
+    the standard deviation is absent).
     """
 
     mean: Estimate
@@ -51,10 +55,12 @@ class Description:
 
 
 def hill(outputs: Array) -> float:
-    """Order from which on outputs (n,) seem to have no moments, off their largest distances from the median.
+    """Order from which on outputs (n,) seem to have no moments, off their largest distances from
+    the median.
 
-    B. M. Hill, Annals of Statistics 3, 1975, 1163, from a thirty-second of the rows, 8 to 512.  Infinite where too few
-    lie away from the median; a law without variance shows an order of about 2 or less.
+    B. M. Hill, Annals of Statistics 3, 1975, 1163, from a thirty-second of the rows, 8 to 512.
+    Infinite where too few lie away from the median; a law without variance shows an order of about
+    2 or less.
     """
     kept = outputs[np.isfinite(outputs)]
     away = np.sort(np.abs(kept - np.median(kept)))[::-1] if kept.size else kept
@@ -76,10 +82,11 @@ def describe(
 ) -> Description:
     """Mean, standard deviation, quantiles and censored share of samples (R, n).
 
-    Censored samples are known only to exceed their own value: quantiles that they could move beyond the record are
-    absent, mean and standard deviation are restricted to the record.  Failed rows (`failed`, and every sample that is
-    not finite) leave mean and standard deviation; a quantile either leaves them out (`on_failure` "drop") or has its
-    interval widened to either side of them ("bound").
+    Censored samples are known only to exceed their own value: quantiles that they could move beyond
+    the record are absent, mean and standard deviation are restricted to the record.  Failed rows
+    (`failed`, and every sample that is not finite) leave mean and standard deviation; a quantile
+    either leaves them out (`on_failure` "drop") or has its interval widened to either side of them
+    ("bound").
     """
     samples = np.asarray(samples, dtype=float)
     broken = ~np.isfinite(samples) if failed is None else failed | ~np.isfinite(samples)
@@ -123,7 +130,8 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         sums = values.sum(axis=1)
         means, centre = sums / counts, float(sums.sum() / total)
         squares = np.where(kept, (samples - centre) ** 2, 0.0)
-        # each replicate about its own mean: a common offset of the replicates is not scatter of the quantity
+        # each replicate about its own mean: a common offset of the replicates is not scatter of the
+        # quantity
         deviations = np.sqrt(np.maximum(squares.sum(axis=1) / counts - (means - centre) ** 2, 0.0))
         if not np.ptp(samples[kept]):  # nothing but the rounding of a sum
             deviations, squares = np.zeros(len(samples)), np.zeros(samples.shape)
@@ -138,9 +146,10 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         and sd.std_error is not None
         and two > 1.0 + 1e-12
     ):
-        # A sample that lacks the rare large values has too small a deviation and too narrow an interval at once.  The
-        # upper end is moved up by the term of the third moment in Johnson's t (J. Am. Stat. Assoc. 73, 1978, 536),
-        # g (1 + 2 t²)/(6 sqrt(R)), g the skewness of the squares of a replicate.
+        # A sample that lacks the rare large values has too small a deviation and too narrow an
+        # interval at once.  The upper end is moved up by the term of the third moment in Johnson's
+        # t (J. Am. Stat. Assoc. 73, 1978, 536), g (1 + 2 t²)/(6 sqrt(R)), g the skewness of the
+        # squares of a replicate.
         skewness = (three - 3.0 * two + 2.0) / (two - 1.0) ** 1.5 / math.sqrt(total / len(samples))
         moved = (
             max(skewness, 0.0)
@@ -150,7 +159,10 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + moved * sd.std_error)
     largest = float(parts.max()) / total
     if largest > DOMINANT and total >= CONVERGES:
-        reason = f"does not converge: one sample of {total:.0f} makes {100.0 * largest:.0f} % of the variance"
+        reason = (
+            f"does not converge: one sample of {total:.0f} makes {100.0 * largest:.0f} % of the "
+            "variance"
+        )
         read = sample_reader(np.sort(samples[kept]))
         return mean, absent(reason, method, evaluations), 0.5 * (read(0.84) - read(0.16))
     return mean, sd, deviation
@@ -167,7 +179,8 @@ def quantile_estimates(
 ) -> dict[float, Estimate]:
     """Quantiles of (R, n) samples; those that censoring or failures leave unanswered are absent.
 
-    The replicates' distribution functions at the pooled quantile give the standard error of its probability.
+    The replicates' distribution functions at the pooled quantile give the standard error of its
+    probability.
     """
     total, bound = samples.size, on_failure == "bound" and bool(failed.any())
     kept = np.ones_like(failed) if bound else ~failed
@@ -193,15 +206,16 @@ def quantile_estimates(
     return answers
 
 
-# --- a cheap model at many points, corrected by the real one at few of them ------------------------------
+# --- a cheap model at many points, corrected by the real one at few of them -----------------------
 #
-# The model is known on R replicates of n points; the cheap one on the same points and on m > n points that continue
-# each replicate's sequence.  Any answer T of the replicates, a mean, a share or a variance, is
+# The model is known on R replicates of n points; the cheap one on the same points and on m > n
+# points that continue each replicate's sequence.  Any answer T of the replicates, a mean, a share
+# or a variance, is
 #
 #     T = T_cheap(m) + (T_model(n) - T_cheap(n))
 #
-# The cheap model has seen none of these points.  The slope is one: a fitted one is wild when a single row lies on the
-# other side of a threshold.
+# The cheap model has seen none of these points.  The slope is one: a fitted one is wild when a
+# single row lies on the other side of a threshold.
 
 
 def describe_controlled(
@@ -214,7 +228,8 @@ def describe_controlled(
     Parameters
     ----------
     expensive, cheap : (R, n) both models at the same points, finite and not censored, R >= 4
-    cheap_many : (R, m) the cheap model at the points of each replicate continued; its first n columns are `cheap`
+    cheap_many : (R, m) the cheap model at the points of each replicate continued; its first n
+        columns are `cheap`
     quantiles : probabilities
     method : text of every estimate
     """
@@ -222,7 +237,8 @@ def describe_controlled(
     mean = from_replicates(
         (expensive - cheap).mean(axis=1) + cheap_many.mean(axis=1), method, total
     )
-    # about one centre for all replicates, so that their means are not taken for scatter of the quantity
+    # about one centre for all replicates, so that their means are not taken for scatter of the
+    # quantity
     squares = [
         ((rows - (mean.value or 0.0)) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)
     ]
@@ -252,15 +268,17 @@ def describe_controlled(
 
 
 def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[float], float]:
-    """Reads the corrected distribution function at a probability: the cheap model's at many points, and at the rows the
-    steps of the expensive one up and of the cheap one down.  Unbiased wherever they differ, at kinks of the model too.
+    """Reads the corrected distribution function at a probability: the cheap model's at many points,
+    and at the rows the steps of the expensive one up and of the cheap one down.  Unbiased wherever
+    they differ, at kinks of the model too.
     """
     places = np.concatenate([part.ravel() for part in (more, expensive, cheap)])
     weights = ((more.size, 1.0), (expensive.size, 1.0), (cheap.size, -1.0))
     steps = np.concatenate([np.full(size, sign / size) for size, sign in weights])
     order = np.argsort(places, kind="stable")
     below = np.cumsum(steps[order])
-    # a distribution function never falls: half-way between the running maximum and the running minimum from the right
+    # a distribution function never falls: half-way between the running maximum and the running
+    # minimum from the right
     below = 0.5 * (np.maximum.accumulate(below) + np.minimum.accumulate(below[::-1])[::-1])
     ordered = places[order]
     return lambda p: float(ordered[min(int(np.searchsorted(below, p)), len(ordered) - 1)])

@@ -1,8 +1,8 @@
 """Estimates: numbers with their 95 % intervals, and answers that are absent for a reason.
 
-All intervals of sampled answers are made here, by one recipe: independent replicates, Student's law, the spread of a
-cell where counts agree, logits for probabilities, ends of quantiles read off those of their probability, and the
-linearised ratio for what is one mean over another.
+All intervals of sampled answers are made here, by one recipe: independent replicates, Student's
+law, the spread of a cell where counts agree, logits for probabilities, ends of quantiles read off
+those of their probability, and the linearised ratio for what is one mean over another.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 
-#: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above that of many
+#: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
+#: that of many
 REPLICATES: Final = 16
 #: two-sided 95 % point of the normal law
 NORMAL: Final = 1.959963984540054
@@ -55,7 +56,9 @@ class Estimate:
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
     def spanning(self, low: float, high: float) -> Estimate:
-        """The same from one end to another, which its standard error follows; the value stays inside."""
+        """The same from one end to another, which its standard error follows; the value stays
+        inside.
+        """
         if self.value is not None:
             low, high = min(low, self.value), max(high, self.value)
         return replace(self, low=low, high=high, std_error=0.5 * (high - low) / NORMAL)
@@ -97,7 +100,9 @@ def around(value: float, half: float, error: float, method: str, evaluations: in
 def between(
     value: float, low: float, high: float, replicates: int, method: str, evaluations: int
 ) -> Estimate:
-    """A value between ends that were read off at so many replicates: the standard error is that of Student's half."""
+    """A value between ends that were read off at so many replicates: the standard error is that of
+    Student's half.
+    """
     if not all(map(math.isfinite, (value, low, high, high - low))):
         return absent("the answer is beyond floating point", method, evaluations)
     error = 0.5 * (high - low) / student(replicates)
@@ -112,7 +117,9 @@ def between(
 
 
 def student(replicates: float) -> float:
-    """Two-sided 95 % quantile of Student's t with one degree of freedom less than there are replicates."""
+    """Two-sided 95 % quantile of Student's t with one degree of freedom less than there are
+    replicates.
+    """
     from scipy.special import stdtrit
 
     return float(stdtrit(replicates - 1, 0.975))
@@ -121,8 +128,9 @@ def student(replicates: float) -> float:
 def freedom(replicates: int, carriers: float) -> float:
     """Degrees of freedom of a spread over replicates that so many points carry, by Kish's count.
 
-    Those of the replicates, R - 1, and half the number of the carriers, as resistances in parallel, at least one: where
-    few points carry what an answer is off by, the few that were met speak for those that were not.
+    Those of the replicates, R - 1, and half the number of the carriers, as resistances in parallel,
+    at least one: where few points carry what an answer is off by, the few that were met speak for
+    those that were not.
 
     >>> [round(freedom(16, carriers), 1) for carriers in (math.inf, 30.0, 1.0)]
     [15.0, 7.5, 1.0]
@@ -145,8 +153,8 @@ def carriers(weights: Array) -> float:
 def spread(rows: Array, cell: float = 0.0) -> float:
     """Standard error of the mean of the answers (R,) of replicates.
 
-    Counts that agree in all replicates are still known to one cell only, whose length `cell` is the resolution of a
-    replicate: the deviation of a uniform cell is the least.
+    Counts that agree in all replicates are still known to one cell only, whose length `cell` is the
+    resolution of a replicate: the deviation of a uniform cell is the least.
     """
     return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
 
@@ -156,8 +164,8 @@ def from_replicates(
 ) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
-    The value is `pooled` if given (the answer of all samples together), else the mean of the replicates; the interval
-    is Student's with R - 1 degrees of freedom.
+    The value is `pooled` if given (the answer of all samples together), else the mean of the
+    replicates; the interval is Student's with R - 1 degrees of freedom.
 
     >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
     >>> estimate.value, round(estimate.std_error, 12)
@@ -168,7 +176,8 @@ def from_replicates(
         return absent("an interval needs at least two independent replicates", method, evaluations)
     if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
         return absent("a replicate gave no finite answer", method, evaluations)
-    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
+    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating
+    # point
     power = int(np.frexp(np.abs(values).max())[1])
     deviation = float(np.ldexp(np.std(np.ldexp(values, -power), ddof=1), power))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -178,7 +187,8 @@ def from_replicates(
 
 
 def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array]:
-    """Ratio (...) of two means over replicates (R, ...), and the deviations (R, ...) of the linearised ratio.
+    """Ratio (...) of two means over replicates (R, ...), and the deviations (R, ...) of the
+    linearised ratio.
 
     The replicates' own ratios would each carry the bias of a ratio of few points.
     """
@@ -188,7 +198,7 @@ def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array
         return np.asarray(value), np.asarray((numerators - value * denominators) / scale)
 
 
-# --- probabilities ------------------------------------------------------------------------------------
+# --- probabilities --------------------------------------------------------------------------------
 
 
 def count_bound(total: float) -> float:
@@ -199,7 +209,8 @@ def count_bound(total: float) -> float:
 def probability_ends(
     p: float, q: float, error: float, replicates: int, total: float
 ) -> tuple[float, float, float]:
-    """Ends and standard error of a probability p with its complement q, in logits, which stay inside 0 and 1.
+    """Ends and standard error of a probability p with its complement q, in logits, which stay
+    inside 0 and 1.
 
     None or all of `total` has the one-sided 95 % bound of a count of none.
     """
@@ -214,7 +225,8 @@ def probability_ends(
 def share(
     flags: Flags, method: str = "share of the samples", *, weights: Array | None = None
 ) -> Estimate:
-    """Share of True in (R, n), where a replicate stands for its weight (R,), mean 1; interval in logits.
+    """Share of True in (R, n), where a replicate stands for its weight (R,), mean 1; interval in
+    logits.
 
     None or all True gets the one-sided 95 % bound on the count.
     """
@@ -234,7 +246,7 @@ def share(
     )
 
 
-# --- quantiles ----------------------------------------------------------------------------------------
+# --- quantiles ------------------------------------------------------------------------------------
 
 
 def quantile(
@@ -247,11 +259,13 @@ def quantile(
     *,
     upper: Callable[[float], float] | None = None,
 ) -> Estimate:
-    """A quantile at p off a function that reads a distribution at a probability, where that has a standard error.
+    """A quantile at p off a function that reads a distribution at a probability, where that has a
+    standard error.
 
-    The ends are read off those of the interval of the probability (R. S. Woodruff, J. Amer. Statist. Assoc. 47, 1952,
-    635): nothing is asked of the density.  Where samples are known between bounds only, `read` has them at their least
-    and `upper` at their largest: each reads the end on its side, and the value lies between the two.
+    The ends are read off those of the interval of the probability (R. S. Woodruff, J. Amer.
+    Statist. Assoc. 47, 1952, 635): nothing is asked of the density.  Where samples are known
+    between bounds only, `read` has them at their least and `upper` at their largest: each reads the
+    end on its side, and the value lies between the two.
     """
     half, upper = student(replicates) * error, upper or read
     value, highest, low, high = (
@@ -271,8 +285,8 @@ def quantile(
 
 
 def sample_reader(values: Array, weights: Array | None = None) -> Callable[[float], float]:
-    """Reads the distribution of samples of any shape at a probability, by Hazen's rule: a sample stands for the middle
-    of its weight, the i-th of N equal ones at (i - 1/2)/N.
+    """Reads the distribution of samples of any shape at a probability, by Hazen's rule: a sample
+    stands for the middle of its weight, the i-th of N equal ones at (i - 1/2)/N.
 
     >>> sample_reader(np.array([4.0, 1.0, 2.0]))(0.5)
     2.0

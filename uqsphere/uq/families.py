@@ -1,7 +1,9 @@
-"""Families of probability laws: one row each in `FAMILIES`, which is all that a new distribution takes.
+"""Families of probability laws: one row each in `FAMILIES`, which is all that a new distribution
+takes.
 
-A row says which keys a study gives, and makes of them a location, a scale and the standard form (`forms`) of
-y = (x - location)/scale.  Labels, the schema, the tables of the docs and fits to observations follow from the rows.
+A row says which keys a study gives, and makes of them a location, a scale and the standard form
+(`forms`) of y = (x - location)/scale.  Labels, the schema, the tables of the docs and fits to
+observations follow from the rows.
 """
 
 from __future__ import annotations
@@ -23,10 +25,10 @@ if TYPE_CHECKING:
 Keys: TypeAlias = dict[str, float]
 
 
-# --- what a family is --------------------------------------------------------------------------------------------
+# --- what a family is -----------------------------------------------------------------------------
 
-#: keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the SI value, rate is
-#: per SI unit)
+#: keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the
+#: SI value, rate is per SI unit)
 DIMENSIONAL: Final = frozenset(
     {"mean", "sd", "scale", "location", "threshold", "mode", "loc", "lower", "upper"}
 )
@@ -47,7 +49,9 @@ _POSITIVE: Final = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family:
-    """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are the law's own."""
+    """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are
+    the law's own.
+    """
 
     name: str
     alternatives: tuple[tuple[str, ...], ...] = (
@@ -68,7 +72,9 @@ class Family:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Every key of the parameters, without lower and upper, in the order of the alternatives."""
+        """Every key of the parameters, without lower and upper, in the order of the
+        alternatives.
+        """
         return tuple(
             dict.fromkeys((*(key for keys in self.alternatives for key in keys), *self.optional))
         )
@@ -80,7 +86,9 @@ class Family:
 
     @property
     def germ(self) -> str:
-        """What an expansion is in: "uniform" (Legendre polynomials) between bounds, else "normal" (Hermite)."""
+        """What an expansion is in: "uniform" (Legendre polynomials) between bounds, else "normal"
+        (Hermite).
+        """
         return "uniform" if self.bounded else "normal"
 
     def bounds(self, lower: float, upper: float) -> Keys:
@@ -95,7 +103,9 @@ class Family:
         return "; ".join(part for part in (sets, extra, bounds) if part)
 
     def parameters(self, given: Mapping[str, float], lower: float, upper: float) -> Keys:
-        """The parameters that a law keeps, from one of the alternative key sets; raises LawError."""
+        """The parameters that a law keeps, from one of the alternative key sets; raises
+        LawError.
+        """
         if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
             missing = "lower" if math.isinf(lower) else "upper"
             raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
@@ -140,7 +150,7 @@ class Family:
         return found
 
 
-# --- how keys become parameters ------------------------------------------------------------------------------------
+# --- how keys become parameters -------------------------------------------------------------------
 
 
 def _share(key: str, value: float, lower: float, upper: float) -> float:
@@ -183,7 +193,7 @@ def _loguniform(lower: float, upper: float) -> tuple[float, float, Form]:
     return math.log(lower), math.log(upper / lower), forms.UNIFORM
 
 
-# --- the families ------------------------------------------------------------------------------------------------
+# --- the families ---------------------------------------------------------------------------------
 
 _MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
 
@@ -270,7 +280,8 @@ FAMILIES: Final = {
             form=lambda dof, location, scale: (location, scale, forms.student_t(dof)),
         ),
         Family(name="empirical", observed=observed.empirical),
-        # numbers that are given, each with a whole number as its weight: a step function that no test is behind
+        # numbers that are given, each with a whole number as its weight: a step function that no
+        # test is behind
         Family(name="discrete", observed=observed.empirical),
     )
 }
@@ -279,14 +290,16 @@ FAMILIES: Final = {
 DRAWN: Final = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)
 
 
-# --- laws of others: every continuous law of SciPy by its name, such as `scipy.johnsonsu` -------------------------
+# --- laws of others: every continuous law of SciPy by its name, such as `scipy.johnsonsu` ---------
 
 PREFIX: Final = "scipy."
 
 
 @lru_cache(maxsize=64)
 def _of_scipy(name: str) -> Family | None:
-    """The family of a continuous law of SciPy, by `scipy.NAME`; None where SciPy has none of that name."""
+    """The family of a continuous law of SciPy, by `scipy.NAME`; None where SciPy has none of that
+    name.
+    """
     from scipy import stats
 
     found = getattr(stats, name.removeprefix(PREFIX), None)

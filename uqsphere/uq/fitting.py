@@ -1,12 +1,14 @@
-"""Laws from observations, tests with stops among them, and what few observations leave open of a law.
+"""Laws from observations, tests with stops among them, and what few observations leave open of a
+law.
 
-Scatter is what a law describes; epistemic uncertainty is that its parameters come from n observations.  Where some
-u(x), such as ln x, has a location m and a scale s, so that z = (u - m)/s is standard normal, or the logarithm of an
-exponential variable, pivots tell what the tests allow: with the estimates (m*, s*) of n draws of the standard law,
-m - s m*/s* and s/s* are draws whose quantile intervals cover a quantile, or a probability, exactly as often as they
-promise, however small n is (J. F. Lawless, Statistical Models and Methods for Lifetime Data, 2003, sections 4.1 and E).
-Other laws are fitted again to samples of their own; a kernel density or a step function is made again from the
-observations drawn with repetition, which says too little in the tails.
+Scatter is what a law describes; epistemic uncertainty is that its parameters come from n
+observations.  Where some u(x), such as ln x, has a location m and a scale s, so that z = (u - m)/s
+is standard normal, or the logarithm of an exponential variable, pivots tell what the tests allow:
+with the estimates (m*, s*) of n draws of the standard law, m - s m*/s* and s/s* are draws whose
+quantile intervals cover a quantile, or a probability, exactly as often as they promise, however
+small n is (J. F. Lawless, Statistical Models and Methods for Lifetime Data, 2003, sections 4.1 and
+E). Other laws are fitted again to samples of their own; a kernel density or a step function is made
+again from the observations drawn with repetition, which says too little in the tails.
 """
 
 from __future__ import annotations
@@ -28,18 +30,18 @@ from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-#: simulated test series behind bias and intervals, whose tails of 2.5 % are then known to 0.2 %, and behind the
-#: probability of a fit, known to 0.003 where it is 0.01
+#: simulated test series behind bias and intervals, whose tails of 2.5 % are then known to 0.2 %,
+#: and behind the probability of a fit, known to 0.003 where it is 0.01
 DRAWS: Final = 8000
 _OTHERS: Final = 999
 #: robust deviations from the rest beyond which a test is worth a second look
 APART: Final = 5.0
 _SERIES_SEED: Final = 20261121
-#: beyond so many failures the pivots follow the law of large samples, whose 95 % ranges are then right to a tenth of a
-#: standard deviation (tests/uq/test_fitting.py)
+#: beyond so many failures the pivots follow the law of large samples, whose 95 % ranges are then
+#: right to a tenth of a standard deviation (tests/uq/test_fitting.py)
 MANY: Final = 300
 
-# --- laws with a location and a scale ------------------------------------------------------------------------------
+# --- laws with a location and a scale -------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,11 +60,15 @@ class LocationScale:
         return GAUSS if self.normal else SMALLEST
 
     def shape(self, s: Any) -> Any:
-        """Shape of the law with the scale s, and the other way round: s itself, or 1/s (a modulus)."""
+        """Shape of the law with the scale s, and the other way round: s itself, or 1/s (a
+        modulus).
+        """
         return s if self.normal else 1.0 / s
 
     def terms(self, z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
-        """Log-likelihood without ln(1/s) of so many failures and stopped tests at each z, and its derivatives by z."""
+        """Log-likelihood without ln(1/s) of so many failures and stopped tests at each z, and its
+        derivatives by z.
+        """
         if self.normal:
             hazard = math.sqrt(2.0 / math.pi) / special.erfcx(z / math.sqrt(2.0))  # phi(z)/S(z)
             value = stopped * special.log_ndtr(-z) - failures * (
@@ -79,9 +85,9 @@ class LocationScale:
     def maximum(self, u: Array, failures: Array, stopped: Any = 0.0) -> tuple[Array, Array]:
         """Location and scale (rows,) of the largest likelihood of u (rows, n).
 
-        `failures`, `stopped` (n,): how many tests failed, or were stopped, at each value.  sum over failures [ln f(z) -
-        ln s] + sum over stopped tests ln S(z) is concave in 1/s and m/s (R. J. Olsen, Econometrica 46, 1978, 1211):
-        Newton's method finds its one maximum.
+        `failures`, `stopped` (n,): how many tests failed, or were stopped, at each value.  sum over
+        failures [ln f(z) - ln s] + sum over stopped tests ln S(z) is concave in 1/s and m/s (R. J.
+        Olsen, Econometrica 46, 1978, 1211): Newton's method finds its one maximum.
         """
         count = float(failures.sum())
         centre = (u @ failures / count)[:, None]
@@ -111,9 +117,10 @@ class LocationScale:
     def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
         """Failures (count, r) of simulated series of the standard law, in rising order.
 
-        `leaving` (r,): tests that end with each failure, those stopped before the next one with it.  Such series are
-        progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995, 229): the distribution of (m* - m)/s*
-        and s*/s depends on neither m nor s, exactly without stopped tests and with tests stopped at the r-th failure.
+        `leaving` (r,): tests that end with each failure, those stopped before the next one with it.
+        Such series are progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995,
+        229): the distribution of (m* - m)/s* and s*/s depends on neither m nor s, exactly without
+        stopped tests and with tests stopped at the r-th failure.
         """
         steps = (
             generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
@@ -126,7 +133,9 @@ class LocationScale:
     def pivots(
         self, leaving: Array, count: int, generator: np.random.Generator
     ) -> tuple[Array, Array]:
-        """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY` failures."""
+        """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY`
+        failures.
+        """
         ones, stopped = np.ones(leaving.size), leaving - 1.0
         if leaving.size > MANY:
             z = self._of_hazard(np.cumsum(1.0 / np.cumsum(leaving[::-1])[::-1]))
@@ -168,12 +177,14 @@ LOCATION_SCALE: Final = {
     "gumbel": LocationScale(u=np.negative, parameters=lambda m, s: {"location": -m, "scale": s}),
 }
 
-# --- tests ---------------------------------------------------------------------------------------------------------
+# --- tests ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StrengthTests:
-    """Different values (k,) of tests in rising order, and how many failed or were stopped at each (k,)."""
+    """Different values (k,) of tests in rising order, and how many failed or were stopped at each
+    (k,).
+    """
 
     values: Array
     failures: Array
@@ -181,7 +192,9 @@ class StrengthTests:
 
     @property
     def leaving(self) -> Array:
-        """Tests that end with each failure (r,): itself and those stopped before the next; before the first: none."""
+        """Tests that end with each failure (r,): itself and those stopped before the next; before
+        the first: none.
+        """
         found = np.ones(int(self.failures.sum()))
         last = np.cumsum(self.failures).astype(int) - 1
         np.add.at(found, last[last >= 0], self.stopped[last >= 0])
@@ -189,10 +202,11 @@ class StrengthTests:
 
 
 def make_tests(values: object, stopped: object = None, counts: object = None) -> StrengthTests:
-    """Tests from values (n,), flags (n,) of those stopped before the specimen failed, numbers (n,) of equal tests.
+    """Tests from values (n,), flags (n,) of those stopped before the specimen failed, numbers (n,)
+    of equal tests.
 
-    Raises ValueError for no test, values that are not positive and finite, flags that are not 0 or 1, numbers that are
-    none, only stopped tests, or failures without scatter.
+    Raises ValueError for no test, values that are not positive and finite, flags that are not 0 or
+    1, numbers that are none, only stopped tests, or failures without scatter.
 
     >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
     [2.0, 1.0, 0.0]
@@ -207,7 +221,8 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
             raise ValueError(f"values and {name} differ in number: {found.size} and {one.size}")
     if strange := [flag for flag in flags.tolist() if flag not in (0, 1)]:
         raise ValueError(
-            f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only to lie "
+            f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only "
+            "to lie "
             "below a value, or between two, cannot be given"
         )
     if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
@@ -240,11 +255,13 @@ def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
 
 
 def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) -> float:
-    """Factor that takes the bias out of the modulus of a Weibull law, or of log_sd of a lognormal law.
+    """Factor that takes the bias out of the modulus of a Weibull law, or of log_sd of a lognormal
+    law.
 
-    Of the modulus: 1/E[m*/m] (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445, table it for complete
-    series).  Of log_sd: it makes the variance right on average, sqrt(n/(n - 1)) for complete series.  `leaving` as of
-    `LocationScale.series`; inverse: 1/s* of simulated series.
+    Of the modulus: 1/E[m*/m] (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445,
+    table it for complete series).  Of log_sd: it makes the variance right on average, sqrt(n/(n -
+    1)) for complete series.  `leaving` as of `LocationScale.series`; inverse: 1/s* of simulated
+    series.
 
     >>> round(unbiasing(STRENGTHS["weibull"], np.ones(20)), 2)
     0.93
@@ -260,16 +277,17 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
     return 1.0 / float(np.mean(inverse) if n > 3 else np.median(inverse))
 
 
-# --- the fit -------------------------------------------------------------------------------------------------------
+# --- the fit --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class StrengthFit:
     """A law fitted to tests by the largest likelihood.
 
-    `shape`, `scale`: modulus and scale (63.2 %), or log_sd and median; `unbiased`: the shape without its bias.  The
-    intervals of 95 % come from simulated series: they cover however few the tests, unlike those from the profile of the
-    likelihood.  `p_value`: probability of a larger distance from the Kaplan-Meier estimate if the law were right.
+    `shape`, `scale`: modulus and scale (63.2 %), or log_sd and median; `unbiased`: the shape
+    without its bias.  The intervals of 95 % come from simulated series: they cover however few the
+    tests, unlike those from the profile of the likelihood.  `p_value`: probability of a larger
+    distance from the Kaplan-Meier estimate if the law were right.
     """
 
     tests: int
@@ -304,9 +322,11 @@ def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
 def fit_strength(
     tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"], *, draws: int = DRAWS
 ) -> StrengthFit:
-    """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated series.
+    """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated
+    series.
 
-    >>> found = fit_strength(make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1]))
+    >>> tests = make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1])
+    >>> found = fit_strength(tests)
     >>> round(found.shape, 2), round(found.scale, 3), found.failures
     (4.66, 1.108, 6)
     """
@@ -331,16 +351,20 @@ def fit_strength(
 
 
 def _distance(below: Array, leaving: Array) -> Array:
-    """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the Kaplan-Meier estimate."""
+    """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the
+    Kaplan-Meier estimate.
+    """
     after = 1.0 - np.cumprod(1.0 - 1.0 / np.cumsum(leaving[::-1])[::-1])
     before = np.concatenate([[0.0], after[:-1]])
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
 
 
 def probability_of(tests: StrengthTests, law: LocationScale) -> float:
-    """Probability that tests of the fitted law lie farther from it: simulated series, fitted in the same way.
+    """Probability that tests of the fitted law lie farther from it: simulated series, fitted in the
+    same way.
 
-    Of more than `MANY` failures series of so many stand for all: the distance falls as the root of their number.
+    Of more than `MANY` failures series of so many stand for all: the distance falls as the root of
+    their number.
     """
     location, spread = _best(tests, law)
     z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
@@ -355,7 +379,7 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     return float((1 + (others >= own).sum()) / (_OTHERS + 1))
 
 
-# --- a law from a column -------------------------------------------------------------------------------------
+# --- a law from a column --------------------------------------------------------------------------
 
 
 def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
@@ -374,7 +398,8 @@ def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
     }
 
 
-#: parameters of the largest likelihood of observations (n,), and of bounds, of laws without location and scale
+#: parameters of the largest likelihood of observations (n,), and of bounds, of laws without
+#: location and scale
 OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
     "exponential": lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
@@ -383,9 +408,11 @@ OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
     ),
     "gamma": lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
 }
-#: what a column of observations can become: a kernel density, a step function, or a member of a family
+#: what a column of observations can become: a kernel density, a step function, or a member of a
+#: family
 FITS: Final = ("kde", "steps", *LOCATION_SCALE, *OTHERS)
-#: two observations always lie on a law of two parameters: the third is the first that tells of the fit
+#: two observations always lie on a law of two parameters: the third is the first that tells of the
+#: fit
 LEAST_TESTS: Final = 3
 
 
@@ -399,10 +426,12 @@ def fitted_law(
     unbiased: bool = False,
     modulus: float | None = None,
 ) -> Law:
-    """The law of a column of observations (SI): "kde" (the default), "steps" or a family by its name.
+    """The law of a column of observations (SI): "kde" (the default), "steps" or a family by its
+    name.
 
-    `censored` are observations that are known only to be larger, and `unbiased` takes the bias out of a fitted
-    scatter; both need a Weibull or lognormal fit.  `modulus`: of a Weibull law, if known; then no failure is needed.
+    `censored` are observations that are known only to be larger, and `unbiased` takes the bias out
+    of a fitted scatter; both need a Weibull or lognormal fit.  `modulus`: of a Weibull law, if
+    known; then no failure is needed.
     Raises LawError with the offending key, what was found and what is allowed.
 
     >>> fitted_law([1.0, 1.2, 0.9, 1.1], "exponential").family.name
@@ -471,7 +500,9 @@ def fitted_law(
 
 
 def _likeliest(law: Law, unbiased: bool = False) -> Law:
-    """The law with the parameters of the largest likelihood of its observations; raises ValueError."""
+    """The law with the parameters of the largest likelihood of its observations; raises
+    ValueError.
+    """
     name, ends = law.family.name, (law.lower, law.upper)
     if (kind := LOCATION_SCALE.get(name)) is None:
         return replace(
@@ -488,10 +519,11 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
 def _of_known_modulus(
     data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float
 ) -> Law:
-    """Weibull laws of a known modulus m that tests allow, and their mean: scale^-m is a gamma variable of sum(x^m).
+    """Weibull laws of a known modulus m that tests allow, and their mean: scale^-m is a gamma
+    variable of sum(x^m).
 
-    Its shape is r + 1/2 for r failures, and 1 for none, which puts the scale on the safe side (W. Q. Meeker, L. A.
-    Escobar, Statistical Methods for Reliability Data, 1998, section 8.5).
+    Its shape is r + 1/2 for r failures, and 1 for none, which puts the scale on the safe side (W.
+    Q. Meeker, L. A. Escobar, Statistical Methods for Reliability Data, 1998, section 8.5).
     """
     x = np.array([*data, *censored], dtype=float)
     if fit not in (None, "weibull"):
@@ -520,16 +552,19 @@ def series_behind(law: Law) -> StrengthTests:
     return _gathered(values, np.arange(values.size) >= len(law.data), np.ones(values.size))
 
 
-# --- laws that the observations allow ----------------------------------------------------------------------
+# --- laws that the observations allow -------------------------------------------------------------
 
 
 def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Iterator[Law]:
-    """`count` laws of the same family that the observations of `law` allow, each as likely as the other, one by one.
+    """`count` laws of the same family that the observations of `law` allow, each as likely as the
+    other, one by one.
 
-    Raises LawError for a law of fewer than `LEAST_TESTS` observations, or whose samples cannot be fitted again.
+    Raises LawError for a law of fewer than `LEAST_TESTS` observations, or whose samples cannot be
+        fitted again.
 
     >>> law = fitted_law([1.0, 1.2, 0.9, 1.1, 1.05], "normal")
-    >>> means = [one.parameters["mean"] for one in possible_laws(law, 1000, np.random.default_rng(1))]
+    >>> laws = possible_laws(law, 1000, np.random.default_rng(1))
+    >>> means = [one.parameters["mean"] for one in laws]
     >>> bool(np.std(means) > law.parameters["sd"] / 5**0.5)
     True
     """
@@ -539,12 +574,16 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
     n, family = len(law.data), law.family
     if n < LEAST_TESTS:
         raise LawError(
-            f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} are needed",
+            (
+                f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} "
+                "are needed"
+            ),
             "file",
         )
     if (kind := LOCATION_SCALE.get(family.name)) is None:
         again = (_made_again(law, generator) for _ in range(count))
-        # only laws of many observations need be made one by one; a fit that fails is known before a law is used
+        # only laws of many observations need be made one by one; a fit that fails is known before a
+        # law is used
         return again if family.observed else iter([*again])
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests = series_behind(law)
@@ -559,12 +598,13 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
 
 
 def _made_again(law: Law, generator: np.random.Generator) -> Law:
-    """A law fitted to a sample of as many observations: of the law itself (the parametric bootstrap), or of those of a
-    kernel density or a step function, drawn with repetition.
+    """A law fitted to a sample of as many observations: of the law itself (the parametric
+    bootstrap), or of those of a kernel density or a step function, drawn with repetition.
 
-    The estimate of a scale or a rate is in a fixed ratio to the truth, that of a shape nearly so: the ratio turned
-    round is exact for the first, and takes out the bias of the second (ranges of 95 % from 6 to 30 tests then hold the
-    probability of 5 % in 92 to 97 of 100 gamma and beta laws).
+    The estimate of a scale or a rate is in a fixed ratio to the truth, that of a shape nearly so:
+    the ratio turned round is exact for the first, and takes out the bias of the second (ranges of
+    95 % from 6 to 30 tests then hold the probability of 5 % in 92 to 97 of 100 gamma and beta
+    laws).
     """
     family, n = law.family, len(law.data)
     for _ in range(20):
@@ -583,9 +623,11 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
 
 
 def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
-    """The law that is the mean of the laws of draws (n, 5) of a posterior that rests on so many tests, in SI.
+    """The law that is the mean of the laws of draws (n, 5) of a posterior that rests on so many
+    tests, in SI.
 
-    A draw is (kind, least, scale, shape, bound), as `observed` has it.  `possible_laws` gives single draws.
+    A draw is (kind, least, scale, shape, bound), as `observed` has it.  `possible_laws` gives
+    single draws.
 
     >>> law = law_of_draws([(0.0, 0.0, 2.0, 0.1, 0.0), (0.0, 0.0, 2.0, 0.2, 0.0)], 12)
     >>> law.ppf(np.array([0.5])).round(6).tolist(), count_tests(law)
@@ -607,10 +649,12 @@ def modulus_of(law: object) -> float | None:
 
 
 def outliers(values: Array, failed: Flags) -> dict[int, float]:
-    """Places of failures far from the rest in the logarithms, over their median; none of fewer than 6 failures.
+    """Places of failures far from the rest in the logarithms, over their median; none of fewer than
+    6 failures.
 
-    Far is `APART` robust deviations, or as many as the logarithm of the number of tests: the lower tail of a Weibull
-    law is exponential in the logarithm, so that of n tests the lowest lies some ln n away.
+    Far is `APART` robust deviations, or as many as the logarithm of the number of tests: the lower
+    tail of a Weibull law is exponential in the logarithm, so that of n tests the lowest lies some
+    ln n away.
     """
     places = np.flatnonzero(failed & (values > 0.0))
     if len(places) < 6:

@@ -1,5 +1,6 @@
-"""Laws of SciPy, chaospy and SALib, and observations, as laws of this package: of a family of its own where there is
-one, else of SciPy's.  No package is imported here: the class of what is given says where it is from.
+"""Laws of SciPy, chaospy and SALib, and observations, as laws of this package: of a family of its
+own where there is one, else of SciPy's.  No package is imported here: the class of what is given
+says where it is from.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ LawLike: TypeAlias = Any
 #: the keys of a law in a study: `dist`, parameters and bounds
 Table: TypeAlias = dict[str, Any]
 
-#: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no place there
+#: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no
+#: place there
 TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
     "norm": lambda loc, scale: {"dist": "normal", "mean": loc, "sd": scale},
     "lognorm": lambda s, loc, scale: (
@@ -145,7 +147,8 @@ SALIB: Final[Mapping[str, Callable[..., Table]]] = {
 
 
 def law_table(given: LawLike) -> Table:
-    """The table by which a study file has a law: that of a distribution of SciPy or chaospy, or of a law.
+    """The table by which a study file has a law: that of a distribution of SciPy or chaospy, or of
+    a law.
 
     Raises LawError for what is no such distribution, or has no table: observations.
     """
@@ -156,7 +159,8 @@ def law_table(given: LawLike) -> Table:
         return {"dist": "discrete", "values": list(law.data)}
     if law.data or law.draws:
         raise LawError(
-            "a study file has no table for it: write a sample or the observations to a CSV and name that, "
+            "a study file has no table for it: write a sample or the observations to a CSV and "
+            "name that, "
             '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis'
         )
     ends = {"lower": law.lower, "upper": law.upper}
@@ -168,13 +172,14 @@ def law_table(given: LawLike) -> Table:
 
 
 def as_law(given: LawLike) -> Law:
-    """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), SciPy, chaospy, or observations (n,).
+    """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), SciPy, chaospy, or
+    observations (n,).
 
-    A distribution is taken by its own parameters, so that both tails keep their digits.  Observations become a kernel
-    density.
+    A distribution is taken by its own parameters, so that both tails keep their digits.
+    Observations become a kernel density.
 
-    Raises LawError for anything else, several numbers at once, discrete laws, and laws whose tails contradict
-    themselves.
+    Raises LawError for anything else, several numbers at once, discrete laws, and laws whose tails
+    contradict themselves.
 
     >>> from scipy import stats
     >>> law = as_law(stats.norm(1.0, 0.1))
@@ -226,7 +231,8 @@ def _of_scipy(given: Any, kind: str) -> Law:
     if kind == "Uniform":
         return _by_name("uniform", given.support()[0], np.subtract(*given.support()[::-1]))
     raise LawError(
-        f"{kind} of SciPy: freeze a law with its parameters, as scipy.stats.norm(1.0, 0.1), or give "
+        f"{kind} of SciPy: freeze a law with its parameters, as scipy.stats.norm(1.0, 0.1), or "
+        "give "
         f"observations; {EACH}"
     )
 
@@ -297,7 +303,9 @@ def _number(value: npt.ArrayLike) -> float:
 
 
 def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependence] = ()) -> Joint:
-    """Named laws, of whatever origin, with what ties them; a `Joint` as it is; a problem dict of SALib."""
+    """Named laws, of whatever origin, with what ties them; a `Joint` as it is; a problem dict of
+    SALib.
+    """
     if isinstance(laws, Joint):
         return laws
     if not isinstance(laws, Mapping):

@@ -1,8 +1,8 @@
 """Standard forms of probability laws on scipy.special: what `Family` and `Law` compute with.
 
-The lower and the upper tail p and q = 1 - p are always both there, so that neither is a difference from the other: each
-keeps its relative accuracy however small it is.  A form is cut off by `truncated`; a law of SciPy becomes a form by
-`form_of`, which holds its tails to account.
+The lower and the upper tail p and q = 1 - p are always both there, so that neither is a difference
+from the other: each keeps its relative accuracy however small it is.  A form is cut off by
+`truncated`; a law of SciPy becomes a form by `form_of`, which holds its tails to account.
 """
 
 from __future__ import annotations
@@ -22,15 +22,18 @@ Quantile: TypeAlias = Callable[[Array, Array], Array]
 ROOT: Final = math.sqrt(2.0 * math.pi)
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN: Final = 37.0
-#: tail probabilities at which quantiles and probabilities are held against each other: a sample of 1e6 points reaches
-#: 1e-7, and what is rarer is looked for by importance sampling
+#: tail probabilities at which quantiles and probabilities are held against each other: a sample of
+#: 1e6 points reaches 1e-7, and what is rarer is looked for by importance sampling
 _TAILS: Final = np.array([0.3, 1e-3, 1e-6, 1e-9])
-#: quantiles at 1e-6 and 1e-12 of a tail without variance lie at least this factor apart, 1e6^(1/2), less its start
+#: quantiles at 1e-6 and 1e-12 of a tail without variance lie at least this factor apart, 1e6^(1/2),
+#: less its start
 _HEAVY: Final = 100.0
 
 
 class LawError(ValueError):
-    """A law cannot be made, or a dependence cannot hold; `key` is the offending key ("" for the table)."""
+    """A law cannot be made, or a dependence cannot hold; `key` is the offending key ("" for the
+    table).
+    """
 
     def __init__(self, message: str, key: str = "") -> None:
         super().__init__(message)
@@ -61,7 +64,9 @@ class Form:
 
 
 def truncated(form: Form, a: float, b: float) -> Form:
-    """The form between a and b, from whichever tail is the smaller one: no digits are lost however far out they are."""
+    """The form between a and b, from whichever tail is the smaller one: no digits are lost however
+    far out they are.
+    """
     with np.errstate(divide="ignore", over="ignore"):
         (below_a, below_b), (above_a, above_b) = (
             tail.tolist() for tail in form.tails(np.array([a, b]))
@@ -143,7 +148,7 @@ def between(
     )
 
 
-# --- the forms that families are made of ---------------------------------------------------------------------------
+# --- the forms that families are made of ----------------------------------------------------------
 
 GAUSS: Final = replace(
     symmetric(
@@ -252,7 +257,8 @@ def beta(a: float, b: float) -> Form:
 def form_of(name: str, law: Any, key: str) -> Form:
     """The form of a frozen law of SciPy.
 
-    Raises LawError, for a key, where quantiles and probabilities of a tail do not belong to each other.
+    Raises LawError, for a key, where quantiles and probabilities of a tail do not belong to each
+        other.
     """
     mean, variance = map(float, law.stats(moments="mv"))
     missing = 1.0 if not math.isfinite(mean) else 2.0 if not math.isfinite(variance) else math.inf
@@ -260,13 +266,15 @@ def form_of(name: str, law: Any, key: str) -> Form:
     for quantile, share, called in ((law.ppf, law.cdf, "lower"), (law.isf, law.sf, "upper")):
         with np.errstate(all="ignore"):
             places = quantile(_TAILS)
-            # what both may differ by, as a share: a tenth of the smallest error that a run can ask of a probability
+            # what both may differ by, as a share: a tenth of the smallest error that a run can ask
+            # of a probability
             wrong = ~(np.abs(share(places) / _TAILS - 1.0) < 1e-4)
         if np.isnan(places).all():
             raise LawError(f"{name} has no law with these shapes", key)
         if wrong.any():
             raise LawError(
-                f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} on: "
+                f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} "
+                "on: "
                 "its quantile there has another probability"
             )
         far = np.abs(quantile(np.array([1e-6, 1e-12])))

@@ -1,13 +1,15 @@
-"""Sobol' indices by pick and freeze: first, total and second order, for all replicates and inputs at once.
+"""Sobol' indices by pick and freeze: first, total and second order, for all replicates and inputs
+at once.
 
-A design has two independent halves A and B (N, d) and blocks mixed from them: AB_j is A with column j of B, BA_j is B
-with column j of A.  The order of the blocks is SALib's, A, AB_1 ... AB_d, (BA_1 ... BA_d,) B, so that a replicate's
-outputs, flattened, are what `SALib.analyze.sobol` takes.
+A design has two independent halves A and B (N, d) and blocks mixed from them: AB_j is A with column
+j of B, BA_j is B with column j of A.  The order of the blocks is SALib's, A, AB_1 ... AB_d, (BA_1
+... BA_d,) B, so that a replicate's outputs, flattened, are what `SALib.analyze.sobol` takes.
 
-Write a, b, ab, ba for the outputs on the blocks, about their common mean, and V for their variance.  Every estimator is
-a ratio of two means over the points of a replicate.  The value is the ratio of the means over all replicates, and the
-interval that of the linearised ratio.  Student's degrees of freedom are those of the replicates and of the points that
-carry the answer (`uqsphere.uq.estimate.freedom`).
+Write a, b, ab, ba for the outputs on the blocks, about their common mean, and V for their variance.
+Every estimator is a ratio of two means over the points of a replicate.  The value is the ratio of
+the means over all replicates, and the interval that of the linearised ratio.  Student's degrees of
+freedom are those of the replicates and of the points that carry the answer
+(`uqsphere.uq.estimate.freedom`).
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ from uqsphere.uq.points import sobol_points
 
 METHOD: Final = "pick and freeze"
 NO_SCATTER: Final = "the output does not vary"
-#: inputs whose total index is above this have their indices read off the correlation of pairs, whose error is the
-#: smaller one from there on
+#: inputs whose total index is above this have their indices read off the correlation of pairs,
+#: whose error is the smaller one from there on
 LARGE: Final = 0.5
 #: what is left of a difference of two sums that cancel, over V
 ROUNDING: Final = 1e-15
@@ -52,9 +54,11 @@ class Blocks:
         return self.inputs_count * (2 if self.second else 1) + 2
 
     def mix(self, a: Array, b: Array) -> Array:
-        """Blocks (N, count, d) of halves A, B, (N, d) each; of uniforms or of what they are mapped to.
+        """Blocks (N, count, d) of halves A, B, (N, d) each; of uniforms or of what they are mapped
+        to.
 
-        >>> rows = Blocks(inputs_count=2, second=True).mix(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]))
+        >>> blocks = Blocks(inputs_count=2, second=True)
+        >>> rows = blocks.mix(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]))
         >>> rows[0].tolist()
         [[1.0, 2.0], [3.0, 2.0], [1.0, 4.0], [1.0, 4.0], [3.0, 2.0], [3.0, 4.0]]
         """
@@ -92,7 +96,9 @@ def _mean(rows: Array) -> Array:
 
 
 def _variance(a: Array, b: Array, like: Array) -> Array:
-    """V of every replicate about the common mean, repeated for as many indices as `like` has blocks."""
+    """V of every replicate about the common mean, repeated for as many indices as `like` has
+    blocks.
+    """
     return np.repeat(0.5 * _mean(a * a + b * b), like.shape[2], axis=1)
 
 
@@ -109,8 +115,8 @@ def jansen_total(a: Array, b: Array, ab: Array) -> Ratio:
 def _pairs(y: Array, z: Array) -> Ratio:
     """<y z> / <(y² + z²)/2> about the common mean of the pair, for runs that share some inputs.
 
-    Janon, Klein, Lagnoux, Nodet, Prieur, ESAIM: Prob. Stat. 18, 2014, 342, equation (6).  Numerator and denominator
-    share their noise: little of it is left where the index is near 1.
+    Janon, Klein, Lagnoux, Nodet, Prieur, ESAIM: Prob. Stat. 18, 2014, 342, equation (6).  Numerator
+    and denominator share their noise: little of it is left where the index is near 1.
     """
     mean = 0.5 * (y.mean(axis=(0, 1)) + z.mean(axis=(0, 1)))
     y, z = y - mean, z - mean
@@ -129,11 +135,12 @@ def janon_total(a: Array, b: Array, ab: Array) -> Ratio:
 
 
 def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
-    """Interaction indices S_ij of all pairs, <(ba_i - b)(ab_j - a)> / V and the same with i and j exchanged.
+    """Interaction indices S_ij of all pairs, <(ba_i - b)(ab_j - a)> / V and the same with i and j
+    exchanged.
 
-    BA_i and AB_j share the columns i and j, so that <ba_i ab_j> is the closed index of the pair (Saltelli, Comput.
-    Phys. Commun. 145, 2002, 280, theorem 2); <ba_i a> and <b ab_j> are the first indices, which the product takes off
-    with the noise that they share.
+    BA_i and AB_j share the columns i and j, so that <ba_i ab_j> is the closed index of the pair
+    (Saltelli, Comput. Phys. Commun. 145, 2002, 280, theorem 2); <ba_i a> and <b ab_j> are the first
+    indices, which the product takes off with the noise that they share.
     """
     products = np.matmul((ba - b).transpose(0, 2, 1), ab - a) / a.shape[1]
     rows, columns = np.triu_indices(ab.shape[2], 1)
@@ -141,7 +148,8 @@ def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     return numerator, np.repeat(0.5 * _mean(a * a + b * b), rows.size, axis=1)
 
 
-#: order -> name and ratio of a, b, ab for an input whose total index is small, and for one whose is large
+#: order -> name and ratio of a, b, ab for an input whose total index is small, and for one whose is
+#: large
 ESTIMATORS: Final[Mapping[str, Sequence[tuple[str, Callable[..., Ratio]]]]] = {
     "first": (("Saltelli 2010", saltelli_first), ("correlation of pairs", janon_first)),
     "total": (("Jansen", jansen_total), ("correlation of pairs", janon_total)),
@@ -153,7 +161,9 @@ ESTIMATORS: Final[Mapping[str, Sequence[tuple[str, Callable[..., Ratio]]]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class SampledIndices:
-    """Indices of one output: `first` and `total` in the order of the inputs, `second` by the pair (i, j), i < j."""
+    """Indices of one output: `first` and `total` in the order of the inputs, `second` by the pair
+    (i, j), i < j.
+    """
 
     first: list[Estimate]
     total: list[Estimate]
@@ -163,15 +173,16 @@ class SampledIndices:
 def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     """Every index that the blocks allow, each by the estimator that suits its size.
 
-    An input whose total index (Jansen's) is above `LARGE` has both of its indices from the correlation of pairs, every
-    other its first index from Saltelli 2010 and its total index from Jansen.  The size of an index decides and never
-    the width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.  With
-    the blocks of second order the halves change places as well, which makes twice the points.
+    An input whose total index (Jansen's) is above `LARGE` has both of its indices from the
+    correlation of pairs, every other its first index from Saltelli 2010 and its total index from
+    Jansen.  The size of an index decides and never the width of an interval: to take the narrower
+    of two intervals would choose those that are narrow by chance.  With the blocks of second order
+    the halves change places as well, which makes twice the points.
 
     Parameters
     ----------
-    outputs : (R, N, blocks.count) the model on the blocks of R independent replicates; a constant is answered by absent
-        estimates
+    outputs : (R, N, blocks.count) the model on the blocks of R independent replicates; a constant
+        is answered by absent estimates
 
     Nothing is clipped.  Raises ValueError for outputs that are not finite or of another shape.
     """
@@ -215,7 +226,9 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
 def _estimates(
     ratio: Callable[..., Ratio], parts: tuple[Array, ...], shown: str, evaluations: int
 ) -> list[Estimate]:
-    """Indices (m,) by one estimator, with as many degrees of freedom as replicates and carrying points allow."""
+    """Indices (m,) by one estimator, with as many degrees of freedom as replicates and carrying
+    points allow.
+    """
     value, off = ratio_of_means(*ratio(*parts))
     if not value.size:
         return []

@@ -1,4 +1,6 @@
-"""Joint laws as chaospy has them, and SALib's problems, designs and analyses: the file that loads both packages."""
+"""Joint laws as chaospy has them, and SALib's problems, designs and analyses: the file that loads
+both packages.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,13 @@ if TYPE_CHECKING:
 
     from chaospy import Distribution
 
-# --- chaospy ----------------------------------------------------------------------------------------------------
+# --- chaospy --------------------------------------------------------------------------------------
 
 
 def load_chaospy() -> Any:
-    """The package chaospy.  On import it turns the root logger to DEBUG and adds a handler: both are undone."""
+    """The package chaospy.  On import it turns the root logger to DEBUG and adds a handler: both
+    are undone.
+    """
     root = logging.getLogger()
     level, handlers = root.level, list(root.handlers)
     with warnings.catch_warnings(action="ignore"):
@@ -36,7 +40,8 @@ def load_chaospy() -> Any:
     return chaospy
 
 
-#: laws that chaospy has exactly, for its own three-term recurrences: they take the parameters, then bounds of their own
+#: laws that chaospy has exactly, for its own three-term recurrences: they take the parameters, then
+#: bounds of their own
 CHAOSPY: Final = {
     "normal": "Normal",
     "uniform": "Uniform",
@@ -46,10 +51,11 @@ CHAOSPY: Final = {
 
 
 def joint_to_chaospy(inputs: Joint) -> Distribution:
-    """The joint law as a distribution of chaospy: `J` of independent laws, `Nataf` where a Gaussian copula ties them.
+    """The joint law as a distribution of chaospy: `J` of independent laws, `Nataf` where a Gaussian
+    copula ties them.
 
-    Laws that chaospy has not, or truncated ones, keep the functions of this package, bounded by their quantiles at
-    1e-15.  Raises UsageError for Student t copulas.
+    Laws that chaospy has not, or truncated ones, keep the functions of this package, bounded by
+    their quantiles at 1e-15.  Raises UsageError for Student t copulas.
     """
     chaospy = load_chaospy()
     if any(np.isfinite(copula.dof) for _, copula in inputs.blocks):
@@ -81,15 +87,16 @@ def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
     )
 
 
-# --- SALib ------------------------------------------------------------------------------------------------------
+# --- SALib ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class SalibDesign:
-    """A problem of SALib with rows (N (d + 2), d), or (N (2 d + 2), d) for pairs, in the order of its Sobol' analysis.
+    """A problem of SALib with rows (N (d + 2), d), or (N (2 d + 2), d) for pairs, in the order of
+    its Sobol' analysis.
 
-    `SALib.analyze.sobol.analyze(design.problem, model(design.rows), calc_second_order=design.second)`; `outputs` are
-    the answers where the model was run already.
+    `SALib.analyze.sobol.analyze(design.problem, model(design.rows),
+    calc_second_order=design.second)`; `outputs` are the answers where the model was run already.
     """
 
     problem: dict[str, object]
@@ -99,9 +106,11 @@ class SalibDesign:
 
 
 def salib_problem(inputs: Joint) -> dict[str, object]:
-    """The problem dict: SALib knows few laws, so the bounds are where each law begins and ends to 1e-15.
+    """The problem dict: SALib knows few laws, so the bounds are where each law begins and ends to
+    1e-15.
 
-    Raises UsageError for inputs that depend on each other, of which SALib's indices would not share out the variance.
+    Raises UsageError for inputs that depend on each other, of which SALib's indices would not share
+        out the variance.
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
@@ -115,7 +124,9 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
 def to_salib(
     inputs: Joint, count: int = 1024, *, second: bool = False, seed: int = 0
 ) -> SalibDesign:
-    """The design of this package's Sobol' indices at `count` base points of one randomisation, in SALib's row order."""
+    """The design of this package's Sobol' indices at `count` base points of one randomisation, in
+    SALib's row order.
+    """
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
     halves = base_points(blocks, count=count, seed=seed, task="sensitivity", replicate=0)
@@ -128,7 +139,9 @@ SALIB_METHODS: Final = ("morris", "delta", "pawn", "hdmr")
 
 
 def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Array]:
-    """Uniform rows (count (d + 1), d) of SALib's trajectories on four levels, and the physical rows they stand for."""
+    """Uniform rows (count (d + 1), d) of SALib's trajectories on four levels, and the physical rows
+    they stand for.
+    """
     from SALib.sample import morris
 
     problem = _unit_problem(salib_problem(inputs)["names"])
@@ -146,9 +159,9 @@ def salib_measures(
 ) -> list[Estimate]:
     """SALib's measure of every input from uniform rows (n, d) and outputs (n,).
 
-    mu* of Morris, from rows of `morris_rows`, has the interval of the independent trajectories by Student's law; for
-    delta, the median of PAWN and the total index of HDMR nobody knows one that covers (delta of an input that does
-    nothing comes out at 0.065), and they have none.
+    mu* of Morris, from rows of `morris_rows`, has the interval of the independent trajectories by
+    Student's law; for delta, the median of PAWN and the total index of HDMR nobody knows one that
+    covers (delta of an input that does nothing comes out at 0.065), and they have none.
     """
     shown = f"SALib {method}"
     if not np.isfinite(outputs).all():

@@ -1,12 +1,13 @@
 """Several inputs together: their laws, and the Gaussian and Student t copulas that tie them.
 
-A normal score z stands for the probability Φ(z), so that both tails keep their digits.  Dependent scores are made from
-independent ones by the inverse Rosenblatt transform (Rosenblatt 1952): every member is the conditional quantile given
-those before it, which is monotone in its own number and goes with quasi-random points.
+A normal score z stands for the probability Φ(z), so that both tails keep their digits.  Dependent
+scores are made from independent ones by the inverse Rosenblatt transform (Rosenblatt 1952): every
+member is the conditional quantile given those before it, which is monotone in its own number and
+goes with quasi-random points.
 
-The Gaussian copula is given by the Pearson correlation of the normal scores; a Spearman rank correlation rho_S becomes
-2 sin(pi rho_S / 6) (Pearson 1907; exact for the Gaussian copula).  Any number of groups with Student t copulas stand
-next to it; an input belongs to one of them at most.
+The Gaussian copula is given by the Pearson correlation of the normal scores; a Spearman rank
+correlation rho_S becomes 2 sin(pi rho_S / 6) (Pearson 1907; exact for the Gaussian copula).  Any
+number of groups with Student t copulas stand next to it; an input belongs to one of them at most.
 """
 
 from __future__ import annotations
@@ -25,16 +26,19 @@ from uqsphere.uq.law import Law
 from uqsphere.uq.points import sobol_points
 
 COPULAS: Final = ("gaussian", "student_t")
-#: least eigenvalue of a correlation matrix that is taken for positive definite: the inverse then keeps six digits
+#: least eigenvalue of a correlation matrix that is taken for positive definite: the inverse then
+#: keeps six digits
 _SMALLEST: Final = 1e-10
 
 
-# --- one copula ------------------------------------------------------------------------------------------
+# --- one copula -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Copula:
-    """The Gaussian copula with the correlation (size, size) of its scores, or Student's t with `dof` of freedom."""
+    """The Gaussian copula with the correlation (size, size) of its scores, or Student's t with
+    `dof` of freedom.
+    """
 
     correlation: Array
     dof: float = math.inf
@@ -48,7 +52,9 @@ class Copula:
         return Copula(correlation=self.correlation[np.ix_(members, members)], dof=self.dof)
 
     def _given(self, target: int, given: Sequence[int], known: Array) -> tuple[Array, Array]:
-        """Centre and scale (n,) of the (t) variate of a member, given others at the scores `known` (n, j)."""
+        """Centre and scale (n,) of the (t) variate of a member, given others at the scores `known`
+        (n, j).
+        """
         inverse = np.linalg.inv(self.correlation[np.ix_(given, given)])
         across = self.correlation[list(given), target]
         weights = inverse @ across
@@ -65,17 +71,23 @@ class Copula:
     def conditional_score(
         self, target: int, given: Sequence[int], known: Array, score: Array
     ) -> Array:
-        """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known` (n, j))."""
+        """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known`
+        (n, j)).
+        """
         centre, scale = self._given(target, given, known)
         return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(given))
 
     def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
-        """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of `conditional_score`."""
+        """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of
+        `conditional_score`.
+        """
         centre, scale = self._given(target, given, known)
         return _score(centre + scale * _variate(normal, self.dof + len(given)), self.dof)
 
     def conditional_scores(self, given: Sequence[int], known: Array, normals: Array) -> Array:
-        """Scores (n, size - j) of the members not given, in their order, from independent standard normals."""
+        """Scores (n, size - j) of the members not given, in their order, from independent standard
+        normals.
+        """
         held, scores = list(given), known
         for member, normal in zip(
             (k for k in range(self.size) if k not in given), normals.T, strict=True
@@ -91,7 +103,8 @@ class Copula:
             return np.asarray(scores @ inverse)
         x, nu = _variate(scores, self.dof), self.dof
         distance = np.einsum("ni,ij,nj->n", x, inverse, x)
-        # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals t(x); dx/ds = phi(s)/t(x)
+        # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals t(x); dx/ds =
+        # phi(s)/t(x)
         joint = (nu + self.size) * (x @ inverse) / (nu + distance)[:, None]
         single = (nu + 1.0) * x / (nu + x**2)
         with np.errstate(over="ignore"):
@@ -114,7 +127,9 @@ def _score(variate: Array, dof: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
-    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
+    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a
+    Student t copula.
+    """
 
     of: tuple[str, ...]
     spearman: float | None = None
@@ -123,7 +138,8 @@ class Dependence:
     dof: float | None = None
 
     def make_copula(self) -> Copula:
-        """The copula of all pairs; raises LawError (keys "copula", "of", "spearman", "kendall", "dof").
+        """The copula of all pairs; raises LawError (keys "copula", "of", "spearman", "kendall",
+        "dof").
 
         >>> Dependence(of=("a", "b"), kendall=0.5).make_copula().correlation.round(6).tolist()
         [[1.0, 0.707107], [0.707107, 1.0]]
@@ -161,17 +177,21 @@ class Dependence:
         correlation = np.where(np.eye(size), 1.0, rho)
         if np.linalg.eigvalsh(correlation)[0] < _SMALLEST:
             raise LawError(
-                f"{size} inputs cannot all have {key} {value:g} with each other (not positive definite)",
+                (
+                    f"{size} inputs cannot all have {key} {value:g} with each other (not positive "
+                    "definite)"
+                ),
                 key,
             )
         return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
 
 
 def _correlation_of_t(spearman: float, dof: float) -> float:
-    """The t copula's correlation r with this Spearman's rho = 6/pi E[arcsin(r/sqrt((1 + S/S1)(1 + S/S2)))].
+    """The t copula's correlation r with this Spearman's rho = 6/pi E[arcsin(r/sqrt((1 + S/S1)(1 +
+    S/S2)))].
 
-    S, S1, S2 are independent gamma variables of the shape dof/2 (A. Heinen, A. Valdesogo, J. Multivar. Anal. 179, 2020,
-    104639); 4096 points of Sobol' know rho to 1e-4.
+    S, S1, S2 are independent gamma variables of the shape dof/2 (A. Heinen, A. Valdesogo, J.
+    Multivar. Anal. 179, 2020, 104639); 4096 points of Sobol' know rho to 1e-4.
     """
     from scipy.optimize import brentq
 
@@ -183,13 +203,13 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
     return float(brentq(lambda r: np.arcsin(r * factor).mean() / whole - spearman, -1.0, 1.0))
 
 
-# --- several inputs ----------------------------------------------------------------------------------------
+# --- several inputs -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tie:
-    """An input that is not drawn: the last member of `copula`, given the normal scores (..., size - 1) of others, which
-    are these columns of the inputs that are drawn."""
+    """An input that is not drawn: the last member of `copula`, given the normal scores (..., size -
+    1) of others, which are these columns of the inputs that are drawn."""
 
     copula: Copula
     given: Array
@@ -198,8 +218,8 @@ class Tie:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """Named laws in a fixed order, and what ties them: columns with their copula; all that Gaussian copulas tie are one
-    block.
+    """Named laws in a fixed order, and what ties them: columns with their copula; all that Gaussian
+    copulas tie are one block.
 
     >>> from uqsphere.uq.law import make_law
     >>> two = Joint(names=("a", "b"), laws=(make_law("normal", {"mean": 1.0, "sd": 0.1}),
@@ -222,7 +242,9 @@ class Joint:
 
     @property
     def correlation(self) -> Array | None:
-        """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are tied so."""
+        """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are
+        tied so.
+        """
         found = np.eye(len(self.names))
         for columns, copula in self.blocks:
             if math.isinf(copula.dof):
@@ -235,18 +257,24 @@ class Joint:
         return self.given((), flat, flat).reshape(normals.shape) if self.blocks else normals
 
     def marginal(self, scores: Array) -> Array:
-        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties them."""
+        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties
+        them.
+        """
         physical = np.empty_like(scores)
         for column, law in enumerate(self.laws):
             physical[..., column] = law.from_normal(scores[..., column])
         return physical
 
     def physical(self, normals: Array) -> Array:
-        """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in force."""
+        """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in
+        force.
+        """
         return self.marginal(self.scores(normals))
 
     def marginal_scores(self, physical: Array) -> Array:
-        """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations: 1e-15 lies beyond."""
+        """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations:
+        1e-15 lies beyond.
+        """
         scores = np.empty_like(physical)
         for column, law in enumerate(self.laws):
             scores[:, column] = GAUSS.quantile(*law.tails(physical[:, column]))
@@ -275,7 +303,8 @@ class Joint:
         return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
     def given(self, columns: Sequence[int], scores: Array, normals: Array) -> Array:
-        """Dependent scores (n, d): `columns` as in `scores` (n, d), the others drawn afresh given those.
+        """Dependent scores (n, d): `columns` as in `scores` (n, d), the others drawn afresh given
+        those.
 
         `normals` (n, d) are independent standard normals; those of the given columns are not used.
         """
@@ -289,14 +318,18 @@ class Joint:
         return found
 
     def score_gradients(self, scores: Array) -> Array:
-        """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d): s where nothing is tied."""
+        """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d): s where
+        nothing is tied.
+        """
         found = np.array(scores, dtype=float)
         for columns, copula in self.blocks:
             found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
         return found
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
-        """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores (..., d); or None."""
+        """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores
+        (..., d); or None.
+        """
         at = self.names.index(target)
         for block, copula in self.blocks:
             known = [k for k, column in enumerate(block) if self.names[column] in drawn]
@@ -355,7 +388,8 @@ def make_joint(
         )
         if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
             raise LawError(
-                "the dependences cannot hold together: the correlation matrix is not positive definite "
+                "the dependences cannot hold together: the correlation matrix is not positive "
+                "definite "
                 f"(least eigenvalue {smallest:.3g}); weaken or remove some of them",
                 "spearman",
             )

@@ -1,7 +1,7 @@
 """A probability law: probabilities, quantiles, density and moments, exact in both tails.
 
-A truncated law is evaluated from whichever tail is the smaller one, so that a normal law cut off ten
-standard deviations out keeps all its digits.  Nothing imports scipy.stats.
+A truncated law is evaluated from whichever tail is the smaller one, so that a normal law cut off
+ten standard deviations out keeps all its digits.  Nothing imports scipy.stats.
 """
 
 from __future__ import annotations
@@ -26,15 +26,17 @@ _MOST_STEPS: Final = 10_000
 class Law:
     """A probability law in SI: a member of a family, between the bounds where it is in force.
 
-    `parameters` are those that the family keeps, `given` the keys that it was made from, if any.  `lower` and `upper`
-    truncate, or are the bounds of a bounded family.  `data` are the sorted observations of an empirical law (kept when
-    a family was fitted to them); `censored` are those that are known only to be larger than this.  `draws` are those of
-    a fit (`observed`), with the parameter `tests`: how many it rests on.  An empirical law has the parameter
-    `bandwidth`: of the Gaussian kernel, 0 for the step function.
-    Make one with `make_law` or `fitted_law`, which validate.
+    `parameters` are those that the family keeps, `given` the keys that it was made from, if any.
+    `lower` and `upper` truncate, or are the bounds of a bounded family.  `data` are the sorted
+    observations of an empirical law (kept when a family was fitted to them); `censored` are those
+    that are known only to be larger than this.  `draws` are those of a fit (`observed`), with the
+    parameter `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the
+    Gaussian kernel, 0 for the step function. Make one with `make_law` or `fitted_law`, which
+    validate.
 
     >>> law = Law(family=FAMILIES["gumbel"], parameters={"location": 0.0, "scale": 1.0})
-    >>> bool(np.allclose(law.sf(law.from_normal(np.array([9.0]))), 1.1285884059538408e-19, rtol=1e-12))
+    >>> far = law.sf(law.from_normal(np.array([9.0])))
+    >>> bool(np.allclose(far, 1.1285884059538408e-19, rtol=1e-12))
     True
     """
 
@@ -63,7 +65,7 @@ class Law:
             {one.name: getattr(self, one.name) for one in fields(self)[1:]},
         )
 
-    # --- probabilities and quantiles ------------------------------------------------------------------
+    # --- probabilities and quantiles --------------------------------------------------------------
 
     @cached_property
     def _whole(self) -> tuple[float, float, Form]:
@@ -79,7 +81,9 @@ class Law:
 
     @cached_property
     def _form(self) -> Form:
-        """The standard form in force: the bounds of a bounded family are its own, and steps are left out."""
+        """The standard form in force: the bounds of a bounded family are its own, and steps are
+        left out.
+        """
         form = self._whole[2]
         if self._untruncated or form.pdf is no_density:
             return form
@@ -109,7 +113,9 @@ class Law:
         return self._form.mass
 
     def tails(self, x: Array) -> tuple[Array, Array]:
-        """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is small; any shape."""
+        """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
+        small; any shape.
+        """
         with np.errstate(divide="ignore", over="ignore"):
             return self._form.tails(self._standard(np.asarray(x, dtype=float)))
 
@@ -137,7 +143,9 @@ class Law:
         return self._inverse(1.0 - q, q)
 
     def from_normal(self, z: Array) -> Array:
-        """x with the same probability below it as the standard normal z has, exact in both tails; any shape."""
+        """x with the same probability below it as the standard normal z has, exact in both tails;
+        any shape.
+        """
         z = np.asarray(z, dtype=float)
         if self._form is GAUSS:
             return self._physical(z)
@@ -153,7 +161,7 @@ class Law:
             (values >= self.lower) & (values <= self.upper) & (density > 0.0), density, 0.0
         )
 
-    # --- moments ------------------------------------------------------------------------------------------
+    # --- moments ----------------------------------------------------------------------------------
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
@@ -163,7 +171,9 @@ class Law:
         )
 
     def tail_orders(self) -> tuple[float, float]:
-        """Order from which on the law in force has no moments, of its lower and its upper tail; inf if it has all."""
+        """Order from which on the law in force has no moments, of its lower and its upper tail; inf
+        if it has all.
+        """
         return self._form.orders
 
     @cached_property
@@ -171,8 +181,8 @@ class Law:
     def _moments(self) -> tuple[float, float]:
         """Mean and standard deviation in force: ∫ Q(Φ(z))^k φ(z) dz by the trapezoidal rule.
 
-        The integrand is smooth and dies out faster than exponentially at both ends, where the trapezoidal rule
-        converges geometrically; a mean about its own start loses no digits.
+        The integrand is smooth and dies out faster than exponentially at both ends, where the
+        trapezoidal rule converges geometrically; a mean about its own start loses no digits.
         """
         location, scale, _ = self._whole
         if self._form.moments is not None and not self.family.logarithmic:
@@ -181,7 +191,8 @@ class Law:
         weights = np.exp(-0.5 * z * z)
         weights /= weights.sum()
         x = self.from_normal(z)
-        # Far out a tail probability times a small mass can underflow; those nodes weigh nothing anyway.
+        # Far out a tail probability times a small mass can underflow; those nodes weigh nothing
+        # anyway.
         weights, x = weights[np.isfinite(x)], x[np.isfinite(x)]
         if not x.size:
             return math.inf, math.inf
@@ -202,14 +213,15 @@ class Law:
         order = min(self.tail_orders())
         return math.nan if order <= 1.0 else math.inf if order <= 2.0 else self._moments[1]
 
-    # --- other laws that are like it ----------------------------------------------------------------------
+    # --- other laws that are like it --------------------------------------------------------------
 
     def with_mean(self, mean: float) -> Law:
         """The law with another mean (SI), keeping sd or cov, whichever it was made from.
 
-        What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5 and 10.5 mm become
-        spheres of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of 10 mm.  The bounds of a bounded law
-        are its own and stay.  Raises LawError for a law not given by its mean, or without a member of the new one.
+        What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5
+        and 10.5 mm become spheres of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of
+        10 mm.  The bounds of a bounded law are its own and stay.  Raises LawError for a law not
+        given by its mean, or without a member of the new one.
         """
         if "mean" not in self.given:
             raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
@@ -257,9 +269,11 @@ def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
 
 
 def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None) -> Law:
-    """The law of a number that takes some values only, each by its weight, a whole number; 1 where none are given.
+    """The law of a number that takes some values only, each by its weight, a whole number; 1 where
+    none are given.
 
-    Raises LawError for weights that are no whole numbers, are not as many as the values, or are above 10,000 in all.
+    Raises LawError for weights that are no whole numbers, are not as many as the values, or are
+        above 10,000 in all.
 
     >>> discrete_law([2.0, 1.0], [1, 3]).cdf(np.array([1.0, 1.5, 2.0])).tolist()
     [0.75, 0.75, 1.0]
@@ -290,7 +304,9 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     over="ignore", divide="ignore", invalid="ignore"
 )  # what is beyond floating point is refused
 def checked(law: Law) -> Law:
-    """The law, once it is known to have mass, a finite centre, and scatter that floating point can hold."""
+    """The law, once it is known to have mass, a finite centre, and scatter that floating point can
+    hold.
+    """
     name = law.family.name
     centre = law.nominal_mean()
     # a truncation that leaves less cannot be told from nothing in floating point

@@ -1,8 +1,10 @@
-"""Probability that a demand exceeds a strength, with the strength integrated exactly, and the margin.
+"""Probability that a demand exceeds a strength, with the strength integrated exactly, and the
+margin.
 
-The strength is independent of the demand given the inputs' normal scores, so that the exceedance is the
-mean of F_S(demand | inputs): a smooth function of the inputs, whatever the scatter of the strength.  Both
-F_S and 1 - F_S are carried, so that a small probability keeps its relative accuracy on either side.
+The strength is independent of the demand given the inputs' normal scores, so that the exceedance is
+the mean of F_S(demand | inputs): a smooth function of the inputs, whatever the scatter of the
+strength.  Both F_S and 1 - F_S are carried, so that a small probability keeps its relative accuracy
+on either side.
 """
 
 from __future__ import annotations
@@ -26,9 +28,10 @@ from uqsphere.uq.law import Law
 class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
-    `strength` is a number or a law.  `tie`, with given scores (R, n, k), says how it depends on the inputs
-    (`Joint.tie`).  `censored` demands are known only to exceed their value; `failed` rows (and demands that are nan)
-    are left out (`on_failure` "drop") or counted once as exceeding and once as not ("bound"), never as survival.
+    `strength` is a number or a law.  `tie`, with given scores (R, n, k), says how it depends on the
+    inputs (`Joint.tie`).  `censored` demands are known only to exceed their value; `failed` rows
+    (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
+    once as not ("bound"), never as survival.
     """
 
     demands: Array
@@ -59,7 +62,9 @@ class LimitState:
         return self.censored & ~self.broken
 
     def score_given_inputs(self, score: Array) -> Array:
-        """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
+        """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own
+        law is `score`.
+        """
         if self.tie is None:
             return score
         last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
@@ -70,7 +75,9 @@ class LimitState:
         return np.where(np.isinf(score), score, found)
 
     def score_drawn(self, score: Array) -> Array:
-        """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is `score`."""
+        """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is
+        `score`.
+        """
         if self.tie is None:
             return score
         last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
@@ -79,13 +86,17 @@ class LimitState:
 
 
 def score_of(below: Array, above: Array) -> Array:
-    """Normal score of a probability that is given with its complement, through the smaller of the two."""
+    """Normal score of a probability that is given with its complement, through the smaller of the
+    two.
+    """
     with np.errstate(divide="ignore"):
         return np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
 
 
 def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
-    """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
+    """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0
+    and 0.
+    """
     strength, broken = state.strength, state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
     if isinstance(strength, Law):
@@ -127,7 +138,9 @@ def exceedance(state: LimitState) -> Estimate:
 
 
 def failure_of_aim(state: LimitState, aim: str) -> Estimate:
-    """Probability that the aim is missed: of exceedance for "survive", of its complement for "break"."""
+    """Probability that the aim is missed: of exceedance for "survive", of its complement for
+    "break".
+    """
     if aim not in ("survive", "break"):
         raise ValueError(f"aim must be survive or break, found {aim!r}")
     below, above = tails(state)
@@ -191,12 +204,12 @@ def target_met(missed: Estimate, target: float) -> bool | None:
     return False if missed.low is not None and missed.low > target else None
 
 
-# --- safety factor -----------------------------------------------------------------------------------
+# --- safety factor --------------------------------------------------------------------------------
 
 
 def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
-    """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is read off where the
-    replicates' probabilities could lie.
+    """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is read
+    off where the replicates' probabilities could lie.
 
     Absent where the strength or the demand may be zero or negative.
     """
@@ -268,7 +281,8 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
 def _root(
     probability_at: Callable[[float], float], probability: float, near: float
 ) -> float | None:
-    """Margin at which an increasing probability takes a value, by Brent's method in ln m; None where it does nowhere.
+    """Margin at which an increasing probability takes a value, by Brent's method in ln m; None
+    where it does nowhere.
 
     In normal scores the distribution of a margin is almost straight, and a few steps suffice.
     """

@@ -1,10 +1,13 @@
-"""Standard forms of laws that are made from observations: a step function, a kernel density, and the draws of a fit.
+"""Standard forms of laws that are made from observations: a step function, a kernel density, and
+the draws of a fit.
 
-The last two are means of many laws.  Monotone cubics of z(x) = ndtri(F(x)), which is smooth and almost a straight line
-in both tails, and of its inverse x(z) give probabilities to 1e-7 anywhere, at the price of a look-up.  Every draw is a
-law of its own, (kind, least, scale, shape, bound), one of those that the tests allow:
+The last two are means of many laws.  Monotone cubics of z(x) = ndtri(F(x)), which is smooth and
+almost a straight line in both tails, and of its inverse x(z) give probabilities to 1e-7 anywhere,
+at the price of a look-up.  Every draw is a law of its own, (kind, least, scale, shape, bound), one
+of those that the tests allow:
 
-    kind 0   ln(x*/scale)/shape is standard normal, x* = x/(1 - bound x/scale): a lognormal law with an upper end
+    kind 0   ln(x*/scale)/shape is standard normal, x* = x/(1 - bound x/scale): a lognormal law with
+    an upper end
              scale/bound, or none where bound is 0
     kind 1   1 - exp(-((x - least)/scale)^shape): a Weibull law
 """
@@ -26,17 +29,20 @@ if TYPE_CHECKING:
 
     from uqsphere.uq.law import Law
 
-#: a kernel density of so many is tabulated in two seconds, and its kernels add 1.3 % to the standard deviation: beyond,
-#: the step function says as much
+#: a kernel density of so many is tabulated in two seconds, and its kernels add 1.3 % to the
+#: standard deviation: beyond, the step function says as much
 MOST_KERNELS: Final = 5000
 #: the kinds of a draw
 LOGNORMAL, WEIBULL = 0.0, 1.0
-#: values times laws up to which a mean is taken of the laws themselves, at once: 8 MB for each array on the way
+#: values times laws up to which a mean is taken of the laws themselves, at once: 8 MB for each
+#: array on the way
 _FEW: Final = 1_000_000
 
 
 def empirical(law: Law) -> Form:
-    """A kernel density of the observations with the parameter `bandwidth`; a step function where that is 0."""
+    """A kernel density of the observations with the parameter `bandwidth`; a step function where
+    that is 0.
+    """
     data, width = np.array(law.data), law.parameters["bandwidth"]
     if width > 0.0:
         return _kernels(data, width)
@@ -48,7 +54,8 @@ def empirical(law: Law) -> Form:
 
     def quantile(p: Array, q: Array) -> Array:
         """The smallest observation whose share at or below it reaches p."""
-        # A share such as 3/10 is not exact in binary: half a unit of rounding must not skip an observation.
+        # A share such as 3/10 is not exact in binary: half a unit of rounding must not skip an
+        # observation.
         rank = np.ceil(p * inside.size * (1.0 - 4e-16)).astype(int) - 1
         return np.asarray(inside[np.clip(rank, 0, inside.size - 1)])
 
@@ -64,7 +71,7 @@ def bandwidth(data: Array) -> float:
     return float(0.9 * (min(sd, spread) if spread > 0.0 else sd) * data.size**-0.2)
 
 
-# --- means of many laws -------------------------------------------------------------------------------------------
+# --- means of many laws ---------------------------------------------------------------------------
 
 #: laws of a mean by their standard form, and y (..., 1) -> its argument (..., laws)
 Part: TypeAlias = tuple[Form, Callable[[Array], Array]]
@@ -73,7 +80,9 @@ Part: TypeAlias = tuple[Form, Callable[[Array], Array]]
 def _mean_of(
     count: int, parts: list[Part], nodes: Callable[[], Array], moments: tuple[float, float] | None
 ) -> Form:
-    """The form of a mean of `count` laws: of few values by the laws themselves, of more by cubics over the nodes."""
+    """The form of a mean of `count` laws: of few values by the laws themselves, of more by cubics
+    over the nodes.
+    """
 
     @np.errstate(all="ignore")
     def own_tails(y: Array) -> tuple[Array, Array]:
@@ -143,7 +152,8 @@ def drawn(law: Law) -> Form:
 
     @np.errstate(all="ignore")
     def nodes() -> Array:
-        # 4001 nodes between scores of -6 and 6, and 1000 on either side: shares are then known to 1e-8
+        # 4001 nodes between scores of -6 and 6, and 1000 on either side: shares are then known to
+        # 1e-8
         scores = np.array([-CERTAIN, -6.0, 6.0, CERTAIN])[:, None]
         y = np.hstack(
             [

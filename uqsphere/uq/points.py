@@ -1,21 +1,22 @@
 """Scrambled Sobol' points in independent randomisations, reproducible by task and replicate.
 
 Every randomisation is a linear matrix scramble with a digital shift (Matoušek 1998) of one Sobol'
-sequence, seeded by the study's seed, a hash of the task's name and the number of the replicate: nothing
-depends on the order in which things are drawn, and a sequence can be continued at any time.
+sequence, seeded by the study's seed, a hash of the task's name and the number of the replicate:
+nothing depends on the order in which things are drawn, and a sequence can be continued at any time.
 
 The streams of a study's seed, by the names of their tasks:
 
     sample              the points of a run, and of its free number              run.design
     pairs               the design of Sobol' indices                             run.grow
-    slow                the rows of a slow model, of which `Study.design` gives the inputs   run.surrogate, study
-    slow line, factors  its rows along the free number; model factors of given rows          run.surrogate
-    limits together     strengths of several limits at once                      run.assumptions
-    tests of NAME       strengths that the tests of a limit allow                run.assumptions
-    strengths of samples, fracture, study sample                                 run.write, run.fracture, study
-    form starts, few, wide look, adapt, subset, subset chains, importance        uq.rare
-    chaos rows, expansion, polynomial chaos, shapley, shapley orders, sensitivity, t copula             uq
-    fragility, shpb plan                                                         analysis, labs.shpb.plan
+    slow                the rows of a slow model, of which `Study.design` gives the inputs
+    run.surrogate, study slow line, factors  its rows along the free number; model factors of given
+    rows          run.surrogate limits together     strengths of several limits at once
+    run.assumptions tests of NAME       strengths that the tests of a limit allow
+    run.assumptions strengths of samples, fracture, study sample
+    run.write, run.fracture, study form starts, few, wide look, adapt, subset, subset chains,
+    importance        uq.rare chaos rows, expansion, polynomial chaos, shapley, shapley orders,
+    sensitivity, t copula             uq fragility, shpb plan
+    analysis, labs.shpb.plan
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.G
 def sobol_points(
     *, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int
 ) -> Array:
-    """Points `start` to `start + count` of one randomised Sobol' sequence: (count, dimension) in (0, 1).
+    """Points `start` to `start + count` of one randomised Sobol' sequence: (count, dimension) in
+    (0, 1).
 
     The ends 0 and 1 never occur: points lie in the middle of the cells of 2^-52 (2^-30 from 1000
     dimensions on).  Raises ValueError for a negative size or more than 21201 dimensions.
@@ -97,8 +99,8 @@ def _at(directions: _Words, shift: _Words, number: int) -> _Words:
 def _scrambled(
     dimension: int, bits: int, seed: int, task: str, replicate: int
 ) -> tuple[_Words, _Words]:
-    """Directions (bits, d) of one randomisation and its shift (d,); the draws are those of `scipy.stats.qmc.Sobol`,
-    whose package takes half a second to load."""
+    """Directions (bits, d) of one randomisation and its shift (d,); the draws are those of
+    `scipy.stats.qmc.Sobol`, whose package takes half a second to load."""
     generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
     kind = np.uint32 if bits <= 32 else np.uint64
     places = np.arange(bits, dtype=np.uint64)

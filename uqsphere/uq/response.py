@@ -4,16 +4,19 @@ For any statistic that is a mean of f, with S a response that costs little and Y
 
     E[f(Y)] = E_many[f(S)] + E_rows[f(Y) - f(S)]
 
-holds for every S that has not seen the rows of the correction.  Few rows serve both ends by cross-fitting: they are
-dealt into `FOLDS` folds, a response is fitted without each fold, and a row is compared with the response that was
-fitted without it.  The interval of the correction is
+holds for every S that has not seen the rows of the correction.  Few rows serve both ends by
+cross-fitting: they are dealt into `FOLDS` folds, a response is fitted without each fold, and a row
+is compared with the response that was fitted without it.  The interval of the correction is
 
-    half = t_v rms(c)/sqrt(n),        v = 2/(1/n_eff - 1/n) <= n - 1,        n_eff = (sum c²)²/sum c⁴
+    half = t_v rms(c)/sqrt(n),        v = 2/(1/n_eff - 1/n) <= n - 1,        n_eff = (sum c²)²/sum
+    c⁴
 
-with c what each of n rows moves the answer by (its influence), about the mean.  The degrees of freedom are
-Satterthwaite's: those at which the variance of n values with the kurtosis that these show is known.
+with c what each of n rows moves the answer by (its influence), about the mean.  The degrees of
+freedom are Satterthwaite's: those at which the variance of n values with the kurtosis that these
+show is known.
 
-An event that none of n rows shows, rarer than about 3/n, is in no interval (`unseen`): every answer says so.
+An event that none of n rows shows, rarer than about 3/n, is in no interval (`unseen`): every answer
+says so.
 """
 
 from __future__ import annotations
@@ -33,9 +36,11 @@ from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Estimate, absent, around, quantile, sample_reader, student
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"
-#: largest share of the variance that a response may leave and still be used: above, rows by themselves know as much
+#: largest share of the variance that a response may leave and still be used: above, rows by
+#: themselves know as much
 MOST: Final = 0.05
-#: folds that rows are dealt into: seven eighths of them fit each time, twice 8 are the replicates of a table
+#: folds that rows are dealt into: seven eighths of them fit each time, twice 8 are the replicates
+#: of a table
 FOLDS: Final = 8
 
 
@@ -70,7 +75,8 @@ def half_width(influence: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
-    """Expansions of the folds of n rows, and what each row differs from the one that was fitted without it.
+    """Expansions of the folds of n rows, and what each row differs from the one that was fitted
+    without it.
 
     Attributes
     ----------
@@ -118,12 +124,17 @@ class Response:
         )
         if self.usable:
             return f"it leaves {self.error:.2g} of the variance ({terms}); {unseen(self.count)}"
-        return f"refused: it leaves {self.error:.2g} of the variance unexplained, more than {MOST:g} ({terms})"
+        return (
+            f"refused: it leaves {self.error:.2g} of the variance unexplained, more than "
+            f"{MOST:g} ({terms})"
+        )
 
     def table(self, points: Array) -> Array:
-        """Values (R, m) of an output at germ points (R, m, d) of its law, each with a residual of a row.
+        """Values (R, m) of an output at germ points (R, m, d) of its law, each with a residual of a
+        row.
 
-        The folds take turns: each replicate has the response of one, and their differences are in its spread.
+        The folds take turns: each replicate has the response of one, and their differences are in
+        its spread.
         """
         rng = np.random.default_rng(0)
         values = [predict(self.fits[r % len(self.fits)], own) for r, own in enumerate(points)]
@@ -133,7 +144,8 @@ class Response:
 def cross_fit(
     points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False
 ) -> list[Response]:
-    """Responses of every column of outputs (n, q) at the same germ points (n, d); ValueError for fewer than 8 rows.
+    """Responses of every column of outputs (n, q) at the same germ points (n, d); ValueError for
+    fewer than 8 rows.
 
     `plain`: expansions of the outputs themselves, in the germs as given.
     """
@@ -168,16 +180,18 @@ def cross_fit(
     return made
 
 
-# --- the output and its parts --------------------------------------------------------------------------
+# --- the output and its parts ---------------------------------------------------------------------
 
 
 def describe_corrected(
     table: Array, rows: Array, levels: Array, quantiles: Sequence[float]
 ) -> Description:
-    """The description of an output on a table (R, m) of `Response.table`, corrected by n rows and their levels.
+    """The description of an output on a table (R, m) of `Response.table`, corrected by n rows and
+    their levels.
 
     A row's influence on the mean is its residual, on the standard deviation s about the mean c
-    ((Y - c)² - (S - c)²)/(2 s), on the distribution function at t 1(Y <= t) - 1(S <= t), over a range of values.
+    ((Y - c)² - (S - c)²)/(2 s), on the distribution function at t 1(Y <= t) - 1(S <= t), over a
+    range of values.
     """
     n, scale = len(rows), float(table.std())
     note = f"{METHOD}; {unseen(n)}"
@@ -222,9 +236,9 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
 
         N = E_many[P²] + 2 E_rows[r P] + |P r|²,    V = Var_many(S) + E_rows[(Y - m)² - (S - m)²]
 
-    and a row's influence on it (2 r P - N/V ((Y - m)² - (S - m)²))/V.  Folds whose responses differ count besides.  The
-    part of r itself is between none and all of the share e that the response leaves, which the interval holds; the
-    value takes r to be made up as S is, N/V/(1 - e).
+    and a row's influence on it (2 r P - N/V ((Y - m)² - (S - m)²))/V.  Folds whose responses differ
+    count besides.  The part of r itself is between none and all of the share e that the response
+    leaves, which the interval holds; the value takes r to be made up as S is, N/V/(1 - e).
     """
     n, d = response.count, len(response.germs)
     if response.constant:
@@ -253,7 +267,8 @@ def index_shares(response: Response) -> dict[str, list[Estimate]]:
         tops = np.array([getattr(one, order) for one in folds]) * variances[:, None]  # (K, d)
         moved = 2.0 * residuals * parts[row]
         values = (tops.mean(axis=0) + moved.mean(axis=1)) / whole
-        # replicates differ in what seven eighths of the rows left open, which the folds have in common
+        # replicates differ in what seven eighths of the rows left open, which the folds have in
+        # common
         between_folds = student(FOLDS) * np.std(tops / whole, axis=0, ddof=1) / math.sqrt(FOLDS)
         found[order] = []
         for j, value in enumerate(np.clip(values, 0.0, 1.0).tolist()):

@@ -16,15 +16,18 @@ _ROWS: Final = ("scores", "inputs", "answers", "censored", "status", "failed")
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """R replicates of n rows, each an independent randomisation of the same design; without scatter R = n = 1.
+    """R replicates of n rows, each an independent randomisation of the same design; without scatter
+    R = n = 1.
 
     Attributes
     ----------
     names : the D random variables, in the order of the columns
-    scores, inputs : their independent standard normals and their physical values [SI], (R, n, D) each
+    scores, inputs : their independent standard normals and their physical values [SI], (R, n, D)
+        each
     quantities : the q answers, in the order of the columns; none before the rows are evaluated
     answers, censored : values [SI], and whether they outlast the record, (R, n, q) each
-    status, failed : the model's code of each row, and whether an answer of it is missing, (R, n) each
+    status, failed : the model's code of each row, and whether an answer of it is missing, (R, n)
+        each
     """
 
     names: tuple[str, ...]
@@ -113,7 +116,9 @@ class Sample:
         )
 
     def with_room(self, count: int) -> Sample:
-        """The same rows in arrays of `count` rows of each replicate; those behind have no content until `fill`."""
+        """The same rows in arrays of `count` rows of each replicate; those behind have no content
+        until `fill`.
+        """
 
         def longer(own: Cells) -> Cells:
             room = np.empty((own.shape[0], count, *own.shape[2:]), own.dtype)
@@ -123,7 +128,9 @@ class Sample:
         return self._each(longer)
 
     def fill(self, start: int, part: Sample) -> None:
-        """Put the rows of a part in the place of rows of every replicate, from the `start`-th on."""
+        """Put the rows of a part in the place of rows of every replicate, from the `start`-th
+        on.
+        """
         for name in _ROWS:
             getattr(self, name)[:, start : start + part.count] = getattr(part, name)
 

@@ -1,14 +1,16 @@
 """Shapley effects and Kucherenko's indices of inputs that depend on each other, off an expansion.
 
-The closed effect of a set u of inputs is V_u = Var(E[Y | X_u]).  The Shapley effect of input i is the mean of
-V_(u ∪ i) - V_u over all orders in which inputs can be taken in (Owen 2014; Song, Nelson and Staum, SIAM/ASA J.
-Uncertainty Quantification 4, 2016, 1060); the effects add up to the variance, whatever the dependence.  Kucherenko's
-first index is V_i, his total index V - V_(all but i) (Kucherenko, Tarantola and Annoni, Computer Physics Communications
-183, 2012, 937); with dependence the total may lie below the first, and nothing is clipped.
+The closed effect of a set u of inputs is V_u = Var(E[Y | X_u]).  The Shapley effect of input i is
+the mean of V_(u ∪ i) - V_u over all orders in which inputs can be taken in (Owen 2014; Song, Nelson
+and Staum, SIAM/ASA J. Uncertainty Quantification 4, 2016, 1060); the effects add up to the
+variance, whatever the dependence.  Kucherenko's first index is V_i, his total index V - V_(all but
+i) (Kucherenko, Tarantola and Annoni, Computer Physics Communications 183, 2012, 937); with
+dependence the total may lie below the first, and nothing is clipped.
 
-All rest on pairs of points that share the inputs of u, the others being drawn twice given those: exact conditionals,
-randomised Sobol' points.  Up to six inputs all orders are taken, of more random ones and their reverses; the effect of
-a set is sampled once, however many orders pass it (Broto, Bachoc and Depecker, SIAM/ASA J. UQ 8, 2020, 693).
+All rest on pairs of points that share the inputs of u, the others being drawn twice given those:
+exact conditionals, randomised Sobol' points.  Up to six inputs all orders are taken, of more random
+ones and their reverses; the effect of a set is sampled once, however many orders pass it (Broto,
+Bachoc and Depecker, SIAM/ASA J. UQ 8, 2020, 693).
 """
 
 from __future__ import annotations
@@ -35,15 +37,16 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import METHOD, Response
 
-#: inputs up to which all orders are taken (6! = 720), and random orders of more of them, each with its reverse
+#: inputs up to which all orders are taken (6! = 720), and random orders of more of them, each with
+#: its reverse
 MOST_EXACT, ORDERS = 6, 64
 
 
 def closed_effects(
     function: Callable[[Array, int], Array], joint: Joint, *, points: int = 512, seed: int = 0
 ) -> Callable[[tuple[int, ...]], tuple[float, Array]]:
-    """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a set of inputs owns:
-    value and deviations (R,) of the replicates from it."""
+    """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a
+    set of inputs owns: value and deviations (R,) of the replicates from it."""
     d, designs = len(joint.names), []
     for r in range(REPLICATES):
         normals = special.ndtri(
@@ -77,10 +80,12 @@ def closed_effects(
 def dependent_shares(
     response: Response, joint: Joint, *, points: int = 512, seed: int = 0
 ) -> dict[str, list[Estimate]]:
-    """{"shapley", "first", "total"} of every input of a response whose germs are those of the inputs' own laws.
+    """{"shapley", "first", "total"} of every input of a response whose germs are those of the
+    inputs' own laws.
 
-    No part of the response belongs to one input: what it leaves, the share e of the variance, moves an effect I by no
-    more than noise of that size on the n rows does, 2 sqrt(I (1 - I) e/n), and by e itself.
+    No part of the response belongs to one input: what it leaves, the share e of the variance, moves
+    an effect I by no more than noise of that size on the n rows does, 2 sqrt(I (1 - I) e/n), and by
+    e itself.
     """
     d, n = len(joint.names), response.count
 

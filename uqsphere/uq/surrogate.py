@@ -1,12 +1,15 @@
-"""An expansion as an object: values with intervals at rows of inputs, terms, moments, indices, and chaospy's objects.
+"""An expansion as an object: values with intervals at rows of inputs, terms, moments, indices, and
+chaospy's objects.
 
-The value is that of the expansion of all n rows.  With r_i what row i differs from the expansion that has not seen it,
-and s(x) the standard error of a new answer by least squares, in units of the noise,
+The value is that of the expansion of all n rows.  With r_i what row i differs from the expansion
+that has not seen it, and s(x) the standard error of a new answer by least squares, in units of the
+noise,
 
     |y - value| <= q s(x),      s(x)² = slope(x)² (1 + p(x)' (P'P)⁻¹ p(x))
 
-with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. Assoc. 113, 2018, 1094).  The slope is
-1, or |value| where ln y was expanded: half-widths scale with the output.  It holds for points drawn as the rows were.
+with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. Assoc. 113, 2018,
+1094).  The slope is 1, or |value| where ln y was expanded: half-widths scale with the output.  It
+holds for points drawn as the rows were.
 """
 
 from __future__ import annotations
@@ -45,7 +48,9 @@ if TYPE_CHECKING:
 
 
 class Prediction(NamedTuple):
-    """What an expansion says of n points, (n,) each: the value, and between which the model's answer lies."""
+    """What an expansion says of n points, (n,) each: the value, and between which the model's
+    answer lies.
+    """
 
     value: Array
     low: Array
@@ -53,7 +58,8 @@ class Prediction(NamedTuple):
 
 
 def columns_of(rows: Any, names: Sequence[str]) -> Array:
-    """Points (n, d) of an array in the order of the names, or of a table or mapping whose columns go by them.
+    """Points (n, d) of an array in the order of the names, or of a table or mapping whose columns
+    go by them.
 
     Raises UsageError for missing, unknown and repeated columns, and for what is no finite number.
     """
@@ -97,7 +103,9 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
 
 
 def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
-    """Different rows, in the order of their first, and the mean of what each has; a warning where some repeat."""
+    """Different rows, in the order of their first, and the mean of what each has; a warning where
+    some repeat.
+    """
     different, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     if len(different) == len(rows):
         return rows, values
@@ -112,13 +120,17 @@ def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
 
 
 def index_of(rows: Any) -> Any:
-    """The index of a table of pandas, or that of the first Series of a mapping; None without one."""
+    """The index of a table of pandas, or that of the first Series of a mapping; None without
+    one.
+    """
     tables = [rows, *(rows.values() if isinstance(rows, Mapping) else ())]
     return next((one.index for one in tables if hasattr(one, "reindex")), None)
 
 
 def in_order_of(column: Any, index: Any, name: str) -> Any:
-    """A Series in the order of an index that has the same labels, each once.  Raises UsageError for any other."""
+    """A Series in the order of an index that has the same labels, each once.  Raises UsageError for
+    any other.
+    """
     if not (
         column.index.is_unique
         and index.is_unique
@@ -126,16 +138,20 @@ def in_order_of(column: Any, index: Any, name: str) -> Any:
         and set(index) == set(column.index)
     ):
         raise UsageError(
-            f"the index of {name} is not that of the rows: give it by to_numpy() where the order is right"
+            f"the index of {name} is not that of the rows: give it by to_numpy() where the order "
+            "is right"
         )
     return column.reindex(index)
 
 
 def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
-    """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not known."""
+    """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not
+    known.
+    """
     if steps := [name for name, law in zip(joint.names, joint.laws, strict=True) if law.is_steps]:
         raise UsageError(
-            f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the model"
+            f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the "
+            "model"
         )
     return germ_points(joint.marginal_scores(x), germs)
 
@@ -147,8 +163,10 @@ class Expansion:
     Attributes
     ----------
     joint : names and laws of the d inputs, and what ties them
-    fit : the expansion of all rows, in the germs of the laws: `fit.coefficients`, `fit.multi_indices`, `fit.log`
-    response : expansions without a fold of the rows, for errors and intervals; None where there are none
+    fit : the expansion of all rows, in the germs of the laws: `fit.coefficients`,
+        `fit.multi_indices`, `fit.log`
+    response : expansions without a fold of the rows, for errors and intervals; None where there are
+        none
     """
 
     joint: Joint
@@ -159,7 +177,10 @@ class Expansion:
         error = (
             "" if self.response is None else f", leaves {self.response.error:.2g} of the variance"
         )
-        return f"<Expansion in {', '.join(self.joint.names)}: {len(self.fit.coefficients)} terms{error}>"
+        return (
+            f"<Expansion in {', '.join(self.joint.names)}: {len(self.fit.coefficients)} "
+            f"terms{error}>"
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -194,7 +215,9 @@ class Expansion:
         )
 
     def germs_at(self, rows: Any) -> Array:
-        """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output (or ln of it)."""
+        """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output
+        (or ln of it).
+        """
         points = _points(self.joint, self.fit.germs, columns_of(rows, self.names))
         return np.column_stack(
             [
@@ -204,7 +227,8 @@ class Expansion:
         )
 
     def predict(self, rows: Any, level: float = 0.95, *, outside: str = "raise") -> Prediction:
-        """What the model would answer to rows, with the interval that holds the answer at this level.
+        """What the model would answer to rows, with the interval that holds the answer at this
+        level.
 
         Parameters
         ----------
@@ -260,7 +284,7 @@ class Expansion:
             np.abs(self.response.residuals) / np.maximum(slope * np.sqrt(1.0 / (1.0 - own)), 1e-300)
         )
 
-    # --- what it says of the output -----------------------------------------------------------------------
+    # --- what it says of the output ---------------------------------------------------------------
 
     def moments(self) -> tuple[float, float]:
         """Mean and standard deviation of the expansion, for independent inputs."""
@@ -268,7 +292,9 @@ class Expansion:
         return found.mean, found.sd
 
     def indices(self) -> dict[str, dict[str, Estimate]]:
-        """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs are tied."""
+        """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs
+        are tied.
+        """
         if self.response is None:
             raise UsageError(
                 "this expansion has no rows of its own: its indices are in the answers of the run"
@@ -282,14 +308,18 @@ class Expansion:
         return self.fit.to_frame(self.names)
 
     def chaospy(self) -> ChaospyObjects:
-        """The expansion as chaospy's polynomial, basis, coefficients and germs; of ln y where the log was taken."""
+        """The expansion as chaospy's polynomial, basis, coefficients and germs; of ln y where the
+        log was taken.
+        """
         return self.fit.chaospy()
 
 
 def fit_expansion(
     x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int = 0
 ) -> Expansion:
-    """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which rows are dealt."""
+    """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which
+    rows are dealt.
+    """
     from threadpoolctl import threadpool_limits
 
     order = random_generator(seed=seed, task="chaos rows").permutation(len(y))

@@ -1,9 +1,11 @@
-"""Several limits at once: the probability that any of them is exceeded, and which strengths go with that.
+"""Several limits at once: the probability that any of them is exceeded, and which strengths go with
+that.
 
-Given the inputs, strengths that do not depend on each other are exceeded independently, and the probability of any is
-1 - prod(1 - F_i): smooth in the inputs, without a strength drawn.  Strengths that do, by the Gaussian copula, are
-taken one after the other, each given that those before it have held, with one draw for those per sample (Geweke 1991,
-Hajivassiliou and McFadden 1998, Keane 1994): unbiased, and for independent strengths the product itself.
+Given the inputs, strengths that do not depend on each other are exceeded independently, and the
+probability of any is 1 - prod(1 - F_i): smooth in the inputs, without a strength drawn.  Strengths
+that do, by the Gaussian copula, are taken one after the other, each given that those before it have
+held, with one draw for those per sample (Geweke 1991, Hajivassiliou and McFadden 1998, Keane 1994):
+unbiased, and for independent strengths the product itself.
 """
 
 from __future__ import annotations
@@ -27,9 +29,10 @@ Index = npt.NDArray[np.int64]
 class Union:
     """L limits at the same (R, n) samples.
 
-    `failure_given_inputs` (L, R, n): that a limit is exceeded given the inputs and that those before it hold;
-    `holding` (L, R, n): the independent normals behind strengths that hold; `factor` (L, L): lower Cholesky factor of
-    the correlation of the strengths' normal scores given the inputs.
+    `failure_given_inputs` (L, R, n): that a limit is exceeded given the inputs and that those
+    before it hold; `holding` (L, R, n): the independent normals behind strengths that hold;
+    `factor` (L, L): lower Cholesky factor of the correlation of the strengths' normal scores given
+    the inputs.
     """
 
     states: tuple[LimitState, ...]
@@ -44,14 +47,17 @@ class Union:
 
     @property
     def any(self) -> Array:
-        """Probability that any limit is exceeded, given the inputs (R, n); 0 for samples without an answer."""
+        """Probability that any limit is exceeded, given the inputs (R, n); 0 for samples without an
+        answer.
+        """
         with np.errstate(divide="ignore"):
             found = -np.expm1(np.log1p(-self.failure_given_inputs).sum(axis=0))
         return np.where(self.broken, 0.0, found)
 
 
 def residual_correlation(covariance: Array) -> Array:
-    """Lower Cholesky factor of the correlation that belongs to a covariance (L, L); a variance of 0 stands alone.
+    """Lower Cholesky factor of the correlation that belongs to a covariance (L, L); a variance of 0
+    stands alone.
 
     >>> residual_correlation(np.array([[4.0, 0.0], [0.0, 0.0]])).round(6).tolist()
     [[1.0, 0.0], [0.0, 1.0]]
@@ -68,8 +74,9 @@ def residual_correlation(covariance: Array) -> Array:
 def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator) -> Union:
     """The limits taken together, at the same (R, n) samples.
 
-    `factor` (L, L) of `residual_correlation` is the identity for strengths that do not depend on each other given the
-    inputs; `rng` draws the strengths that hold.  Raises ValueError for no states, or states of different samples.
+    `factor` (L, L) of `residual_correlation` is the identity for strengths that do not depend on
+    each other given the inputs; `rng` draws the strengths that hold.  Raises ValueError for no
+    states, or states of different samples.
     """
     shapes = {state.demands.shape for state in states}
     if len(shapes) != 1:
@@ -102,7 +109,8 @@ def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
 
 
 def union_state(union: Union) -> LimitState:
-    """The union as one limit, so that all that serves a limit serves it: a score against a standard normal.
+    """The union as one limit, so that all that serves a limit serves it: a score against a standard
+    normal.
 
     Without any random strength it is counted: something over a strength of 1, or below it.
     """
@@ -125,15 +133,15 @@ def union_state(union: Union) -> LimitState:
     )
 
 
-# --- samples in which something breaks ----------------------------------------------------------------
+# --- samples in which something breaks ------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Breaking:
     """m samples of each replicate in which a limit is exceeded, drawn with their strengths.
 
-    `rows` (R, m): which samples; `shares` (L, R, m): strength over demand, below 1 where exceeded; `weights` (R,):
-    what a replicate's samples stand for, mean 1.
+    `rows` (R, m): which samples; `shares` (L, R, m): strength over demand, below 1 where exceeded;
+    `weights` (R,): what a replicate's samples stand for, mean 1.
     """
 
     rows: Index
@@ -142,7 +150,9 @@ class Breaking:
 
 
 def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breaking | None:
-    """Samples and strengths from their joint law given that a limit is exceeded; None where none can be."""
+    """Samples and strengths from their joint law given that a limit is exceeded; None where none
+    can be.
+    """
     mass = union.any.mean(axis=1)
     if not mass.sum() > 0.0:
         return None
@@ -183,7 +193,9 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
 def weighted_quantile(
     values: Array, weights: Array, p: float, method: str, evaluations: int
 ) -> Estimate:
-    """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after Woodruff (1952)."""
+    """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after
+    Woodruff (1952).
+    """
     replicates, m = values.shape
     read = sample_reader(values, np.repeat(weights, m).reshape(values.shape))
     error = spread(weights * ((values <= read(p)).mean(axis=1) - p), 1.0 / m)

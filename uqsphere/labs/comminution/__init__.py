@@ -1,1 +1,3 @@
-"""Lab for comminution: tests of single particles to a posterior of their fracture energy, and a feed under blows."""
+"""Lab for comminution: tests of single particles to a posterior of their fracture energy, and a
+feed under blows.
+"""

@@ -22,7 +22,10 @@ def main(argv: Sequence[str]) -> int:
     for name, text in (
         (
             "fit",
-            "posterior of the fracture energy from tests of single particles; draws.csv is a strength",
+            (
+                "posterior of the fracture energy from tests of single particles; draws.csv is a "
+                "strength"
+            ),
         ),
         ("feed", "what becomes of a feed under blows"),
     ):
@@ -99,7 +102,10 @@ def _fit_text(content: dict[str, Any]) -> str:
     for name, one in content["parameters"].items():
         prior = "flat" if one["prior_sd"] is None else f"{one['prior_sd']:.2g}"
         names.append((name, *_interval(one), f"{prior}, {one['sd']:.2g}"))
-    use = f'strength = {{ draws = "draws.csv" }}    # of particles of {content["strength_at"] * 1e3:.4g} mm, J/kg'
+    use = (
+        f'strength = {{ draws = "draws.csv" }}    # of particles of '
+        f"{content['strength_at'] * 1e3:.4g} mm, J/kg"
+    )
     return "\n\n".join([head, table(rows), table(laws), table(names), use])
 
 
@@ -118,7 +124,10 @@ def _feed_text(content: dict[str, Any]) -> str:
     if "lot" in content:
         one = content["lot"]
         value, reach = _interval(one["broken"], 100.0, "%")
-        spread = f"{reach}; sd {100 * one['epistemic_sd']:.2g} % of the tests, {100 * one['lot_sd']:.2g} % of the lot"
+        spread = (
+            f"{reach}; sd {100 * one['epistemic_sd']:.2g} % of the tests, "
+            f"{100 * one['lot_sd']:.2g} % of the lot"
+        )
         rows.append((f"broken of a lot of {one['mass']:.4g} kg", value, spread))
     classes = [("size", "mass", "broken", "95 %", "")]
     for one in content["classes"]:

@@ -39,12 +39,16 @@ class TestsTable(Section):
     """Tests of single particles, a row a blow or a compression; values name columns of the file.
 
     rig : what the rows were tested in, or the column that says so (`rig_column`).
-    specific_energy, energy, speed, force : exactly one; the unit stands in the heading or in `unit`.
-    energy_is : `sphere` the particle's own, `contact` of all bodies of the contacts, `input` what was offered.
-    particles, broken : rows that stand for many alike.  specimen : rows of one name are blows on one particle.
+    specific_energy, energy, speed, force : exactly one; the unit stands in the heading or in
+        `unit`.
+    energy_is : `sphere` the particle's own, `contact` of all bodies of the contacts, `input` what
+        was offered.
+    particles, broken : rows that stand for many alike.  specimen : rows of one name are blows on
+        one particle.
     stiffness : column of measured K_e = E*; without it a force needs `assume_intact = true`.
     partner : what the particles touch: its share of the energy is taken off.
-    ratio : E_max/E50 of the lognormal law.  gamma : damage exponent, "fit" where repeated blows determine it.
+    ratio : E_max/E50 of the lognormal law.  gamma : damage exponent, "fit" where repeated blows
+        determine it.
     """
 
     file: str
@@ -96,7 +100,8 @@ class TestsTable(Section):
             raise ValueError("outcome is required, or broken with particles")
         if given[0] == "force" and self.stiffness is None and not self.assume_intact:
             raise ValueError(
-                "a force needs the stiffness of each particle (stiffness = COLUMN), or assume_intact = true"
+                "a force needs the stiffness of each particle (stiffness = COLUMN), or "
+                "assume_intact = true"
             )
         if given[0] in ("specific_energy", "energy") and self.energy_is is None:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
@@ -109,7 +114,9 @@ class TestsTable(Section):
 
 
 class SizesTable(Section):
-    """The feed by mass: a law with its numbers, or a sieve table; classes from `top` down in steps of `ratio`."""
+    """The feed by mass: a law with its numbers, or a sieve table; classes from `top` down in steps
+    of `ratio`.
+    """
 
     law: Literal["rosin_rammler", "gaudin_schuhmann", "lognormal", "table"]
     d63: Length | None = None
@@ -141,10 +148,12 @@ class SizesTable(Section):
 class FeedTable(Section):
     """A feed under blows.
 
-    specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a blow, closing speed.
+    specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a
+        blow, closing speed.
     impact_surface : what the particles hit.
     rebreak : whether fragments are hit by the blows that are left, as fresh particles of the law.
-    undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers scatter.
+    undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers
+        scatter.
     """
 
     sizes: SizesTable
@@ -175,7 +184,9 @@ class ProductTable(Section):
 
 
 class ComminutionDocument(Section):
-    """An input file of `uqsphere comminution fit` and `feed`; `strength_at`: diameter of the draws of a strength."""
+    """An input file of `uqsphere comminution fit` and `feed`; `strength_at`: diameter of the draws
+    of a strength.
+    """
 
     title: str = ""
     seed: int = Field(default=1, ge=0)

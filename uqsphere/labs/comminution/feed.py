@@ -1,7 +1,8 @@
-"""A feed under blows: shares broken by size and blow, product, energy, each over the draws of a posterior.
+"""A feed under blows: shares broken by size and blow, product, energy, each over the draws of a
+posterior.
 
-Of n equal blows those particles break whose first fracture energy is at most u_n E.  What the tests leave open (the
-draws) and the scatter of a lot stand apart.
+Of n equal blows those particles break whose first fracture energy is at most u_n E.  What the tests
+leave open (the draws) and the scatter of a lot stand apart.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ _OFFERED, _DROPPED = (360.0, 9000.0), (0.0132, 0.063)
 
 @dataclass(frozen=True, kw_only=True)
 class Classes:
-    """Size classes from coarse to fine, the last one all that is below the last sieve; mass (K,) sums to 1.
+    """Size classes from coarse to fine, the last one all that is below the last sieve; mass (K,)
+    sums to 1.
 
     edges (K,) : upper ends [m]; the lower end of one is the upper end of the next.
     """
@@ -48,13 +50,17 @@ class Classes:
 
     @property
     def sizes(self) -> Array:
-        """Representative diameters (K,): geometric means; of the last class half its upper end, times sqrt 2."""
+        """Representative diameters (K,): geometric means; of the last class half its upper end,
+        times sqrt 2.
+        """
         lower = np.append(self.edges[1:], 0.5 * self.edges[-1])
         return np.asarray(np.sqrt(self.edges * lower))
 
 
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
-    """The classes of a feed; UsageError for a sieve table that leaves out more than 5 % of the mass."""
+    """The classes of a feed; UsageError for a sieve table that leaves out more than 5 % of the
+    mass.
+    """
     from scipy.special import ndtr
 
     notes: list[str] = []
@@ -69,7 +75,8 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
         }[asked.law]
         if (cut := 1.0 - float(passing(top))) > 1e-6:
             notes.append(
-                f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and the rest scaled"
+                f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and "
+                "the rest scaled"
             )
     edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
     share = np.clip(passing(edges), 0.0, None)
@@ -92,7 +99,8 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
     largest = float(given[-1])
     if percent and largest <= 1.0:
         raise UsageError(
-            f"{table.name}: {column!r} is headed as percent and reaches {largest:.4g}: are these shares? "
+            f"{table.name}: {column!r} is headed as percent and reaches {largest:.4g}: are these "
+            "shares? "
             "Head them so, without percent"
         )
     if not percent and largest > 1.0:
@@ -110,16 +118,19 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, flo
         sieve, share = np.append(sieve, asked.top), np.append(share, 1.0)
         if left > 1e-4:
             notes.append(
-                f"{left:.3g} of the mass lies between the coarsest sieve and top, where all passes: by a line"
+                f"{left:.3g} of the mass lies between the coarsest sieve and top, where all "
+                "passes: by a line"
             )
     elif left > _CUT:
         raise UsageError(
-            f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has no size; add "
+            f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed "
+            "has no size; add "
             "top, the size that all passes"
         )
     elif left > 1e-4:
         notes.append(
-            f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest scaled"
+            f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest "
+            "scaled"
         )
     x, y = np.log(sieve), share
 
@@ -158,7 +169,9 @@ def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
 
 
 def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
-    """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,) [J/kg]."""
+    """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,)
+    [J/kg].
+    """
     u = laws.thresholds(posterior.parameters["gamma"], blows)
     each = [posterior.broken(energy * u[:, k, None], sizes) for k in range(1, blows + 1)]
     return np.stack([np.zeros((len(posterior), len(sizes))), *each], axis=2)
@@ -196,7 +209,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         )
     )
     lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
-    # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve in proportion
+    # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve
+    # in proportion
     whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
     whole[:, -1] = np.clip(sieves / classes.edges[-1], 0.0, 1.0)
     before = whole @ mass
@@ -295,11 +309,13 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
 
 
 def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:
-    """Mass of each class (D, K) over all blows: struck, once for every blow; broken; and what is left whole at the end.
+    """Mass of each class (D, K) over all blows: struck, once for every blow; broken; and what is
+    left whole at the end.
 
-    cumulative (D, K, n + 1) : share of fresh particles broken after 0 ... n blows; mass (K,) of the feed.
-    spread (D or 1, K, K) : share of the fragments of class k that are of class j, at [:, j, k].  Fragments are fresh
-    particles that the blows left strike; None: they leave the machine.
+    cumulative (D, K, n + 1) : share of fresh particles broken after 0 ... n blows; mass (K,) of the
+    feed.
+    spread (D or 1, K, K) : share of the fragments of class k that are of class j, at [:, j, k].
+    Fragments are fresh particles that the blows left strike; None: they leave the machine.
     """
     rest, breaks = 1.0 - cumulative, np.diff(cumulative, axis=2)
     blows, fresh = breaks.shape[2], [np.broadcast_to(mass, cumulative.shape[:2])]
@@ -337,7 +353,9 @@ def _size_at(share: float, sieves: Array, passing: Array) -> Array:
 
 
 def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> Array:
-    """Broken share of a lot for every draw: each class has so many particles, which break or not."""
+    """Broken share of a lot for every draw: each class has so many particles, which break or
+    not.
+    """
     few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(broken)
     drawn[:, few] = (
         rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]

@@ -1,9 +1,10 @@
 """From tests to the posterior of the fracture energy, and its draws as a strength.
 
-Every specimen says that its first fracture energy lies in (lo, hi], or what it is: ln f(e), or ln(P(hi) - P(lo)) from
-the tail that both lie in.  Parameters enter by their logarithms.  Sampler: importance sampling from Student's t, whose
-mean and covariance follow the draws of the round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput.
-Graph. Stat. 13 (2004) 907), with truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
+Every specimen says that its first fracture energy lies in (lo, hi], or what it is: ln f(e), or
+ln(P(hi) - P(lo)) from the tail that both lie in.  Parameters enter by their logarithms.  Sampler:
+importance sampling from Student's t, whose mean and covariance follow the draws of the round before
+(O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph. Stat. 13 (2004) 907), with
+truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from uqsphere.labs.comminution.document import ComminutionDocument
 from uqsphere.labs.comminution.tests import Specimens
 from uqsphere.labs.files import csv_text
 
-#: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the published ranges; the
-#: modulus is that of a Weibull law whose lognormal fit has such a sigma
+#: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the
+#: published ranges; the modulus is that of a Weibull law whose lognormal fit has such a sigma
 PRIORS: Final = {
     "phi": (0.0, 0.45),
     "d0": (math.log(0.005), 1.0),
@@ -36,7 +37,8 @@ _FLAT: Final = (0.0, math.inf)
 _ADAPTING, _MOST, _FREEDOM = 6, 24, 5.0
 #: effective number that draws must reach to be believed
 EFFECTIVE: Final = 1000.0
-#: fewer tests than this choose between lognormal and Weibull too often wrongly: both are averaged by their scores
+#: fewer tests than this choose between lognormal and Weibull too often wrongly: both are averaged
+#: by their scores
 FEW: Final = 50
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
 _GAMMAS: Final = np.linspace(math.log(0.5), math.log(50.0), 93)
@@ -74,10 +76,11 @@ class Model:
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """Draws (D,) of a law and its size effect; of an average the laws stand in proportion to their weights.
+    """Draws (D,) of a law and its size effect; of an average the laws stand in proportion to their
+    weights.
 
-    law : (D,) index into `models`; parameters : by name, NaN where a draw's law has none; the damage exponent `gamma`
-    has its prior where the tests say nothing of it.
+    law : (D,) index into `models`; parameters : by name, NaN where a draw's law has none; the
+    damage exponent `gamma` has its prior where the tests say nothing of it.
     """
 
     models: tuple[Model, ...]
@@ -132,7 +135,9 @@ class Posterior:
         return found
 
     def strength_csv(self, diameter: float) -> str:
-        """Draws of the strength of particles of one size, as a study takes them: distribution, scale, shape, bound."""
+        """Draws of the strength of particles of one size, as a study takes them: distribution,
+        scale, shape, bound.
+        """
         median = self.median(diameter)[:, 0]
         exponent = np.log(self.median(1.01 * diameter) / self.median(diameter / 1.01))[
             :, 0
@@ -166,13 +171,15 @@ class Fit:
     content: dict[str, Any]
 
 
-# --- likelihood ---------------------------------------------------------------------------------------------------
+# --- likelihood -----------------------------------------------------------------------------------
 
 
 def log_likelihoods(
     model: Model, tests: Specimens, gamma: float | None
 ) -> Callable[[Array], Array]:
-    """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of specimens."""
+    """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of
+    specimens.
+    """
     from scipy.special import log_ndtr
 
     if not tests.repeated.any():
@@ -246,7 +253,9 @@ def log_likelihoods(
 
 
 def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
-    """The parameters of a law with their priors; of one size the scatter's is flat, which is exact there."""
+    """The parameters of a law with their priors; of one size the scatter's is flat, which is exact
+    there.
+    """
     want, sizes = asked.tests, tests.sizes
     size = want.size if len(sizes) > 1 else "class"
     largest = tests.diameter >= 0.75 * tests.diameter.max()
@@ -270,13 +279,15 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
     )
 
 
-# --- sampling -----------------------------------------------------------------------------------------------------
+# --- sampling -------------------------------------------------------------------------------------
 
 
 def sample(
     model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
 ) -> dict[str, Any]:
-    """Draws (n, d) of the posterior, its mode, and the effective number of draws that their weights leave."""
+    """Draws (n, d) of the posterior, its mode, and the effective number of draws that their weights
+    leave.
+    """
     each = log_likelihoods(model, tests, gamma)
     centre = np.array([mean for mean, _ in model.priors.values()])
     sd = np.array([sd for _, sd in model.priors.values()])
@@ -321,7 +332,9 @@ def sample(
 
 
 def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """The mode (d,) of the posterior, and about its covariance (d, d): 1 where the tests say nothing."""
+    """The mode (d,) of the posterior, and about its covariance (d, d): 1 where the tests say
+    nothing.
+    """
     from scipy.optimize import minimize
 
     x = np.array([mean for mean, _ in model.priors.values()])
@@ -339,11 +352,13 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tu
     return np.asarray(found.x), np.asarray(found.hess_inv)
 
 
-# --- the fit ------------------------------------------------------------------------------------------------------
+# --- the fit --------------------------------------------------------------------------------------
 
 
 def _overlap(tests: Specimens) -> bool:
-    """Whether some particle survived more than broke another of its size, was hit again, or told its own energy."""
+    """Whether some particle survived more than broke another of its size, was hit again, or told
+    its own energy.
+    """
     groups = [np.abs(np.log(tests.diameter / size)) < 0.006 for size in tests.sizes]
     pairs = [(tests.last[near & ~tests.broke], tests.last[near & tests.broke]) for near in groups]
     crossed = [
@@ -355,12 +370,14 @@ def _overlap(tests: Specimens) -> bool:
 def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     """The posterior of the tests, and what is to be said of it.
 
-    Raises UsageError for tests of which nothing follows: without a prior any law without scatter agrees with them.
+    Raises UsageError for tests of which nothing follows: without a prior any law without scatter
+        agrees with them.
     """
     want = asked.tests
     if not _overlap(tests) and not {"sigma", "modulus"} & set(want.prior):
         raise UsageError(
-            "no particle survived an energy that broke another one of its size: such tests do not show "
+            "no particle survived an energy that broke another one of its size: such tests do "
+            "not show "
             "how strengths scatter; test more between those energies, or give a prior of sigma and "
             "modulus"
         )

@@ -1,18 +1,20 @@
-"""Laws of the fracture energy of a particle: scatter, size, repeated blows, force in place of energy, product.
+"""Laws of the fracture energy of a particle: scatter, size, repeated blows, force in place of
+energy, product.
 
-Every function is elementwise on arrays.  The energy e [J/kg] is what the particle itself takes up per its mass, d [m]
-the diameter of the sphere of its volume.
+Every function is elementwise on arrays.  The energy e [J/kg] is what the particle itself takes up
+per its mass, d [m] the diameter of the sphere of its volume.
 
-    lognormal  P(e) = Phi(ln(e*/E50)/sigma),  e* = e/(1 - e/E_max),  E_max = r E50                       (L1)
-    weibull    P(e) = 1 - exp(-ln 2 (e/E50)^s),  s = 3 m/5,  m the modulus of the force                  (L2)
-    size       tavares E50 = E_inf (1 + (d0/d)^phi);  king E_inf (1 + d0/d)^phi;  power C d^-phi         (L3)
-    damage     a blow E < e leaves e (1 - D),  E/e = D^(5/(2g)) (2g + 5 - 5D)/(2g)                       (L4)
-    blows      n equal blows E break what has e <= u_n E,  u_(n+1) (1 - D(1/u_(n+1))) = u_n              (L5)
-    product    t10 = A (1 - exp(-b E));  t_n = 1 - (1 - t10)^((9/(n-1))^alpha)                           (L6)
+    lognormal  P(e) = Phi(ln(e*/E50)/sigma),  e* = e/(1 - e/E_max),  E_max = r E50
+    (L1) weibull    P(e) = 1 - exp(-ln 2 (e/E50)^s),  s = 3 m/5,  m the modulus of the force
+    (L2) size       tavares E50 = E_inf (1 + (d0/d)^phi);  king E_inf (1 + d0/d)^phi;  power C
+    d^-phi         (L3) damage     a blow E < e leaves e (1 - D),  E/e = D^(5/(2g)) (2g + 5 -
+    5D)/(2g)                       (L4) blows      n equal blows E break what has e <= u_n E,
+    u_(n+1) (1 - D(1/u_(n+1))) = u_n              (L5) product    t10 = A (1 - exp(-b E));  t_n = 1
+    - (1 - t10)^((9/(n-1))^alpha)                           (L6)
 
-Half of the particles break at e = r/(1 + r) E50 of (L1), not at E50.  Sources: L. M. Tavares, R. P. King, Powder
-Technol. 123 (2002) 138; R. P. King, MODSIM (BRPROB, TN, TN1); T. J. Napier-Munn and others, Mineral Comminution
-Circuits, 1996.
+Half of the particles break at e = r/(1 + r) E50 of (L1), not at E50.  Sources: L. M. Tavares, R. P.
+King, Powder Technol. 123 (2002) 138; R. P. King, MODSIM (BRPROB, TN, TN1); T. J. Napier-Munn and
+others, Mineral Comminution Circuits, 1996.
 """
 
 from __future__ import annotations
@@ -51,7 +53,8 @@ def hazard(energy: Values, median: Values, modulus: Values) -> Array:
 def broken_share(
     law: str, energy: Values, median: Values, shape: Values, ratio: Values = math.inf
 ) -> Array:
-    """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus m.
+    """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus
+    m.
 
     >>> float(broken_share("lognormal", 80.0, 100.0, 0.6, 4.0))
     0.5
@@ -91,7 +94,8 @@ def median_energy(
 
 
 def before_blow(left: Values, gamma: Values) -> Array:
-    """x = e/E >= 1 of a particle of which a blow E leaves x (1 - D) = `left`, (L4); 1 for nothing left.
+    """x = e/E >= 1 of a particle of which a blow E leaves x (1 - D) = `left`, (L4); 1 for nothing
+    left.
 
     (1 - D)/(E/e) = left falls with D; by bisection in the logit of D, since (L4) is flat at D = 1.
 
@@ -114,7 +118,8 @@ def before_blow(left: Values, gamma: Values) -> Array:
 
 
 def survivor_bound(energies: Values, gamma: Values) -> Array:
-    """First fracture energy [J/kg] above which a particle survives blows (..., n) in their order; 0 is no blow.
+    """First fracture energy [J/kg] above which a particle survives blows (..., n) in their order; 0
+    is no blow.
 
     From the last blow to the first: c = 0, then the x >= E with x (1 - D(E/x)) = c.
 
@@ -147,7 +152,9 @@ def thresholds(gamma: Values, blows: int) -> Array:
 
 
 def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Values) -> Array:
-    """W/m [J/kg] of both contacts at a force [N] by Hertz: two of (2/5) F alpha, alpha = (F/beta)^(2/3)."""
+    """W/m [J/kg] of both contacts at a force [N] by Hertz: two of (2/5) F alpha, alpha =
+    (F/beta)^(2/3).
+    """
     beta = hertz_constant(modulus, 0.5 * np.asarray(diameter, dtype=float))
     return np.asarray(
         0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass
@@ -155,7 +162,8 @@ def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Valu
 
 
 def particle_share(own: float, partner: float) -> float:
-    """k_s/(k_p + k_s), k = E/(1 - nu²) [Pa] of particle and partner: the particle's share of the energy of a contact.
+    """k_s/(k_p + k_s), k = E/(1 - nu²) [Pa] of particle and partner: the particle's share of the
+    energy of a contact.
 
     >>> round(particle_share(52e9 / (1.0 - 0.25**2), 210e9 / (1.0 - 0.3**2)), 6)
     0.80622

@@ -1,4 +1,6 @@
-"""Tests of single particles: between which energies the first fracture energy of every specimen lies."""
+"""Tests of single particles: between which energies the first fracture energy of every specimen
+lies.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ _SAME: Final = 0.005
 class Specimens:
     """Specimens (s,) with the blows (s, K) [J/kg] that each had, 0 for none; NaN-free.
 
-    broke : whether the last blow broke it;  exact : whether its energy at failure is known;  weight : particles alike.
+    broke : whether the last blow broke it;  exact : whether its energy at failure is known;  weight
+        : particles alike.
     """
 
     diameter: Array
@@ -65,7 +68,9 @@ class Specimens:
         return tuple(float(np.exp(np.log(part).mean())) for part in parts)
 
     def bounds(self, gamma: Array) -> tuple[Array, Array]:
-        """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is known exactly."""
+        """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
+        known exactly.
+        """
         g = np.asarray(gamma, dtype=float)[..., None]
         before = self.blows.copy()
         at = np.maximum((self.blows > 0).sum(axis=1) - 1, 0)
@@ -77,7 +82,9 @@ class Specimens:
 
 
 def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
-    """The specimens of the table of an input file; UsageError with the lines of rows that cannot be."""
+    """The specimens of the table of an input file; UsageError with the lines of rows that cannot
+    be.
+    """
     table, want = read_table(folder / asked.tests.file), asked.tests
     for column, value in want.where.items():
         texts = table.texts(column) if isinstance(value, str) else table.numbers(column)
@@ -154,7 +161,8 @@ def stiffness(body: Elastic) -> float:
     """k = E/(1 - nu²) [Pa] of a body; UsageError where it has none."""
     if body.E is None or body.nu is None:
         raise UsageError(
-            "material, tests.partner and feed.impact_surface need E and nu, or a material of the library"
+            "material, tests.partner and feed.impact_surface need E and nu, or a material of the "
+            "library"
         )
     return body.E / (1.0 - body.nu**2)
 
@@ -202,7 +210,8 @@ def _energies(
             )
             modulus = np.full(len(force), 1.0 / compliance)
             notes.append(
-                "the stiffness of intact rock is assumed: energies of broken rock are 2 to 3 times larger"
+                "the stiffness of intact rock is assumed: energies of broken rock are 2 to 3 "
+                "times larger"
             )
         found = laws.energy_of_force(force, diameter, modulus, mass)
     if meaning == "sphere":
@@ -244,7 +253,9 @@ def _specimens(
     count: np.ndarray,
     notes: list[str],
 ) -> Specimens:
-    """Rows of one name as the series of blows on one particle; groups as those that broke and those that did not."""
+    """Rows of one name as the series of blows on one particle; groups as those that broke and those
+    that did not.
+    """
     lines = table.lines
     order: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -287,6 +298,7 @@ def _specimens(
         )
     if made.broke.all() and not made.exact.any() and not made.repeated.any():
         raise UsageError(
-            "every particle broke at its first blow: nothing bounds it from below; test at lower energies"
+            "every particle broke at its first blow: nothing bounds it from below; test at lower "
+            "energies"
         )
     return made

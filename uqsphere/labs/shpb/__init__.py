@@ -1,1 +1,3 @@
-"""Lab for split Hopkinson bars: records to forces, slow tests to a contact law, the design of a test."""
+"""Lab for split Hopkinson bars: records to forces, slow tests to a contact law, the design of a
+test.
+"""

@@ -1,7 +1,7 @@
 """The contact law of a sphere that yields, from a slow load-unload record between two flat platens.
 
-The two faces are alike, so that the platens close by twice the approach of one; each follows the law of a face that
-yields (theory, C5 to C8).
+The two faces are alike, so that the platens close by twice the approach of one; each follows the
+law of a face that yields (theory, C5 to C8).
 E*, p_y, H, C and the displacement of first touch follow by least squares over the displacement.
 """
 
@@ -28,7 +28,8 @@ from uqsphere.mechanics.yielding import Face
 
 #: samples without which no law is fitted, and the most that are used
 _LEAST, _MOST = 30, 1500
-#: forces below this share of the largest are left out; a record that ends above the second is not unloaded
+#: forces below this share of the largest are left out; a record that ends above the second is not
+#: unloaded
 _QUIET, _UNLOADED = 0.01, 0.5
 #: shares of the largest force at which the search for the onset begins
 _BEGINNINGS: Final = (0.03, 0.15, 0.5)
@@ -45,7 +46,8 @@ class ContactDocument(Section):
 
     displacement, force : columns by heading or number; units stand in the heading or in `*_unit`.
     machine_stiffness : of the machine, taken off the displacement.
-    platens : "rigid", or a material of the library for bars: E of the sphere follows from E* with `nu`.
+    platens : "rigid", or a material of the library for bars: E of the sphere follows from E* with
+        `nu`.
     pile_up : where it is known; a record that was not unloaded does not tell it.
     """
 
@@ -74,7 +76,9 @@ class Fitted:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactFit:
-    """The law of the faces; `misfit` rms of the displacement [m], `depth` largest approach over that of the onset."""
+    """The law of the faces; `misfit` rms of the displacement [m], `depth` largest approach over
+    that of the onset.
+    """
 
     onset_pressure: Fitted
     hardness: Fitted
@@ -89,10 +93,17 @@ class ContactFit:
     def lines(self) -> str:
         """The lines of a study."""
         numbers = [
-            f'{name} = "{v.value * 1e-9:.4g} GPa"    # {v.low * 1e-9:.4g} to {v.high * 1e-9:.4g} GPa'
+            (
+                f'{name} = "{v.value * 1e-9:.4g} GPa"    # {v.low * 1e-9:.4g} to '
+                f"{v.high * 1e-9:.4g} "
+                "GPa"
+            )
             for name, v in (("onset_pressure", self.onset_pressure), ("hardness", self.hardness))
         ]
-        pile_up = f"pile_up = {self.pile_up.value:.4g}    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
+        pile_up = (
+            f"pile_up = {self.pile_up.value:.4g}    # {self.pile_up.low:.3g} to "
+            f"{self.pile_up.high:.3g}"
+        )
         return "\n".join(["[contact]", 'law = "plastic"', *numbers, pile_up, ""])
 
     def rows(self) -> list[tuple[str, str, str]]:
@@ -120,7 +131,9 @@ class ContactFit:
 
 
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
-    """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes; UsageError for others."""
+    """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes;
+    UsageError for others.
+    """
     table, _ = read_recorded(folder / asked.file)
     displacement = table.numbers(
         asked.displacement, "length", asked.displacement_unit or None, key="displacement"
@@ -159,23 +172,27 @@ def face_approach(
 def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> ContactFit:
     """Onset, hardness and pile-up of the faces of a sphere.
 
-    Raises UsageError for a record that was not pressed, not unloaded, too short, or elastic throughout.
+    Raises UsageError for a record that was not pressed, not unloaded, too short, or elastic
+        throughout.
     """
     compliance = 1.0 / asked.machine_stiffness if asked.machine_stiffness else 0.0
     displacement = displacement - compliance * force
     top, radius = int(np.argmax(force)), 0.5 * asked.diameter
     if not force[top] > 0.0:
         raise UsageError(
-            'the force is never positive: is compression negative in the file (compression = "negative")?'
+            "the force is never positive: is compression negative in the file (compression = "
+            '"negative")?'
         )
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
         raise UsageError(
-            "the displacement does not grow with the force: turn it, or machine_stiffness is too low"
+            "the displacement does not grow with the force: turn it, or machine_stiffness is too "
+            "low"
         )
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
         raise UsageError(
-            "the displacement jumps back and forth: put the samples in the order in which they were taken"
+            "the displacement jumps back and forth: put the samples in the order in which they "
+            "were taken"
         )
     if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
         raise UsageError(
@@ -267,7 +284,8 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
         )
     if alike > 0.0:
         notes.append(
-            f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are widened"
+            f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are "
+            "widened"
         )
     return ContactFit(
         onset_pressure=onset_range,

@@ -15,12 +15,14 @@ Columns = Annotated[
 
 
 class BarTable(Section):
-    """A bar and its gauge; what a receiving bar leaves out is that of the incident bar, but for `gauge`.
+    """A bar and its gauge; what a receiving bar leaves out is that of the incident bar, but for
+    `gauge`.
 
     gauge : distance from the specimen's face.
     end : whether the far end reflects (`free`) or sends nothing back (`absorbing`).
     unit : of the signal, where the heading has none; strain, microstrain, V, mV ...
-    gauge_factor, excitation [V], amplification, active_arms : eps = 4 U/(k N U_0 A) of a Wheatstone bridge.
+    gauge_factor, excitation [V], amplification, active_arms : eps = 4 U/(k N U_0 A) of a Wheatstone
+        bridge.
     gain_sd : relative standard deviation of the gain.
     """
 
@@ -58,7 +60,9 @@ class BarTable(Section):
 
     @property
     def echo(self) -> float:
-        """Time from a wave at the gauge on its way out until its echo from the far end is there [s]."""
+        """Time from a wave at the gauge on its way out until its echo from the far end is there
+        [s].
+        """
         if self.end == "absorbing" or self.length is None:
             return math.inf
         return 2.0 * (self.length - self.gauge) / self.wave_speed
@@ -68,11 +72,14 @@ class RecordTable(Section):
     """The file and its columns, by heading or number from 1 on; several gauges of a bar as a list.
 
     reflected : where the three waves stand in columns of their own.
-    aligned : each of the three waves begins at its own foot (they were cut out): distances do not count.
-    more_files : other channels of the same recorder, one file each, in the same layout and on the same clock.
+    aligned : each of the three waves begins at its own foot (they were cut out): distances do not
+        count.
+    more_files : other channels of the same recorder, one file each, in the same layout and on the
+        same clock.
     polarity : sign of compression in the file; `auto`: the incident wave presses.
     striker_speed : of a striker like the incident bar; its wave has the strain v/(2 c0).
-    dispersion : whether waves are moved from gauge to face by the first mode of a bar, or without change of shape.
+    dispersion : whether waves are moved from gauge to face by the first mode of a bar, or without
+        change of shape.
     window : times between which the incident wave passes its gauge.
     """
 
@@ -130,6 +137,7 @@ class RecordDocument(Section):
         ):
             if bar.length is not None and bar.gauge > bar.length:
                 raise ValueError(
-                    f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of {bar.length:g} m"
+                    f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of "
+                    f"{bar.length:g} m"
                 )
         return self

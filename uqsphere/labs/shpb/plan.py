@@ -1,8 +1,9 @@
 """The design of a test: at which speed, height or force which share of the spheres breaks.
 
-The study gives sphere, rig, scatter and strengths.  At each value of the free number its random inputs scatter (Sobol'
-points in eight randomisations), and a strength enters by its distribution function at the demand of every row, so that
-a share of 4 % or 0.01 % comes from the law and not from counting rows.
+The study gives sphere, rig, scatter and strengths.  At each value of the free number its random
+inputs scatter (Sobol' points in eight randomisations), and a strength enters by its distribution
+function at the demand of every row, so that a share of 4 % or 0.01 % comes from the law and not
+from counting rows.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class PlanDocument(Section):
     """An input file of `uqsphere shpb plan`.
 
     study : file of the study;  free : its number that is varied;  between : its ends
-    shares : of broken spheres whose value is asked for;  limits : those that count, all that mean fracture if empty
+    shares : of broken spheres whose value is asked for;  limits : those that count, all that mean
+        fracture if empty
     rows : samples at every value;  points : values
     """
 
@@ -57,11 +59,12 @@ class PlanDocument(Section):
 def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     """Shares broken over the free number of a study, as plain JSON in SI.
 
-    values (m,); force (m, 3) 5, 50 and 95 % of the largest force [N]; shares : by limit (m, 3) value, low, high of the
-    95 % interval of the computation; failed (m,) share of rows without an answer; reached : by limit, for every share
-    the value with its interval, None beyond the range.
+    values (m,); force (m, 3) 5, 50 and 95 % of the largest force [N]; shares : by limit (m, 3)
+    value, low, high of the 95 % interval of the computation; failed (m,) share of rows without an
+    answer; reached : by limit, for every share the value with its interval, None beyond the range.
 
-    Raises UsageError for a study without a limit that means fracture or without the number, StudyError as `load_study`.
+    Raises UsageError for a study without a limit that means fracture or without the number,
+        StudyError as `load_study`.
     """
     import uqsphere
     from uqsphere.uq import Law, LimitState, tails
@@ -198,7 +201,9 @@ def plan_csv(plan: dict[str, Any]) -> str:
 
 
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
-    """The free number and its ends [SI]: of the file, of the study's margins, or a third to three times its value."""
+    """The free number and its ends [SI]: of the file, of the study's margins, or a third to three
+    times its value.
+    """
     own, margins = study.at_means(), study.margins
     free = asked.free or (margins.solve if margins is not None and margins.solve in own else "")
     free = free or next((name for name in _FREE if name in own), "")
@@ -220,7 +225,9 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
 
 
 def _normals(dimension: int, rows: int, seed: int) -> Array:
-    """Standard normals (n, d) in `_SPLITS` blocks, each a randomisation of the same Sobol' points."""
+    """Standard normals (n, d) in `_SPLITS` blocks, each a randomisation of the same Sobol'
+    points.
+    """
     from scipy.special import ndtri
 
     from uqsphere.uq import sobol_points

@@ -1,7 +1,8 @@
 """From the columns of a file to strains over even time, mended in named steps.
 
-read · spikes · clipped · baseline · drift · sign · gauges.  Every step adds a `Change` for what it changed, with its
-size; what cannot be changed without inventing a record is marked as unknown, or refused.
+read · spikes · clipped · baseline · drift · sign · gauges.  Every step adds a `Change` for what it
+changed, with its size; what cannot be changed without inventing a record is marked as unknown, or
+refused.
 """
 
 from __future__ import annotations
@@ -72,9 +73,11 @@ class Changes(list[Change]):
 
 @dataclass(frozen=True, kw_only=True)
 class Wave:
-    """The first wave of a signal: samples of its foot, of the first and last half of its top, of its end.
+    """The first wave of a signal: samples of its foot, of the first and last half of its top, of
+    its end.
 
-    rising : samples from a tenth to half the way up; peak : of the smoothed signal, > 0; ended : comes back to rest.
+    rising : samples from a tenth to half the way up; peak : of the smoothed signal, > 0; ended :
+        comes back to rest.
     """
 
     foot: int
@@ -91,9 +94,10 @@ class Wave:
 class Signal:
     """One wave or bar: strain (n,), compression negative, about its rest.
 
-    known : (n,) whether a sample is known; noise : standard deviation of a sample at rest, correlated over `memory`
-    samples; offset : standard deviation of the baseline; spread : (n,) half the difference of the gauges of a bar, 0 of
-    one; single : whether a bar rests on one gauge, whose bending is not seen.
+    known : (n,) whether a sample is known; noise : standard deviation of a sample at rest,
+    correlated over `memory` samples; offset : standard deviation of the baseline; spread : (n,)
+    half the difference of the gauges of a bar, 0 of one; single : whether a bar rests on one gauge,
+    whose bending is not seen.
     """
 
     name: str
@@ -109,7 +113,9 @@ class Signal:
 
 @dataclass(kw_only=True)
 class Record:
-    """Mended signals over even time: `start`, `step` [s]; `reflected` is None where the incident gauge shows both."""
+    """Mended signals over even time: `start`, `step` [s]; `reflected` is None where the incident
+    gauge shows both.
+    """
 
     start: float
     step: float
@@ -122,7 +128,8 @@ class Record:
 def load_record(document: RecordDocument, folder: Path) -> Record:
     """The record of an input file, read and mended.
 
-    Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave or a rest.
+    Raises UsageError for columns, units or a clock that cannot be, and for a signal without a wave
+        or a rest.
     """
     changes, asked = Changes(), document.record
     read = [read_recorded(folder / name, _LARGEST) for name in (asked.file, *asked.more_files)]
@@ -141,7 +148,8 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     passes = 0.0 if bar.length is None else lasts * step * bar.wave_speed / bar.length
     if passes > _PASSES:
         raise UsageError(
-            f"the pulse lasts {passes:.0f} passes of the incident bar: another unit (record.time_unit)?"
+            f"the pulse lasts {passes:.0f} passes of the incident bar: another unit "
+            "(record.time_unit)?"
         )
     # the first wave of a signal stands before the first echo of a far end
     limits = dict.fromkeys(names, math.inf)
@@ -207,7 +215,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     )
 
 
-# --- columns, units, clock --------------------------------------------------------------------------------------
+# --- columns, units, clock ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -284,7 +292,8 @@ def _columns(
         )
         if unit and dimension != "time":
             raise UsageError(
-                f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} (record.time_unit)"
+                f"the time is in {unit!r}: allowed are {', '.join(UNITS['time'])} "
+                "(record.time_unit)"
             )
         time = own[clock].checked() * UNITS["time"][unit or "s"]
         _check_clock(time, own, clock, guessed)
@@ -293,14 +302,16 @@ def _columns(
     for other in files[1:]:
         if len(other) <= clock:
             raise UsageError(
-                f"{other[0].table.name}: has no column {clock + 1}, where the first file has its time"
+                f"{other[0].table.name}: has no column {clock + 1}, where the first file has its "
+                "time"
             )
         unit = other[clock].unit(asked.time_unit)[1]
         there = other[clock].checked() * UNITS["time"].get(unit or "s", math.nan)
         both, step = min(count, len(there)), float(np.median(np.abs(np.diff(time))))
         if not np.nanmax(np.abs(there[:both] - time[:both]), initial=0.0) <= 0.5 * step:
             raise UsageError(
-                f"{other[0].table.name}: its clock is not that of {main.name}; bring them to one first"
+                f"{other[0].table.name}: its clock is not that of {main.name}; bring them to one "
+                "first"
             )
         if len(there) != len(time):
             changes.add("read", other[0].table.name, "files of unlike length: the longer is cut")
@@ -361,7 +372,8 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     else:
         raise UsageError(
-            f"{name} is in {unit!r}: allowed are strain, microstrain, %, {', '.join(UNITS['voltage'])}"
+            f"{name} is in {unit!r}: allowed are strain, microstrain, %, "
+            f"{', '.join(UNITS['voltage'])}"
         )
     values = column.checked() * factor
     good = values[np.isfinite(values)]
@@ -415,14 +427,17 @@ def _check_clock(time: Array, columns: Sequence[Column], clock: int, guessed: bo
         )
     if good[-1] - good[0] > _LONGEST:
         raise UsageError(
-            f"{name}: lasts {good[-1] - good[0]:.4g} s: is its time in another unit (record.time_unit)?"
+            f"{name}: lasts {good[-1] - good[0]:.4g} s: is its time in another unit "
+            "(record.time_unit)?"
         )
 
 
 def _even(
     time: Array, groups: dict[str, list[tuple[str, Array]]], changes: Changes
 ) -> tuple[float, float, dict[str, tuple[Array, Flags]]]:
-    """Start and step [s], and strain and known samples of every gauge by its name, on even steps."""
+    """Start and step [s], and strain and known samples of every gauge by its name, on even
+    steps.
+    """
     names = [name for signals in groups.values() for name, _ in signals]
     raw = np.stack([values for signals in groups.values() for _, values in signals])
     there = np.isfinite(time)
@@ -480,7 +495,7 @@ def _even(
     return float(grid[0]), step, found
 
 
-# --- spikes, clipping ---------------------------------------------------------------------------------------------
+# --- spikes, clipping -----------------------------------------------------------------------------
 
 
 def _runs(same: Flags) -> tuple[Places, Places]:
@@ -490,7 +505,9 @@ def _runs(same: Flags) -> tuple[Places, Places]:
 
 
 def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
-    """Samples that jump up and down within less than any wave of a bar lasts, replaced by lines (in place)."""
+    """Samples that jump up and down within less than any wave of a bar lasts, replaced by lines (in
+    place).
+    """
     most = min(max(5, math.ceil(_SHORTEST / step)), 40)
     width = 4 * most + 1
     if len(values) < 2 * width:
@@ -532,13 +549,18 @@ def _despike(name: str, values: Array, step: float, changes: Changes) -> None:
     if removed:
         samples = sum(last - first + 1 for first, last, _ in removed)
         worst = max(removed, key=lambda one: abs(one[2]))
-        text = f"{len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the largest of "
+        text = (
+            f"{len(removed)} spike{'s' * (len(removed) > 1)} ({samples} samples) taken out, the "
+            "largest of "
+        )
         text += f"{worst[2] * 1e6:.4g} microstrain at sample {worst[0]}"
         changes.add("spikes", name, text, worst[2])
 
 
 def _mark_clipped(name: str, values: Array, known: Flags, changes: Changes) -> None:
-    """Stretches at the end of the recorder's range, where it writes one number again and again (marked in place)."""
+    """Stretches at the end of the recorder's range, where it writes one number again and again
+    (marked in place).
+    """
     head = values[: max(len(values) // 20, _FEWEST)]
     if np.ptp(head) == 0.0:  # without noise a flat top may be one
         return
@@ -548,11 +570,14 @@ def _mark_clipped(name: str, values: Array, known: Flags, changes: Changes) -> N
         lengths = _runs(same)[1]
         if lengths.max() >= 8 and lengths.max() > 2 * (quiet + 1):
             known[same] = False
-            text = f"clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its peak is not known"
+            text = (
+                f"clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples; its "
+                "peak is not known"
+            )
             changes.add("clipped", name, text, float(extreme))
 
 
-# --- the first wave, and the rest before it -----------------------------------------------------------------------
+# --- the first wave, and the rest before it -------------------------------------------------------
 
 
 def smooth(values: Array, samples: int) -> Array:
@@ -563,8 +588,9 @@ def smooth(values: Array, samples: int) -> Array:
 
 
 def _stay(values: Array, step: float, share: float, name: str) -> tuple[Array, int, int, int]:
-    """The calm course of a signal about zero; first and last sample, and rise, of its first stay above a share of its
-    largest.  Bursts of a trigger swing within a few microseconds: running medians have nothing of them."""
+    """The calm course of a signal about zero; first and last sample, and rise, of its first stay
+    above a share of its largest.  Bursts of a trigger swing within a few microseconds: running
+    medians have nothing of them."""
     calm = smooth(
         median_filter(values, 2 * min(3 * round(_SHORTEST / step), 40) + 1, mode="nearest"),
         max(1, round(2.0 * _SHORTEST / step)),
@@ -583,7 +609,9 @@ def _stay(values: Array, step: float, share: float, name: str) -> tuple[Array, i
 
 
 def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
-    """The first wave of a signal about zero; UsageError where none rises above the noise at rest."""
+    """The first wave of a signal about zero; UsageError where none rises above the noise at
+    rest.
+    """
     calm, half, falling, rising = _stay(values, step, 0.5, name)
     width = max(1, round(2.0 * _SHORTEST / step))
     if not float(np.abs(calm).max()) > 5.0 * noise / math.sqrt(width):
@@ -609,8 +637,9 @@ def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
 
 
 def _incident_foot(gauges: dict[str, Array], step: float) -> tuple[int, int, int]:
-    """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and about when the
-    wave is there and how long: the first stay above a fifth of the largest, however large echoes grow later."""
+    """The earliest foot of the incident gauges, before which every gauge of the rig is at rest, and
+    about when the wave is there and how long: the first stay above a fifth of the largest, however
+    large echoes grow later."""
     stays = [
         _stay(
             values - float(np.median(values[: max(2 * _BASELINE, len(values) // 50)])),
@@ -629,7 +658,9 @@ def _incident_foot(gauges: dict[str, Array], step: float) -> tuple[int, int, int
 
 
 def _line(quiet: Array, place: Array) -> tuple[float, float, float, float, float]:
-    """Mean, slope a sample, standard deviation about the line, its memory in samples, sd of the slope."""
+    """Mean, slope a sample, standard deviation about the line, its memory in samples, sd of the
+    slope.
+    """
     about = place - place.mean()
     slope = float((about * (quiet - quiet.mean())).sum() / np.square(about).sum())
     left = quiet - quiet.mean() - slope * about
@@ -662,7 +693,8 @@ def _rested(
 ) -> Signal:
     """A gauge about its rest: baseline and drift from the samples before its first wave.
 
-    rest_end : sample before which it is at rest whatever it shows itself, where another gauge settles that.
+    rest_end : sample before which it is at rest whatever it shows itself, where another gauge
+        settles that.
     limit : sample before which its first wave stands.
     """
     seen = slice(int(min(limit, len(values))))
@@ -690,7 +722,8 @@ def _rested(
         last = values[-max(2 * _BASELINE, len(values) // 20) :]
         if np.ptp(last) > 0.1 * wave.peak:
             raise UsageError(
-                f"{name}: at rest neither before nor behind its wave: was it cut out (record.aligned)?"
+                f"{name}: at rest neither before nor behind its wave: was it cut out "
+                "(record.aligned)?"
             )
         if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
@@ -701,20 +734,29 @@ def _rested(
     burst = away > max(_ODD * _ROBUST * float(np.median(away)), 0.02 * wave.peak)
     if 0 < burst.sum() < len(quiet) // 3:
         size = float(away.max())
-        text = f"{int(burst.sum())} samples of trigger noise, up to {size * 1e6:.4g} microstrain, are no rest"
+        text = (
+            f"{int(burst.sum())} samples of trigger noise, up to {size * 1e6:.4g} microstrain, "
+            "are no rest"
+        )
         changes.add("baseline", name, text, size)
         quiet, place = quiet[~burst], place[~burst]
     mean, slope, noise, memory, slope_sd = _line(quiet, place)
     unsure = noise * math.sqrt(min(1.0, memory / len(quiet)))
     line, reach = np.full(len(values), mean), wave.end - float(place.mean())
     if abs(mean) > 0.005 * wave.peak:
-        text = f"a baseline of {mean * 1e6:.4g} microstrain is taken off ({abs(mean) / wave.peak:.1%} of the wave)"
+        text = (
+            f"a baseline of {mean * 1e6:.4g} microstrain is taken off "
+            f"({abs(mean) / wave.peak:.1%} of the wave)"
+        )
         changes.add("baseline", name, text, mean)
     if abs(slope) > 5.0 * slope_sd and abs(slope * reach) > 0.01 * wave.peak:
         line += slope * (np.arange(len(values)) - float(place.mean()))
         unsure = math.hypot(unsure, slope_sd * reach)
         size = slope * reach
-        text = f"a drift of {slope / step * 1e3:.4g} microstrain/ms is taken off, {size * 1e6:.3g} microstrain in all"
+        text = (
+            f"a drift of {slope / step * 1e3:.4g} microstrain/ms is taken off, {size * 1e6:.3g} "
+            "microstrain in all"
+        )
         changes.add("drift", name, text, size)
     return Signal(
         name=name,
@@ -730,7 +772,9 @@ def _rested(
 
 
 def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Changes) -> Signal:
-    """A wave that was cut out at its foot: it has no rest of its own, its first samples are its zero."""
+    """A wave that was cut out at its foot: it has no rest of its own, its first samples are its
+    zero.
+    """
     start = float(np.median(values[:3]))
     values = values - start
     noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
@@ -755,7 +799,9 @@ def _cut_out(name: str, values: Array, known: Flags, step: float, changes: Chang
 
 
 def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes) -> Signal:
-    """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending that they show."""
+    """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending
+    that they show.
+    """
     peaks = [
         float(np.abs(g.strain[g.known]).max(initial=0.0)) if not g.known.all() else g.wave.peak
         for g in gauges
@@ -774,7 +820,8 @@ def _joined(gauges: Sequence[Signal], step: float, limit: float, changes: Change
     known = np.stack([g.known for g in alive], axis=1)
     strains = np.stack([g.strain for g in alive], axis=1)
     both = np.asarray(known.all(axis=1))
-    # where one is not known the others stand for the mean, and the difference stays what it was at the most
+    # where one is not known the others stand for the mean, and the difference stays what it was at
+    # the most
     mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     spread = 0.5 * np.ptp(strains, axis=1)
     spread[~both] = max(float(spread[first:][both[first:]].max(initial=0.0)), 0.0)

@@ -1,4 +1,6 @@
-"""Tables as a recorder writes them: columns divided by blanks too, metadata above the numbers, headings or none."""
+"""Tables as a recorder writes them: columns divided by blanks too, metadata above the numbers,
+headings or none.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ _WRITTEN: Final = (
 def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str]:
     """The table of a recorder's file, and the text above its numbers.
 
-    The second half of the file shows divider and decimal mark: metadata stand above or beside the first half at the
-    most.  Raises TableError for what holds no table of numbers, AccessError as `uqsphere.files.read_given`.
+    The second half of the file shows divider and decimal mark: metadata stand above or beside the
+    first half at the most.  Raises TableError for what holds no table of numbers, AccessError as
+    `uqsphere.files.read_given`.
     """
     name, (lines, notes) = path.name, tables.read_lines(path, largest)
     divided = partial(tables.cells_of, name=name, strict=False)
@@ -96,8 +99,8 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
 
 
 def _numeric(rows: Sequence[list[str]], mark: str) -> tuple[int, int, int, list[int]]:
-    """Columns that hold numbers, and words in few rows: their number, 2 at most, in how many rows all are numbers, how
-    many cells a row has, and their places."""
+    """Columns that hold numbers, and words in few rows: their number, 2 at most, in how many rows
+    all are numbers, how many cells a row has, and their places."""
     rows = [row for row in rows if any(map(NUMBER[mark].fullmatch, row))]
     width = mode(map(len, rows)) if rows else 0
     rows = [row for row in rows if len(row) == width]

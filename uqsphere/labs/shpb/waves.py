@@ -1,11 +1,14 @@
-"""From gauges to faces: arrivals, forces by one, two and three waves with intervals, energies, equilibrium.
+"""From gauges to faces: arrivals, forces by one, two and three waves with intervals, energies,
+equilibrium.
 
-The incident gauge stands d_i before face A, the receiving gauge d_r behind face B.  With E A of a bar:
+The incident gauge stands d_i before face A, the receiving gauge d_r behind face B.  With E A of a
+bar:
 
-    P_A = -E A (eps_i + eps_r)    two waves        P_B = -E A eps_t    one wave        (P_A + P_B)/2    three waves
-    W = E A c0 ∫ eps² dt          energy of a wave
+    P_A = -E A (eps_i + eps_r)    two waves        P_B = -E A eps_t    one wave        (P_A + P_B)/2
+    three waves W = E A c0 ∫ eps² dt          energy of a wave
 
-(G. T. Gray III, ASM Handbook 8, 2000).  What the file says of distances is held against the arrivals of the waves.
+(G. T. Gray III, ASM Handbook 8, 2000).  What the file says of distances is held against the
+arrivals of the waves.
 """
 
 from __future__ import annotations
@@ -31,18 +34,23 @@ NORMAL: Final = 1.959964
 _FEWEST, _FEW_ON_TOP = 50, 8
 #: share of the largest force below which the force has fallen where the record ends
 _FALLEN: Final = 0.9
-#: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to shift a steep wave
+#: shares of the peak at which an arrival is read, on means over so long [s]: to doubt distances; to
+#: shift a steep wave
 _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
-#: shares of the predicted delay by which a wave may come early, and late, before distances are doubted
+#: shares of the predicted delay by which a wave may come early, and late, before distances are
+#: doubted
 _EARLY, _LATE = 0.02, 0.10
-#: bending over the wave (sd) that a single gauge of a pair may hide: pairs of real tests show 0.02 to 0.05
+#: bending over the wave (sd) that a single gauge of a pair may hide: pairs of real tests show 0.02
+#: to 0.05
 _BENT: Final = 0.04
-#: difference of two gauges of a bar over the wave, and of both faces over the larger force, that is a gross fault
+#: difference of two gauges of a bar over the wave, and of both faces over the larger force, that is
+#: a gross fault
 _GROSS: Final = 0.25
-#: width of an interval over its value beyond which a number is hardly known; difference of the faces that is a doubt
-#: even where their intervals meet
+#: width of an interval over its value beyond which a number is hardly known; difference of the
+#: faces that is a doubt even where their intervals meet
 _WIDE, _APART = 0.3, 0.2
-#: speeds of a striker [m/s] between which tests are made; relative difference from the given one that is a fault
+#: speeds of a striker [m/s] between which tests are made; relative difference from the given one
+#: that is a fault
 _STRUCK, _AWRY = (0.1, 100.0), 0.1
 #: difference of the forces over their mean that counts as equilibrium
 _BALANCE: Final = 0.05
@@ -50,7 +58,9 @@ _BALANCE: Final = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
-    """The largest force [N] with its 95 % interval, its time after first touch [s], and what doubts it."""
+    """The largest force [N] with its 95 % interval, its time after first touch [s], and what doubts
+    it.
+    """
 
     value: float
     low: float
@@ -79,11 +89,13 @@ class Peaks(dict[str, Peak]):
 class Reading:
     """One test.
 
-    time, force_a, force_b (n,) [s], [N] with their standard deviations; `force_a` is None where it is not known.
+    time, force_a, force_b (n,) [s], [N] with their standard deviations; `force_a` is None where it
+    is not known.
     energies : of the waves [J], by name; `absorbed` stays between the bars.
     pulse : the incident wave at face A, compression positive, from rest to rest.
     peaks : by face, "A", "B" and "mean"; only faces that are known.
-    withheld : why a number is not given; changes : what mending changed, the shift of time included.
+    withheld : why a number is not given; changes : what mending changed, the shift of time
+        included.
     balanced : share of the rise from half the largest force in which both forces agree within 5 %.
     """
 
@@ -106,8 +118,8 @@ class Reading:
 def read_test(record: Record, document: RecordDocument) -> Reading:
     """Forces, energies and equilibrium of a test.
 
-    Raises UsageError where the pulse cannot be one of these bars, where no force rises above the noise, or where
-    nothing is left of the record behind first touch.
+    Raises UsageError where the pulse cannot be one of these bars, where no force rises above the
+    noise, or where nothing is left of the record behind first touch.
     """
     inc, rec, step = record.incident, record.receiving, record.step
     bar, behind = document.incident_bar, document.receiving_bar
@@ -121,7 +133,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     reflects, transmits, doubt_a, doubt_b, fast = _arrivals(record, document, changes)
     start, lead = max(wave.foot - _lead(wave), 0), _lead(wave)
 
-    # first touch in the receiving and the reflected signal; where distances are wrong a wave begins at its own foot
+    # first touch in the receiving and the reflected signal; where distances are wrong a wave begins
+    # at its own foot
     to_b = float(rec.wave.foot - _lead(rec.wave)) if doubt_b else start + transmits
     to_a = start + reflects
     count = _known(rec, int(to_b), math.inf if aligned else behind.echo / step)
@@ -138,7 +151,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
             "samples of the incident wave are not known": not inc.known[start : wave.end].all(),
             doubt_a: bool(doubt_a),
             "the record ends before the reflected wave": count_a < _FEWEST,
-            "incident and reflected wave overlap at the incident gauge; shorten the pulse, move the gauge back, or say "
+            "incident and reflected wave overlap at the incident gauge; shorten the pulse, move "
+            "the gauge back, or say "
             "where it stands (record.window)": shared
             and (not wave.ended or last - first < 0.5 * delay),
         }.items()
@@ -274,9 +288,10 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
 def _arrivals(
     record: Record, document: RecordDocument, changes: Changes
 ) -> tuple[float, float, str, str, float]:
-    """The three arrivals held against distances and wave speeds: delays of the reflected and the transmitted wave in
-    samples, shifted where a wave comes a little early, why the distances to A and B are doubted, and the wave speed
-    that the reflected wave has over that of the bar, 1 without doubt."""
+    """The three arrivals held against distances and wave speeds: delays of the reflected and the
+    transmitted wave in samples, shifted where a wave comes a little early, why the distances to A
+    and B are doubted, and the wave speed that the reflected wave has over that of the bar, 1
+    without doubt."""
     step, inc, rec = record.step, record.incident, record.receiving
     bar, behind = document.incident_bar, document.receiving_bar
     wave = inc.wave
@@ -289,7 +304,9 @@ def _arrivals(
     steep, fast = float(wave.rising), 1.0
 
     def lags(share: float, window: float) -> tuple[int | None, int | None]:
-        """Samples by which reflected and transmitted wave come behind the incident one; None where that is not seen."""
+        """Samples by which reflected and transmitted wave come behind the incident one; None where
+        that is not seen.
+        """
         width = max(1, round(window / step))
         calm = smooth(inc.strain, width)
         level = max(share * wave.peak, 5.0 * inc.noise / math.sqrt(width))
@@ -312,14 +329,17 @@ def _arrivals(
     back, there = lags(*_SURE)
     if there is not None and there < -steep:
         raise UsageError(
-            f"{rec.name}: its wave comes {-there * step * 1e6:.4g} us before the incident wave: are the "
+            f"{rec.name}: its wave comes {-there * step * 1e6:.4g} us before the incident wave: "
+            "are the "
             "columns exchanged?"
         )
 
     def doubt(
         name: str, lag: int | None, predicted: float, late: float, gauge: float, fits: float
     ) -> str:
-        """Why a wave that comes `lag` samples behind the incident one does not fit the distance of its gauge [m]."""
+        """Why a wave that comes `lag` samples behind the incident one does not fit the distance of
+        its gauge [m].
+        """
         off = 0.0 if lag is None else lag - predicted
         if (
             -(_EARLY * predicted + 0.5 * steep + 3.0)
@@ -336,7 +356,8 @@ def _arrivals(
     ):
         doubt_a += " (or another E or density)"
         fast = reflected / max(back or 0, 1)
-    # the transmitted wave may be late, by the transit and the softness of the specimen, but not early
+    # the transmitted wave may be late, by the transit and the softness of the specimen, but not
+    # early
     late, fits = (
         0.5 * (wave.falling - wave.half) + 50e-6 / step,
         ((there or 0) * step - bar.gauge / bar.wave_speed),
@@ -364,7 +385,10 @@ def _arrivals(
             off = 0.0 if lag is None else lag - predicted
             if -_EARLY * predicted - 3.0 <= off < -max(1.0, 1e-6 / step):
                 signal = rec.name if name == "transmitted" else (record.reflected or inc).name
-                text = f"the {name} wave is taken {-off * step * 1e6:.3g} us earlier than the gauges' distances predict"
+                text = (
+                    f"the {name} wave is taken {-off * step * 1e6:.3g} us earlier than the "
+                    "gauges' distances predict"
+                )
                 changes.add("time shift", signal, text, off * step)
                 reflected += off * (name == "reflected")
                 transmitted += off * (name == "transmitted")
@@ -377,7 +401,9 @@ def _lead(wave: Wave) -> int:
 
 
 def _clean(wave: Wave, start: int, delay: float) -> tuple[int, int]:
-    """Samples after first touch between which the incident gauge shows incident and reflected wave one by one."""
+    """Samples after first touch between which the incident gauge shows incident and reflected wave
+    one by one.
+    """
     if not math.isfinite(delay) or wave.end - start <= delay:
         return 0, 1 << 60
     return math.ceil(wave.end - start - delay + 0.05 * delay), int(delay)
@@ -391,10 +417,12 @@ def _sign_of_reflected(
     bar: BarTable,
     changes: Changes,
 ) -> tuple[float, str]:
-    """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be taken.
+    """+1 or -1 for a reflected wave in a column of its own, with a doubt where its sign had to be
+    taken.
 
-    The sign is that of its bar.  Only where waves were cut out, so that each may stand as its size, a reflected wave
-    of the sign of the incident one is turned: a specimen softer than the bar pulls.
+    The sign is that of its bar.  Only where waves were cut out, so that each may stand as its size,
+    a reflected wave of the sign of the incident one is turned: a specimen softer than the bar
+    pulls.
     """
     if record.reflected is None or document.record.polarity != "auto":
         return 1.0, ""
@@ -407,7 +435,10 @@ def _sign_of_reflected(
     other = bar.stiffness * float(-(incident + reflected).min())
     return (
         -1.0,
-        f"the reflected wave is taken as tension; as it stands in the file A would be {other * 1e-3:.4g} kN",
+        (
+            "the reflected wave is taken as tension; as it stands in the file A would be "
+            f"{other * 1e-3:.4g} kN"
+        ),
     )
 
 
@@ -426,8 +457,8 @@ def _at(values: Array, place: float, count: int) -> Array:
 def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Array:
     """A wave (n,) by itself, `distance` [m] further on, in the time of the one-dimensional wave.
 
-    Phases by the first mode of Pochhammer and Chree (P. S. Follansbee, C. Frantz, J. Eng. Mater. Technol. 105 (1983)
-    61); amplitudes stay, since the factors of the section amplify noise.
+    Phases by the first mode of Pochhammer and Chree (P. S. Follansbee, C. Frantz, J. Eng. Mater.
+    Technol. 105 (1983) 61); amplitudes stay, since the factors of the section amplify noise.
     """
     room = max(8, math.ceil(2.0 * abs(distance) / bar.wave_speed / step))
     fading = wave[-1] * 0.5 * (1.0 + np.cos(np.linspace(0.0, math.pi, room)))
@@ -453,7 +484,9 @@ def _at_face(
     step: float,
     changes: Changes | None,
 ) -> Array:
-    """A wave of a gauge from a place on, (count,); where `changes` are given as it is at the face."""
+    """A wave of a gauge from a place on, (count,); where `changes` are given as it is at the
+    face.
+    """
     if changes is None:
         return _at(signal.strain, place, count)
     more = min(
@@ -482,7 +515,8 @@ def _peak(time: Array, force: Array, sd: Array, noise: float, memory: float) -> 
     value = float(curve[at])
     # the middle of a parabola through `width` samples has 9/4 of the variance of their mean
     kept = noise * math.sqrt(min(1.0, 2.25 * memory / width))
-    # of m places that might as well be the top the highest is too high, by Blom's mean of the largest of m
+    # of m places that might as well be the top the highest is too high, by Blom's mean of the
+    # largest of m
     rivals = 1.0 + float((curve > value - 2.0 * kept).sum()) / (width * max(1.0, memory / width))
     value -= kept * float(ndtri((rivals - 0.375) / (rivals + 0.25)))
     half = NORMAL * math.hypot(math.sqrt(max(float(sd[at]) ** 2 - noise**2, 0.0)), kept)
@@ -521,7 +555,10 @@ def _struck(
         else abs(struck - given) <= _AWRY * given
     ):
         return
-    text = f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of {struck:.3g} m/s"
+    text = (
+        f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of "
+        f"{struck:.3g} m/s"
+    )
     text += (
         ": is a unit or a gain wrong?"
         if given is None
@@ -537,7 +574,10 @@ def _bent(peaks: Peaks, face: str, spread: Array, time: Array, whole: float) -> 
     near = spread[max(at - 3, 0) : at + 4]
     bent = float(near.mean()) if len(near) else 0.0
     if 2.0 * bent > _GROSS * whole:
-        text = f"the gauges of the {'incident' if face == 'A' else 'receiving'} bar differ by {2.0 * bent / whole:.0%}"
+        text = (
+            f"the gauges of the {'incident' if face == 'A' else 'receiving'} bar differ by "
+            f"{2.0 * bent / whole:.0%}"
+        )
         peaks.doubt(
             face, f"{text} of the wave there", peaks[face].low - bent, peaks[face].high + bent
         )
@@ -546,9 +586,11 @@ def _bent(peaks: Peaks, face: str, spread: Array, time: Array, whole: float) -> 
 def _same_impulse(
     peaks: Peaks, force_a: Array, force_b: Array, time: Array, gains: float, zeros: float
 ) -> None:
-    """A specimen moves little: while B bears half its largest force or more, A gives the same impulse (in place).
+    """A specimen moves little: while B bears half its largest force or more, A gives the same
+    impulse (in place).
 
-    gains : sum of the relative standard deviations of both gains; zeros : sum of those of the forces' zeros [N].
+    gains : sum of the relative standard deviations of both gains; zeros : sum of those of the
+        forces' zeros [N].
     """
     b, low = peaks["B"], force_b < 0.5 * peaks["B"].value
     at = int(np.searchsorted(time, b.time))
@@ -590,14 +632,19 @@ def _held_together(peaks: Peaks, pressed: float, document: RecordDocument) -> No
         )
         peaks.doubt(before, text, a.low, b.low, a.high, b.high)
     if before["mean"].value < (1.0 - _BALANCE) * 0.5 * (a.value + b.value):
-        text = f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no common force"
+        text = (
+            f"both faces reach their largest force {abs(a.time - b.time) * 1e6:.4g} us apart: no "
+            "common force"
+        )
         peaks.doubt(["mean"], text, a.high, b.high)
 
 
 def _balance(
     time: Array, force_a: Array | None, force_b: Array, peak: Peak
 ) -> tuple[float | None, float]:
-    """Share of the rise in which both forces agree within 5 % of their mean, and the loading rate [N/s]."""
+    """Share of the rise in which both forces agree within 5 % of their mean, and the loading rate
+    [N/s].
+    """
     top = max(int(np.searchsorted(time, peak.time)), 3)
     calm = smooth(force_b, 5)
     half = min(int(np.argmax(calm > 0.5 * peak.value)), top - 2)

@@ -1,9 +1,11 @@
-"""Where in a step a face changes its branch: a spring at its largest approach so far, virgin loading where it turns.
+"""Where in a step a face changes its branch: a spring at its largest approach so far, virgin
+loading where it turns.
 
-What is sought is where a function of a face rises through zero: of a spring its approach less the largest so far, of a
-face on virgin loading its rate with the other sign.  Values and slopes at a few points of the step say between which of
-them it does; Newton's iteration on the series, for all lanes together, settles where.  What the points leave in doubt,
-a dip or a bulge between them, is looked at face by face.
+What is sought is where a function of a face rises through zero: of a spring its approach less the
+largest so far, of a face on virgin loading its rate with the other sign.  Values and slopes at a
+few points of the step say between which of them it does; Newton's iteration on the series, for all
+lanes together, settles where.  What the points leave in doubt, a dip or a bulge between them, is
+looked at face by face.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ def _first(
     left_slope,
     right_slope,
 ):
-    """What one part of a step has to say: 1 the function rises through zero in it, 2 it may; the first one counts."""
+    """What one part of a step has to say: 1 the function rises through zero in it, 2 it may; the
+    first one counts.
+    """
     elastic, taken = spring > 0.0, kind > 0.0
     a, b = where(elastic, at_l - room, -rate_l), where(elastic, at_r - room, -rate_r)
     a_slope = width * where(elastic, rate_l, -2.0 * bow_l)
@@ -76,7 +80,9 @@ def _first(
 
 
 def _guessed(start, left, right, left_slope, right_slope, width, kind):
-    """Where a rising function passes zero, by the cubic of its inverse; how far that may be off, 0 if none does."""
+    """Where a rising function passes zero, by the cubic of its inverse; how far that may be off, 0
+    if none does.
+    """
     rise = right - left
     y = -left / rise
     z = 1.0 - y
@@ -88,7 +94,9 @@ def _guessed(start, left, right, left_slope, right_slope, width, kind):
 
 
 def _closer(place, change, value, slope, bend, spring, room, start, width):
-    """Newton's next place, kept within its part of the step, and how far it went or would have; none once settled."""
+    """Newton's next place, kept within its part of the step, and how far it went or would have;
+    none once settled.
+    """
     elastic, settled = spring > 0.0, change < _SETTLED
     following = place - where(elastic, value - room, slope) / where(elastic, slope, 2.0 * bend)
     kept = larger(smaller(following, (start + 1.0) * width), start * width)
@@ -103,7 +111,9 @@ _refine = elementwise(PAIR, 2, _closer)
 
 @compiled
 def _dip(s, face, level, a, b, slope_b):
-    """theta at which an approach that turns at `level` and dips below it is there again; it lies above it at b."""
+    """theta at which an approach that turns at `level` and dips below it is there again; it lies
+    above it at b.
+    """
     apart()
     # where it turns the slope is zero but for rounding
     a += 1e-3 * (b - a)
@@ -175,7 +185,9 @@ def _unsettled(s, first):
 
 @compiled
 def _settle(s):
-    """Rows of s.room: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where, 3 how surely."""
+    """Rows of s.room: 0 a spring's largest approach above its dent; 1 what `_first` finds, 7 where,
+    3 how surely.
+    """
     apart()
     top, kind, start, place = (
         row(s.room, 0, 0),

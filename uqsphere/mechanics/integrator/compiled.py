@@ -1,20 +1,21 @@
 """numba's decorator with a private cache on disk.
 
-Compiled code is stored below the user's own cache folder, readable by that user alone, and keyed by the
-versions involved.  Where no such folder can be had, functions are compiled again in each process.
+Compiled code is stored below the user's own cache folder, readable by that user alone, and keyed by
+the versions involved.  Where no such folder can be had, functions are compiled again in each
+process.
 """
 
 from __future__ import annotations
 
 import contextlib
 import gc
-import hashlib
 import os
 import pickle
 import stat
 import sys
 from collections.abc import Callable, Iterable
 from functools import lru_cache
+from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,15 +42,19 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 @lru_cache(maxsize=1)
 def _sources() -> str:
-    """Fingerprint of every compiled source: numba itself looks at the file of the outermost function alone."""
-    digest = hashlib.sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
+    """Fingerprint of every compiled source: numba itself looks at the file of the outermost
+    function alone.
+    """
+    digest = sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
     for name in _SOURCES:
         digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
     return digest.hexdigest()[:16]
 
 
 def cache_folder() -> Path | None:
-    """A folder for compiled code that belongs to this user and to nobody else, or that they named; None without."""
+    """A folder for compiled code that belongs to this user and to nobody else, or that they named;
+    None without.
+    """
     if "NUMBA_CACHE_DIR" in os.environ:
         base = Path(os.environ["NUMBA_CACHE_DIR"])
     elif sys.platform == "win32":
@@ -78,8 +83,8 @@ def cache_folder() -> Path | None:
 def _keep(folder: Path, function: Any) -> None:
     """Keep what numba compiles in files that begin with a checksum of their name and content.
 
-    What is damaged or foreign is compiled anew; what cannot be written, by the next process.  The folder goes by the
-    sources, so that no file is out of date.
+    What is damaged or foreign is compiled anew; what cannot be written, by the next process.  The
+    folder goes by the sources, so that no file is out of date.
     """
     from numba.core.caching import IndexDataCacheFile
     from numba.core.serialize import dumps
@@ -88,14 +93,14 @@ def _keep(folder: Path, function: Any) -> None:
         def place(self, key: object) -> Path:
             return (
                 folder
-                / f"{function.__name__}-{hashlib.sha256(repr((base, key)).encode()).hexdigest()[:16]}.nbc"
+                / f"{function.__name__}-{sha256(repr((base, key)).encode()).hexdigest()[:16]}.nbc"
             )
 
         def load(self, key: object) -> Any:
             path = self.place(key)
             with contextlib.suppress(Exception):  # what is not ours raises as it likes
                 content = path.read_bytes()
-                if hashlib.sha256(path.name.encode() + content[32:]).digest() == content[:32]:
+                if sha256(path.name.encode() + content[32:]).digest() == content[:32]:
                     return pickle.loads(content[32:])
             return None
 
@@ -103,7 +108,7 @@ def _keep(folder: Path, function: Any) -> None:
             path, content = self.place(key), dumps(data)
             beside = path.with_suffix(f".{os.getpid()}")
             try:
-                beside.write_bytes(hashlib.sha256(path.name.encode() + content).digest() + content)
+                beside.write_bytes(sha256(path.name.encode() + content).digest() + content)
                 os.replace(beside, path)
             except OSError:
                 with contextlib.suppress(OSError):
@@ -115,11 +120,13 @@ def _keep(folder: Path, function: Any) -> None:
 
 @lru_cache(maxsize=1)
 def _compilers() -> tuple[Any, Any] | None:
-    """numba's compiler of inner functions, and of those that Python calls; None for a numba it was not tried with.
+    """numba's compiler of inner functions, and of those that Python calls; None for a numba it was
+    not tried with.
 
-    numba optimises and translates every function with all that it calls, so that what is at the bottom goes through
-    LLVM a dozen times: half of the time of a first run.  Here an inner function is optimised by itself, and the
-    outermost one takes in all that it reaches and translates it once.  Another numba compiles in its own, slower way.
+    numba optimises and translates every function with all that it calls, so that what is at the
+    bottom goes through LLVM a dozen times: half of the time of a first run.  Here an inner function
+    is optimised by itself, and the outermost one takes in all that it reaches and translates it
+    once.  Another numba compiles in its own, slower way.
     """
     if not metadata.version("numba").startswith(_TRIED):
         return None
@@ -183,7 +190,8 @@ def _compilers() -> tuple[Any, Any] | None:
 
         def compile_extra(self, function: Any) -> Any:
             collects = gc.isenabled()
-            gc.disable()  # what numba makes lives to the end: looking for what does not takes a tenth of the time
+            # what numba makes lives to the end: looking for what does not takes a tenth of the time
+            gc.disable()
             try:
                 return super().compile_extra(function)
             finally:
@@ -196,7 +204,8 @@ def _compilers() -> tuple[Any, Any] | None:
 def compiled(
     function: Callable[..., Any] | None = None, *, entry: bool = False, **options: Any
 ) -> Any:
-    """``numba.njit`` that releases the GIL and keeps its result on disk; never fastmath, which breaks isnan.
+    """``numba.njit`` that releases the GIL and keeps its result on disk; never fastmath, which
+    breaks isnan.
 
     entry: whether Python calls it, too; others need no way in from there.
     """
@@ -222,7 +231,9 @@ def compiled(
     ask = made.get_call_template
 
     def once(given: Iterable[Any], named: Any) -> Any:
-        """Compiled once for all numbers of a kind: numba would compile it anew for every constant."""
+        """Compiled once for all numbers of a kind: numba would compile it anew for every
+        constant.
+        """
         return ask([numba.types.unliteral(kind) for kind in given], named)
 
     made.get_call_template = once

@@ -1,8 +1,9 @@
-"""What happens inside the steps of a row: loss of contact, touch, threshold crossings, the end of the record.
+"""What happens inside the steps of a row: loss of contact, touch, threshold crossings, the end of
+the record.
 
-`look` says for all lanes in which steps anything can happen; only those are searched by `after_step`, on the series of
-the step, so that an event is located far better than the steps are long.  `finish` sums up a row whose record has
-ended.
+`look` says for all lanes in which steps anything can happen; only those are searched by
+`after_step`, on the series of the step, so that an event is located far better than the steps are
+long.  `finish` sums up a row whose record has ended.
 """
 
 from __future__ import annotations
@@ -93,7 +94,9 @@ def _both_below(s, level, theta):
 
 @compiled
 def _faces(s, j):
-    """Loss of contact or touch of either face in a step: theta at which the step ends, and the face or -1."""
+    """Loss of contact or touch of either face in a step: theta at which the step ends, and the face
+    or -1.
+    """
     apart()
     ends, met = s.theta[j], -1
     for face in range(2):
@@ -136,7 +139,9 @@ def _note_loss(s, j, face, ends):
 
 @compiled
 def _note_graze(s, j, face, ends):
-    """When the approach of a face first comes so near to zero, before any loss, that its error may decide on one."""
+    """When the approach of a face first comes so near to zero, before any loss, that its error may
+    decide on one.
+    """
     apart()
     if s.wanted & tracked.TO_THE_END and math.isnan(s.lost[j]) and math.isnan(s.grazed[j]):
         s.grazed[j] = s.time[j] + s.h[j] * searches.passage(s, face, s.faint[j], -1.0, 0.0, ends)
@@ -144,7 +149,9 @@ def _note_graze(s, j, face, ends):
 
 @compiled
 def _largest(s, j, ends):
-    """The largest values of a step into the trackers that the lane's flags name; s.places: where, see `after_step`."""
+    """The largest values of a step into the trackers that the lane's flags name; s.places: where,
+    see `after_step`.
+    """
     apart()
     known = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
     if s.flags[j] & (1 << FACE_A):
@@ -164,10 +171,11 @@ def _largest(s, j, ends):
 
 @compiled
 def after_step(s, j):
-    """Bring the trackers that a lane's flags name up to date with its step; the theta at which it ends.
+    """Bring the trackers that a lane's flags name up to date with its step; the theta at which it
+    ends.
 
-    s.why and s.side receive what ends it, if anything does.  s.places (2,) receive the theta of a face's largest
-    approach so far, or -1: one that has yielded is at its deepest on virgin loading.
+    s.why and s.side receive what ends it, if anything does.  s.places (2,) receive the theta of a
+    face's largest approach so far, or -1: one that has yielded is at its deepest on virgin loading.
     """
     apart()
     searches.take_piece(s, j)
@@ -199,16 +207,18 @@ def after_step(s, j):
     return ends
 
 
-# --- What all lanes can have met in a step: the largest approach, and a warning where a search has to follow.
-# Values and slopes at a few points of the step bound what the approaches reach between them.  The top of a bend is
-# refined by Newton's iteration on the series, for all lanes together.  An energy argument (`decided`) says when
-# nothing that is wanted can change any more.
+# --- What all lanes can have met in a step: the largest approach, and a warning where a search has
+# to follow. Values and slopes at a few points of the step bound what the approaches reach between
+# them.  The top of a bend is refined by Newton's iteration on the series, for all lanes together.
+# An energy argument (`decided`) says when nothing that is wanted can change any more.
 
 
 def _bounds(
     left, right, left_slope, right_slope, width, begin, best, top, second, place, bent, floor
 ):
-    """One part of a step: what the approach can reach above and below, where, and by a bend or at an end."""
+    """One part of a step: what the approach can reach above and below, where, and by a bend or at
+    an end.
+    """
     left_slope, right_slope = width * left_slope, width * right_slope
     # where the slope, taken as a straight line, passes zero
     share = left_slope / (left_slope - right_slope)
@@ -244,7 +254,9 @@ def _crowned(known, best, bound, second, at, slope, bend, bent):
 
 
 def _signs(top_a, top_b, floor_a, floor_b, a, b, low, near, touched_a, touched_b):
-    """What the larger approach can reach; 1 where contact may be lost or found, or the record may end."""
+    """What the larger approach can reach; 1 where contact may be lost or found, or the record may
+    end.
+    """
     something = (
         ((a > 0.0) & (floor_a <= near))
         | ((b > 0.0) & (floor_b <= near))
@@ -292,7 +304,9 @@ _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE |
 
 @compiled
 def _alarmed(s):
-    """Flags of the steps that must be searched; whether an approach may be the largest of its row so far."""
+    """Flags of the steps that must be searched; whether an approach may be the largest of its row
+    so far.
+    """
     apart()
     higher = False
     for j in range(LANES):
@@ -309,8 +323,9 @@ def _alarmed(s):
 def look(s):
     """What may have happened in each lane's step, as flags, and the largest approach up to its end.
 
-    s.known (PAIR,), s.crest (LANES,): largest approach of each face so far (of both where they are alike), and what it
-    may have been in this step; s.top (PAIR,): bounds of the approaches; s.place, s.bent: where a bend lies.
+    s.known (PAIR,), s.crest (LANES,): largest approach of each face so far (of both where they are
+    alike), and what it may have been in this step; s.top (PAIR,): bounds of the approaches;
+    s.place, s.bent: where a bend lies.
     """
     apart()
     best, second, floor, width, value = (
@@ -449,10 +464,10 @@ def _look_further(s):
 def decided(s, j):
     """Whether nothing that is wanted can change any more while the incoming wave stays as it is.
 
-    With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall, where
-    phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) - level)².  No approach
-    above the one at rest can be exceeded whose phi is not below V.  Faces with laws of their own are all springs now:
-    what yields takes energy and brings none back.
+    With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall,
+    where phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) -
+    level)².  No approach above the one at rest can be exceeded whose phi is not below V.  Faces
+    with laws of their own are all springs now: what yields takes energy and brings none back.
     """
     apart()
     wanted, level, slack = s.wanted, s.steady[j], 1.0 + 0.1 * s.error[j]
@@ -487,14 +502,16 @@ def decided(s, j):
     )
 
 
-# --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds were passed.
+# --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds
+# were passed.
 
 
 @compiled
 def _first_at(s, j, made, level):
     """Time at which the larger approach first reaches `level`.
 
-    Where faces have laws of their own `level` is a force: what approach that is follows from the branch of a step.
+    Where faces have laws of their own `level` is a force: what approach that is follows from the
+    branch of a step.
     """
     apart()
     virgin_a = approach_at(s, j, level) if s.has_laws else level
@@ -545,8 +562,9 @@ _press = elementwise(
 def note_impulse(s, j, theta):
     """Add the integral of the mean force over a step.
 
-    The series of the forces err as those of the approaches do, by a share of the largest one.  While the impulse is
-    less than a fiftieth of that it is summed over forces of the approaches, in z with t = z²: smooth from a touch on.
+    The series of the forces err as those of the approaches do, by a share of the largest one.
+    While the impulse is less than a fiftieth of that it is summed over forces of the approaches, in
+    z with t = z²: smooth from a touch on.
     """
     apart()
     impulse = 0.0
@@ -571,8 +589,8 @@ def note_impulse(s, j, theta):
 
 @compiled
 def note_duration(s, j, settled):
-    """Impulse over peak of the mean force up to now, (Q1); settled: the waves are over, and what is still pressed dies
-    out with the impulse that (Q2) says."""
+    """Impulse over peak of the mean force up to now, (Q1); settled: the waves are over, and what is
+    still pressed dies out with the impulse that (Q2) says."""
     apart()
     left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
     s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
@@ -632,12 +650,15 @@ _ANSWER_OF = (
 )
 
 
-# --- What is known of the faces of a row whose faces have laws of their own, and the end of a rig without bars.
+# --- What is known of the faces of a row whose faces have laws of their own, and the end of a rig
+# without bars.
 
 
 @compiled
 def note_peaks(s, j):
-    """The force of the other face where a face's approach is the largest so far, at s.places; -1: it is not."""
+    """The force of the other face where a face's approach is the largest so far, at s.places; -1:
+    it is not.
+    """
     apart()
     for face in range(2):
         if s.places[face] >= 0.0:
@@ -663,7 +684,9 @@ def note_squared_forces(s, j, theta):
 
 @compiled
 def next_touch(s, j):
-    """How long until a gap closes while no force acts: inf if both grow for ever, NaN while a face is pressed."""
+    """How long until a gap closes while no force acts: inf if both grow for ever, NaN while a face
+    is pressed.
+    """
     apart()
     closing = math.inf
     for face in range(2):

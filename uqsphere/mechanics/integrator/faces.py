@@ -1,19 +1,22 @@
-"""The law of a face that yields, inside the integrator: spring, virgin loading, free (theory (C14)).
+"""The law of a face that yields, inside the integrator: spring, virgin loading, free (theory
+(C14)).
 
-Where faces are alike and elastic the force of each is q = x^(3/2) of its approach x, and no code here runs.  Where they
-differ, it is kappa x^(3/2).  A face that yields has a largest approach so far, x_m, and a dent x_r.  The integrator's
-variable is the approach above the dent, x - x_r:
+Where faces are alike and elastic the force of each is q = x^(3/2) of its approach x, and no code
+here runs.  Where they differ, it is kappa x^(3/2).  A face that yields has a largest approach so
+far, x_m, and a dent x_r.  The integrator's variable is the approach above the dent, x - x_r:
 
-    spring   q = k (x - x_r)^(3/2)      until x rises through x_m (to virgin loading) or falls through x_r (free)
-    virgin   q = q_y L(x/x_y)           until dx/dt falls through 0: a spring with a new dent
-    free     q = 0                      until x rises through x_r
+    spring   q = k (x - x_r)^(3/2)      until x rises through x_m (to virgin loading) or falls
+    through x_r (free) virgin   q = q_y L(x/x_y)           until dx/dt falls through 0: a spring
+    with a new dent free     q = 0                      until x rises through x_r
 
-The elastic face is the spring with x_r = 0 and x_m = x_y.  Virgin loading is linear in x, y = sqrt(x) and
-l = ln((y + base)/...), so that its series costs one recurrence more:
+The elastic face is the spring with x_r = 0 and x_m = x_y.  Virgin loading is linear in x, y =
+sqrt(x) and l = ln((y + base)/...), so that its series costs one recurrence more:
 
-    q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1) sqrt(x_y)
+    q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1)
+    sqrt(x_y)
 
-Every lane s has these numbers of each of its faces, m = face LANES + lane (`tracked.LANE`); scaled variables.
+Every lane s has these numbers of each of its faces, m = face LANES + lane (`tracked.LANE`); scaled
+variables.
 """
 
 from __future__ import annotations
@@ -38,14 +41,16 @@ from uqsphere.mechanics.integrator.vectors import apart
 ARMED = 1e-13
 #: dx/dt that has no sign, scaled: a turn leaves so little
 STILL = 1e-10
-#: turns to the other branch and back at one time, beyond which a face is at rest where both meet: the force of both is
-#: the same there, and rounding would choose between them for ever
+#: turns to the other branch and back at one time, beyond which a face is at rest where both meet:
+#: the force of both is the same there, and rounding would choose between them for ever
 MOST_TURNS = 8
 
 
 @compiled
 def _bend(t):
-    """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`; what cancels here is 1e-12 of a force."""
+    """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`; what cancels here is 1e-12 of
+    a force.
+    """
     if t > 0.02:
         return 0.5 * t * t - t + math.log1p(t)
     total = 0.0
@@ -76,7 +81,9 @@ def _virgin_area(z, b, pile_up):
 
 @compiled
 def new_faces(s, lane, given):
-    """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face stays elastic."""
+    """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face
+    stays elastic.
+    """
     apart()
     for face in range(2):
         m = face * LANES + lane
@@ -110,7 +117,9 @@ def press_on(s, m):
 
 @compiled
 def let_go(s, m, above):
-    """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach above that."""
+    """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach
+    above that.
+    """
     apart()
     approach, onset = above + s.dent[m], s.onset[m]
     largest = max(approach, s.largest[m])
@@ -127,7 +136,9 @@ def let_go(s, m, above):
 
 @compiled
 def switch(s, m, above):
-    """The other branch of a face at `above` its dent; returns the approach above the dent that it has then."""
+    """The other branch of a face at `above` its dent; returns the approach above the dent that it
+    has then.
+    """
     if s.spring[m] > 0.0:
         press_on(s, m)
         return s.largest[m] - s.dent[m]
@@ -157,7 +168,9 @@ def face_yielded(s, m):
 
 @compiled
 def follows_law(s, lane):
-    """Whether the force of a face of a lane is no longer x^(3/2): it has yielded, or the faces differ."""
+    """Whether the force of a face of a lane is no longer x^(3/2): it has yielded, or the faces
+    differ.
+    """
     differ = s.stiffness[lane] != 1.0 or s.stiffness[LANES + lane] != 1.0
     return differ or face_yielded(s, lane) or face_yielded(s, LANES + lane)
 
@@ -188,7 +201,9 @@ def face_force(s, m, above):
 
 @compiled
 def _virgin(s, m, approach):
-    """Force of a face at its largest approach so far, and its derivative; elastic below the onset."""
+    """Force of a face at its largest approach so far, and its derivative; elastic below the
+    onset.
+    """
     onset, z = s.onset[m], approach / s.onset[m]
     if z <= 1.0:
         side = s.stiffness[m] * math.sqrt(approach)
@@ -201,7 +216,8 @@ def _virgin(s, m, approach):
 
 @compiled
 def approach_at(s, m, force):
-    """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz, which lies below.
+    """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz,
+    which lies below.
 
     Hertz and what follows the onset are convex.
     """
@@ -218,7 +234,9 @@ def approach_at(s, m, force):
 
 @compiled
 def stored_energy(s, m, above):
-    """Elastic energy of a face and its derivative by the approach, (C10), in units of P_c alpha_c."""
+    """Elastic energy of a face and its derivative by the approach, (C10), in units of P_c
+    alpha_c.
+    """
     force, slope = face_force(s, m, above)
     if s.spring[m] > 0.0:
         return (0.5 if s.mode == LINEAR else 0.4) * force * max(above, 0.0), force
@@ -244,7 +262,9 @@ def largest_approach(s, m):
 
 @compiled
 def largest_force(s, lane):
-    """Largest force of a row so far, from the largest approaches of its faces while they have not yielded."""
+    """Largest force of a row so far, from the largest approaches of its faces while they have not
+    yielded.
+    """
     found = 0.0
     for face in range(2):
         m = face * LANES + lane
@@ -253,7 +273,8 @@ def largest_force(s, lane):
         elif s.largest[m] > s.onset[m]:
             found = max(found, s.peak_force[m])
         else:
-            # of a face that has yielded this would be Hertz's force at its depth, which it never had
+            # of a face that has yielded this would be Hertz's force at its depth, which it never
+            # had
             found = max(found, s.stiffness[m] * s.peak[face, lane] ** 1.5)
     return found
 
@@ -271,8 +292,9 @@ def tail_level(s, lane):
 def wrong_branch(s, m, length, beyond):
     """Whether the motion of a face starts against its branch.
 
-    length: of the trial step, whose series changes its first term with the dent.  A spring that rises from its largest
-    approach but turns before it is `beyond` it, as the error of a turn may leave it, stays one.
+    length: of the trial step, whose series changes its first term with the dent.  A spring that
+    rises from its largest approach but turns before it is `beyond` it, as the error of a turn may
+    leave it, stays one.
     """
     apart()
     still, x, rate, bow = STILL * length, s.x[0, m], s.x[1, m], s.x[2, m]
@@ -302,7 +324,8 @@ def most_stored(s, lane):
 
 @compiled
 def within_spring(s, lane):
-    """Share of a step from a touch that ends before a spring is at its largest approach so far; 1: none gets there.
+    """Share of a step from a touch that ends before a spring is at its largest approach so far; 1:
+    none gets there.
 
     The force beyond is another one.
     """

@@ -1,8 +1,9 @@
-"""What runs towards the sphere during a step: pieces of the pulse, waves that come back, times at which a step ends.
+"""What runs towards the sphere during a step: pieces of the pulse, waves that come back, times at
+which a step ends.
 
-The waves that leave the faces are kept as power series of the steps on which they left, in a ring as long as a
-round trip needs.  Over a later step they are read at Chebyshev points and fitted.  Every jump of the pulse comes
-back after a round trip and ends a step then too.
+The waves that leave the faces are kept as power series of the steps on which they left, in a ring
+as long as a round trip needs.  Over a later step they are read at Chebyshev points and fitted.
+Every jump of the pulse comes back after a round trip and ends a step then too.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, 
 
 #: points over a step at which a wave that comes back is read
 WAVE_THETAS = 0.5 - 0.5 * np.cos(np.pi * (np.arange(WAVE) + 0.5) / WAVE)
-#: weights (point, degree) that turn the values there into Chebyshev coefficients, and (degree, power) that turn
-#: those into powers of theta
+#: weights (point, degree) that turn the values there into Chebyshev coefficients, and (degree,
+#: power) that turn those into powers of theta
 WAVE_DEGREES = np.ascontiguousarray(
     np.linalg.inv(chebyshev.chebvander(2.0 * WAVE_THETAS - 1.0, WAVE - 1)).T
 )
@@ -38,7 +39,8 @@ _behind = elementwise(WAVE, 1, lambda old, new, thetas, begin: where(thetas >= b
 
 @compiled
 def add_echo(s, j, bar, made):
-    """Add the wave that comes back from the far end of a bar, theory (5), to what runs towards its face.
+    """Add the wave that comes back from the far end of a bar, theory (5), to what runs towards its
+    face.
 
     Terms that together stay below a tenth of the error that a step may have are left out.
     """
@@ -61,7 +63,8 @@ def add_echo(s, j, bar, made):
     degrees = places
     mix(values, WAVE_DEGREES, degrees)
     s.misfit[j] += abs(factor) * (abs(s.work[1, WAVE - 1]) + abs(s.work[1, WAVE - 2]))
-    # terms below the error that is allowed are the joints between steps: as powers of theta they would be large
+    # terms below the error that is allowed are the joints between steps: as powers of theta they
+    # would be large
     dropped, negligible = 0.0, 0.1 * s.error[j] * s.size[0, j] / h
     for k in range(WAVE - 1, WAVE_LEAST - 1, -1):
         dropped += abs(factor * s.work[1, k])
@@ -150,7 +153,9 @@ def next_break(s, j, rows):
 
 @compiled
 def reflect_break(s, j):
-    """Note that whatever happens now comes back after a round trip of each bar; False if there is no room."""
+    """Note that whatever happens now comes back after a round trip of each bar; False if there is
+    no room.
+    """
     apart()
     for bar in range(2):
         back = s.time[j] + s.trips[bar, j]
@@ -176,7 +181,9 @@ def _ended(s, j, made, n):
 
 @compiled
 def echo_steps(s, j, made):
-    """Find the steps on which the waves left that come back during the present step; its length, if need be cut."""
+    """Find the steps on which the waves left that come back during the present step; its length, if
+    need be cut.
+    """
     apart()
     time, h, newest = s.time[j], s.h[j], s.count[j] - 1
     near = 1e-13 * (1.0 + time)
@@ -203,7 +210,9 @@ def echo_steps(s, j, made):
 
 @compiled
 def echoes(s, j, made):
-    """The waves that come back to a lane's faces over its trial step, which is cut to what they hold."""
+    """The waves that come back to a lane's faces over its trial step, which is cut to what they
+    hold.
+    """
     apart()
     trial = echo_steps(s, j, made)
     if trial < s.h[j]:

@@ -1,17 +1,18 @@
 """The compiled batch integrator of the equations of motion, in the scaled variables of theory (9).
 
-Rows advance in lanes: every lane has its own time and step, all lanes expand their motion into a power series
-together, and a lane whose row has ended takes the next one.  A row's answer depends on nothing but the row, so
-that any slice, order or number of threads gives the same bits.
+Rows advance in lanes: every lane has its own time and step, all lanes expand their motion into a
+power series together, and a lane whose row has ended takes the next one.  A row's answer depends on
+nothing but the row, so that any slice, order or number of threads gives the same bits.
 
-A step never crosses a jump of the pulse or of one of its reflections, is never longer than a round trip, and
-ends where a face leaves or touches.  One round of `march` takes every lane one step:
+A step never crosses a jump of the pulse or of one of its reflections, is never longer than a round
+trip, and ends where a face leaves or touches.  One round of `march` takes every lane one step:
 
     enter    idle lanes take the next rows
     waves    how long the step may be, and what runs towards the sphere in it, theory (4) and (5)
     expand   the motion as a power series, theory (9) or (R3); how far it holds
     meet     where in the step a face may leave, touch, yield or be pressed deepest
-    turn     a step that does not hold is tried again, shorter; of one that holds the end, what is kept and the next
+    turn     a step that does not hold is tried again, shorter; of one that holds the end, what is
+    kept and the next
              state; a row that is decided leaves its lane
 """
 
@@ -52,26 +53,28 @@ from uqsphere.mechanics.integrator.tracked import (
 )
 from uqsphere.mechanics.integrator.vectors import apart
 
-#: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
-#: reading of the waves anew
+#: longest trial step over the last step: without and with waves that come back, for which a step
+#: that fails costs the reading of the waves anew
 GROWTH, GROWTH_ECHO = 4.0, 1.3
 #: steps a row may take at most: one that takes more has status 5
 LIMIT = 1 << 20
 #: fate of a row that is not done; the others are its status
 GOES_ON = -1
-#: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy (sweep, balances)
+#: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy
+#: (sweep, balances)
 FREE_STEPS = 1 << 10
 
 
 class Rows(NamedTuple):
     """What is to be integrated, n rows in scaled variables.
 
-    mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks,
-    coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite
-    bars, which needs pulse_end (n,).  level (n,): scale of x that is expected at least.  laws (n, tracked.LAWS, 2): of
-    faces that yield or differ; (n, 0, 2): both forces are x^(3/2).  rigs (n, tracked.RIGS, 2), speed (n,): what stands
-    at the poles where it is not two bars, with `laws`, and u at the start; such a record ends when the bodies part.
-    (n, 0, 2): bars.
+    mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
+    breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
+    inf for the rule of infinite bars, which needs pulse_end (n,).  level (n,): scale of x that is
+    expected at least.  laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both
+    forces are x^(3/2).  rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is
+    not two bars, with `laws`, and u at the start; such a record ends when the bodies part. (n, 0,
+    2): bars.
     """
 
     mass: Array
@@ -90,10 +93,11 @@ class Rows(NamedTuple):
 
 @compiled(entry=True)
 def march(rows, order, lanes, made, kept, out, status, steps):
-    """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS), `status` and `steps` (rows,).
+    """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS), `status` and
+    `steps` (rows,).
 
-    lanes (1,): tracked.LANE with what is asked; made (LANES, room): tracked.STEP; kept (len(order), room):
-    tracked.PATH, the series of every row, where there is room for them.
+    lanes (1,): tracked.LANE with what is asked; made (LANES, room): tracked.STEP; kept (len(order),
+    room): tracked.PATH, the series of every row, where there is room for them.
     """
     s, taken, live = lanes[0], 0, 0
     while True:
@@ -189,7 +193,9 @@ def _enter(s, j, r, rows):
 
 @compiled
 def _enter_rig(s, j, given, speed):
-    """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face answer a force."""
+    """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face
+    answer a force.
+    """
     quickest, stiffest = s.inverse_mu[j], 0.0
     s.u[0, j] = speed
     s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
@@ -211,7 +217,9 @@ def _enter_rig(s, j, given, speed):
 
 @compiled
 def _waves(s, made):
-    """The steps that are tried, and the waves that run towards the sphere in them, theory (4) and (5)."""
+    """The steps that are tried, and the waves that run towards the sphere in them, theory (4) and
+    (5).
+    """
     apart()
     for j in range(LANES):
         s.h[j], s.misfit[j] = 0.0, 0.0
@@ -225,16 +233,20 @@ def _waves(s, made):
 
 @compiled
 def _try(s, j):
-    """The trial step of a lane; the approaches below which a record ends, a contact may be lost or nearly is."""
+    """The trial step of a lane; the approaches below which a record ends, a contact may be lost or
+    nearly is.
+    """
     scale = min(s.size[0, j], s.size[2, j]) if s.rigged else s.size[0, j]
     if s.touching[j] > 0.0:
-        # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
+        # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a
+        # touch
         brief = (1e2 * s.error[j] * min(1.0, 1.0 / s.quickest[j]) * scale) ** 0.4
         # the wave that presses has to be followed as well
         smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
         s.proposed[j] = min(s.proposed[j], min(brief, smooth))
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
-    # an approach errs by less than the tolerance; in a row that is looked at again all steps may err one way
+    # an approach errs by less than the tolerance; in a row that is looked at again all steps may
+    # err one way
     largest = max(s.size[0, j], s.size[2, j]) if s.rigged else scale
     steps = s.count[j] if s.tolerance < s.requested else 0
     s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
@@ -257,7 +269,9 @@ def _try(s, j):
 
 @compiled
 def _expand(s):
-    """The motion over the trial steps as power series, and the shares of them that hold; whether faces yield now."""
+    """The motion over the trial steps as power series, and the shares of them that hold; whether
+    faces yield now.
+    """
     apart()
     by_law, virgin, light = False, False, s.mode == FULL and not s.rigged
     for j in range(LANES if s.has_laws else 0):
@@ -292,7 +306,9 @@ def _expand(s):
 
 @compiled
 def _against_branch(s, j):
-    """Faces (bits) that what jumped has turned against their branch, unless they are at rest where both meet."""
+    """Faces (bits) that what jumped has turned against their branch, unless they are at rest where
+    both meet.
+    """
     apart()
     wrong = 0
     for face in range(2):
@@ -320,7 +336,9 @@ def _switch(s, j):
 
 @compiled
 def _meet(s, virgin):
-    """What the steps may meet: branches that end them, doubts, and flags of what has to be searched."""
+    """What the steps may meet: branches that end them, doubts, and flags of what has to be
+    searched.
+    """
     apart()
     step.inside(s, virgin)
     if s.has_laws and branch_ends(s):
@@ -334,8 +352,8 @@ def _meet(s, virgin):
 
 @compiled
 def _holds(s, j):
-    """Whether the step of a lane holds; else it is made again, on the other branch of a face or shorter, or the row
-    given up."""
+    """Whether the step of a lane holds; else it is made again, on the other branch of a face or
+    shorter, or the row given up."""
     apart()
     if s.has_laws:
         if s.switched[j]:
@@ -353,7 +371,8 @@ def _holds(s, j):
     s.attempts[j] += 1
     s.proposed[j] = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
     if not crossed and s.theta[j] > 0.0 and not s.single[j]:
-        # a wave bends where the step that made it ends: what does not fit is tried again up to there
+        # a wave bends where the step that made it ends: what does not fit is tried again up to
+        # there
         s.single[j] = max(s.last[0, j] - s.first[0, j], s.last[1, j] - s.first[1, j]) > 0
         s.proposed[j] = s.h[j] if s.single[j] else s.proposed[j]
     if s.proposed[j] <= 1e-15 * (1.0 + s.time[j]) or s.attempts[j] > 10 * LIMIT:
@@ -363,7 +382,9 @@ def _holds(s, j):
 
 @compiled
 def _root_is_wrong(s, j):
-    """Whether the impulse by which the series of a step may be off because a face nearly left is too much for a rig."""
+    """Whether the impulse by which the series of a step may be off because a face nearly left is
+    too much for a rig.
+    """
     least, impulse = min(min(s.size[0, j], s.size[2, j]), s.mass[j] * s.size[1, j]), 0.0
     for face in range(2):
         m = face * LANES + j
@@ -378,7 +399,9 @@ def _root_is_wrong(s, j):
 
 @compiled
 def _turn(s, j, ending):
-    """The state from which the next step of a lane starts, or the end of its row; whether the waves jump."""
+    """The state from which the next step of a lane starts, or the end of its row; whether the waves
+    jump.
+    """
     apart()
     before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
     _move_on(s, j, ending)
@@ -423,7 +446,9 @@ def _judge(s, j):
 
 @compiled
 def _events(s, j):
-    """Bring what is followed of a row up to date with its step; the share of the trial step at which it ends."""
+    """Bring what is followed of a row up to date with its step; the share of the trial step at
+    which it ends.
+    """
     ending = s.theta[j]
     if s.has_laws:
         for face in range(2):
@@ -451,7 +476,9 @@ def _events(s, j):
 
 @compiled
 def _keep(s, j, ending, made):
-    """Store what is read again of this step: the path, and the waves that leave, f - P/Z of theory (5)."""
+    """Store what is read again of this step: the path, and the waves that leave, f - P/Z of theory
+    (5).
+    """
     n = s.count[j]
     one = made[j, n & (s.ring - 1)]
     s.count[j] += 1
@@ -487,8 +514,8 @@ def _give_out(s, j, ending, path):
         path.series[3, k], path.series[4, k] = s.force[k, j] * power, s.force[k, k_of] * power
         power *= ending
     for face in range(2 if s.has_laws else 0):
-        # the series of a force ends a power of the step before that of its approach: what is left out at
-        # the end of the step goes to the last term, which errs by a fortieth of it inside
+        # the series of a force ends a power of the step before that of its approach: what is left
+        # out at the end of the step goes to the last term, which errs by a fortieth of it inside
         m = face * LANES + j
         left_out = face_force(s, m, value_of(s.x, m, ending))[0] - value_of(s.force, m, ending)
         path.series[3 + face, TERMS - 1] += left_out

@@ -1,7 +1,8 @@
-"""Places sought in one step of a row: roots, tops and passages of thresholds, on the series of the step.
+"""Places sought in one step of a row: roots, tops and passages of thresholds, on the series of the
+step.
 
-What is searched is s.piece (TERMS, 2): the part of a step's series that belongs to one lane, powers of theta; all
-quantities are the scaled ones.
+What is searched is s.piece (TERMS, 2): the part of a step's series that belongs to one lane, powers
+of theta; all quantities are the scaled ones.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ from uqsphere.mechanics.integrator.tracked import (
 )
 from uqsphere.mechanics.integrator.vectors import apart
 
-#: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
-#: motion goes on from it
+#: how closely a top is found as a share of the step: where its height matters, which hardly depends
+#: on it; where the motion goes on from it
 BROAD, SHARP = 1e-6, 1e-13
 
 
 @compiled
 def take_piece(s, j):
-    """Put the step of a lane where it is searched, with its values and slopes at the points that are known."""
+    """Put the step of a lane where it is searched, with its values and slopes at the points that
+    are known.
+    """
     for face in range(2):
         m = face * LANES + j
         for k in range(TERMS):
@@ -60,14 +63,18 @@ def both_of(series, m, theta):
 
 @compiled
 def _of_face(s, m, stored, x, d):
-    """Force of a face, or what it stores, and its derivative, from the approach and its derivative."""
+    """Force of a face, or what it stores, and its derivative, from the approach and its
+    derivative.
+    """
     found, slope = stored_energy(s, m, x) if stored else face_force(s, m, x)
     return found, slope * d
 
 
 @compiled
 def _combined(s, j, kind, x1, x2, d1, d2):
-    """Value and derivative of a searched function of both faces from the approaches and their derivatives."""
+    """Value and derivative of a searched function of both faces from the approaches and their
+    derivatives.
+    """
     apart()
     stored = kind in (ENERGY, SHARE)
     a, slope_a = _of_face(s, j, stored, x1, d1)
@@ -94,7 +101,9 @@ def _measure(s, j, kind, theta):
 
 @compiled
 def highest_between(left, left_slope, right, right_slope):
-    """What a function can reach between two ends: where the tangents meet, and a fifth for bends."""
+    """What a function can reach between two ends: where the tangents meet, and a fifth for
+    bends.
+    """
     top = max(left, right)
     if left_slope > 0.0 and right_slope < 0.0:
         top += 1.2 * left_slope * right_slope / (right_slope - left_slope)
@@ -103,7 +112,9 @@ def highest_between(left, left_slope, right, right_slope):
 
 @compiled
 def root(s, face, level, a, b):
-    """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
+    """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois
+    rule.
+    """
     apart()
     at_a, at_b = value_of(s.piece, face, a) - level, value_of(s.piece, face, b) - level
     # an end may be the root itself, to the last bit: there is then nothing left to bracket
@@ -132,7 +143,9 @@ def root(s, face, level, a, b):
 
 @compiled
 def extremum(s, j, kind, a, b, slope_a, slope_b, close):
-    """theta between a and b, to `close`, at which the slope of a searched function changes sign, as at the ends."""
+    """theta between a and b, to `close`, at which the slope of a searched function changes sign, as
+    at the ends.
+    """
     apart()
     for _ in range(60):
         c = b - slope_b * (b - a) / (slope_b - slope_a)
@@ -153,7 +166,8 @@ def extremum(s, j, kind, a, b, slope_a, slope_b, close):
 def curve(s, face, turns, theta):
     """Approach of a face inside a step and its derivative, or if it `turns` that and the next one.
 
-    The even and the odd powers, of value and derivative, are four sums side by side: half as long a wait as `both_of`.
+    The even and the odd powers, of value and derivative, are four sums side by side: half as long a
+    wait as `both_of`.
     """
     square, even, odd, even_rate, odd_rate = theta * theta, 0.0, 0.0, 0.0, 0.0
     for n in range(ORDER // 2, 0, -1):
@@ -183,7 +197,8 @@ def curve(s, face, turns, theta):
 
 @compiled
 def settle(s, face, turns, a, b, at_a, at_b, level):
-    """theta between a and b at which a face passes `level`, or turns if `turns`; Newton, to the last bits.
+    """theta between a and b at which a face passes `level`, or turns if `turns`; Newton, to the
+    last bits.
 
     at_a, at_b: what is sought a zero of, at the ends, which bracket it.
     """
@@ -214,7 +229,9 @@ def settle(s, face, turns, a, b, at_a, at_b, level):
 
 @compiled
 def slowest(s, face, a, b):
-    """theta between a and b at which a face is slowest, and its rate there; its second derivative rises through 0."""
+    """theta between a and b at which a face is slowest, and its rate there; its second derivative
+    rises through 0.
+    """
     apart()
     _, low = curve(s, face, True, a)
     _, high = curve(s, face, True, b)
@@ -233,7 +250,9 @@ def slowest(s, face, a, b):
 
 @compiled
 def passage(s, face, level, sign, begin, end):
-    """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
+    """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or
+    NaN.
+    """
     apart()
     width = (end - begin) / POINTS
     a = begin
@@ -251,7 +270,8 @@ def passage(s, face, level, sign, begin, end):
             slope_a * width > 0.0 > slope_b * width
             and highest_between(at_a, slope_a * width, at_b, slope_b * width) >= 0.0
         ):
-            # the search measures the slopes themselves, without the sign; of one face no lane matters
+            # the search measures the slopes themselves, without the sign; of one face no lane
+            # matters
             peak = extremum(s, 0, face, a, b, sign * slope_a, sign * slope_b, BROAD)
             if sign * (value_of(s.piece, face, peak) - level) >= 0.0:
                 return root(s, face, level, a, peak)
@@ -261,7 +281,9 @@ def passage(s, face, level, sign, begin, end):
 
 @compiled
 def survey(s, end):
-    """Values and slopes of both faces at equal distances over [0, end]: s.grid (face, 2, POINTS + 1)."""
+    """Values and slopes of both faces at equal distances over [0, end]: s.grid (face, 2, POINTS +
+    1).
+    """
     apart()
     for face in range(2):
         for i in range(POINTS + 1):
@@ -270,7 +292,8 @@ def survey(s, end):
 
 @compiled
 def largest(s, j, kind, end, known):
-    """Largest value in [0, end] of a searched function and its theta, or `known` and -1 if that is larger.
+    """Largest value in [0, end] of a searched function and its theta, or `known` and -1 if that is
+    larger.
 
     Of the difference of the forces the size counts, of an approach no gap.
     """
@@ -301,7 +324,9 @@ def largest(s, j, kind, end, known):
 
 @compiled
 def may_pass(s, face, sign, width, level):
-    """Whether sign·approach can pass -level at all, from its values and slopes at the points of the grid."""
+    """Whether sign·approach can pass -level at all, from its values and slopes at the points of the
+    grid.
+    """
     apart()
     for i in range(POINTS):
         left, left_slope = sign * s.grid[face, 0, i], sign * s.grid[face, 1, i] * width

@@ -5,9 +5,9 @@ The equations are theory (3) in the scaled variables of theory (9), and (R3) for
     x_1' = 2 f - zeta_A q_1 + U_A - u      x_2' = u - zeta_B q_2 - 2 h - U_B      mu u' = q_1 - q_2
     mu_A U_A' = -q_1                       mu_B U_B' = q_2
 
-with q = max(x, 0)^(3/2) (`full`), max(x, 0) (`linear`), or mu = 0 (`massless`), f and h the waves that run towards
-the sphere, theory (4) and (5); between bars zeta = 1 and U = 0.  Faces that differ or yield have laws of their own
-(`uqsphere.mechanics.integrator.faces`).
+with q = max(x, 0)^(3/2) (`full`), max(x, 0) (`linear`), or mu = 0 (`massless`), f and h the waves
+that run towards the sphere, theory (4) and (5); between bars zeta = 1 and U = 0.  Faces that differ
+or yield have laws of their own (`uqsphere.mechanics.integrator.faces`).
 """
 
 from __future__ import annotations
@@ -34,24 +34,27 @@ MODES: Final[dict[str, int]] = {
     "linear": tracked.LINEAR,
     "massless": tracked.MASSLESS,
 }
-#: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
+#: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between
+#: threads
 _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few;
 #: powers of two
 _CAPACITIES = (1024, 16_384, 262_144)
-#: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
-#: for; where the record ends in the tail of the force; once a face has yielded, for the end of contact.  Measured by
-#: the sweep: every quantity then keeps the tolerance
+#: error allowed in one step over the tolerance: for most quantities; where the difference of the
+#: forces is asked for; where the record ends in the tail of the force; once a face has yielded, for
+#: the end of contact.  Measured by the sweep: every quantity then keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL, _LOCAL_YIELDED = 1.0, 0.05, 0.1, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """One integrated scene: what anything between first touch and the end of the motion can be computed from.
+    """One integrated scene: what anything between first touch and the end of the motion can be
+    computed from.
 
-    start, length (m,): of the steps, over t_c; states (m, 3, k): x_1, x_2 and u on every step, coefficients in
-    ascending powers of the share of the step that has passed; forces (m, 2, k): the same of both forces over P_c, where
-    they do not follow from the approach alone.  end: over t_c, may lie inside the last step.
+    start, length (m,): of the steps, over t_c; states (m, 3, k): x_1, x_2 and u on every step,
+    coefficients in ascending powers of the share of the step that has passed; forces (m, 2, k): the
+    same of both forces over P_c, where they do not follow from the approach alone.  end: over t_c,
+    may lie inside the last step.
     """
 
     scene: Scene
@@ -104,7 +107,9 @@ class Motion:
         return self.reflection(bar) != 0.0
 
     def _at(self, series: Array, times: Array) -> Array:
-        """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first touch."""
+        """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first
+        touch.
+        """
         s = times / self.unit
         n = np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.start) - 1)
         share = ((s - self.start[n]) / self.length[n])[:, None]
@@ -112,7 +117,9 @@ class Motion:
         return np.where((s >= 0.0)[:, None], found, 0.0)
 
     def states_at(self, times: Array) -> Array:
-        """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
+        """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before
+        first touch.
+        """
         scales, row = self.scene.scales, self.row
         units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
         return np.asarray(self._at(self.states, times) * units)
@@ -126,7 +133,9 @@ class Motion:
         )
 
     def force_at(self, approach: Array) -> Array:
-        """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c) of `linear`."""
+        """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c)
+        of `linear`.
+        """
         scales = self.scene.scales
         if self.fidelity == "linear":
             return np.asarray(
@@ -143,7 +152,9 @@ class Motion:
         )
 
     def pressure_at(self, force: Values, pole: int = 0) -> Values:
-        """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the face yields."""
+        """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the
+        face yields.
+        """
         partner = self.scene.partners[pole]
         if partner is None:
             return np.zeros_like(force)
@@ -194,7 +205,9 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
 
 
 def _laws(scene: Scene, rows: Places) -> Array:
-    """Laws of both faces in scaled variables, (n, LAWS, 2): see `tracked`; (n, 0, 2): both forces are x^(3/2)."""
+    """Laws of both faces in scaled variables, (n, LAWS, 2): see `tracked`; (n, 0, 2): both forces
+    are x^(3/2).
+    """
     faces = [partner.face if partner else None for partner in scene.partners]
     if scene.rig == "bars" and faces == [None, None]:
         return np.zeros((len(rows), 0, 2))
@@ -218,7 +231,9 @@ def _laws(scene: Scene, rows: Places) -> Array:
 
 
 def _rigs(scene: Scene, rows: Places) -> Array:
-    """What stands at the poles in scaled variables, (n, RIGS, 2): see `tracked`; (n, 0, 2): two bars."""
+    """What stands at the poles in scaled variables, (n, RIGS, 2): see `tracked`; (n, 0, 2): two
+    bars.
+    """
     if scene.rig == "bars":
         return np.zeros((len(rows), 0, 2))
     scales, rigs = scene.scales, np.zeros((len(rows), tracked.RIGS, 2))
@@ -239,10 +254,11 @@ def _rigs(scene: Scene, rows: Places) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
-    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps (n,) of n rows.
+    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps
+    (n,) of n rows.
 
-    What was not asked for may be NaN.  `paths`: start, length and states (as of `Motion`) of every row's steps, where
-    they were kept.
+    What was not asked for may be NaN.  `paths`: start, length and states (as of `Motion`) of every
+    row's steps, where they were kept.
     """
 
     answers: Array
@@ -273,7 +289,8 @@ def march_rows(
     if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
     yielded = _LOCAL_YIELDED if finite and not rigged else _LOCAL
-    # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
+    # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
+    # the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     store = wanted & tracked.WANT_RISE != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
@@ -314,8 +331,8 @@ def march_rows(
         }
         for name, value in given.items():
             lanes[name] = value
-        # not set to anything: only the pages of steps that are taken ever cost memory.  With room for a power of two
-        # of steps all lanes would share a few lines of the processor's cache
+        # not set to anything: only the pages of steps that are taken ever cost memory.  With room
+        # for a power of two of steps all lanes would share a few lines of the processor's cache
         made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
         kept = np.zeros((len(order), capacity if keep else 0), tracked.PATH)
         march(rows, order, lanes, made, kept, answers, status, steps)
@@ -376,7 +393,8 @@ def integrate(
 def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float = 1e-6) -> Motion:
     """The motion of one scene on to the horizon, contacts lost and found again included.
 
-    ValueError, with the message of its status, if the row lies outside the domain or cannot be integrated.
+    ValueError, with the message of its status, if the row lies outside the domain or cannot be
+    integrated.
     """
     _check_request(scene, fidelity, tolerance)
     status = int(scene.status[row])
@@ -402,8 +420,8 @@ def motions(
 ) -> list[Motion | int]:
     """The motions of some rows inside the domain, or the status of those that cannot be integrated.
 
-    They end with the record of the scene, or once none of the `quantities` can change any more; stop_at_loss: whether
-    at the first loss of contact, in place of what the scene says.
+    They end with the record of the scene, or once none of the `quantities` can change any more;
+    stop_at_loss: whether at the first loss of contact, in place of what the scene says.
     """
     stop_at_loss = not scene.whole_record if stop_at_loss is None else stop_at_loss
     arguments = scaled_arguments(scene, rows)
@@ -455,7 +473,8 @@ def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
         )
     if fidelity == "linear" and scene.faces is not None:
         raise ValueError(
-            "a linear contact does not yield: choose the fidelity full or massless, or [contact] law hertz"
+            "a linear contact does not yield: choose the fidelity full or massless, or [contact] "
+            "law hertz"
         )
     if not 1e-12 <= tolerance <= 1e-2:
         raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
@@ -471,11 +490,12 @@ def solve(
 ) -> Answers:
     """Quantities of interest of n scenes by integrating the equations of motion.
 
-    fidelity: `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the Hertz contact; not
-    where faces yield) or `massless` (mu = 0), both between bars alone.  tolerance: relative error asked for in every
-    quantity, 1e-12 to 1e-2.  threads: all processors of this process if None; the answers do not depend on it.
-    quantities: names of `outputs.OUTPUTS` or demands; what is not asked for is not computed.  Rows outside the domain
-    have NaN and a status.
+    fidelity: `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the
+    Hertz contact; not where faces yield) or `massless` (mu = 0), both between bars alone.
+    tolerance: relative error asked for in every quantity, 1e-12 to 1e-2.  threads: all processors
+    of this process if None; the answers do not depend on it. quantities: names of `outputs.OUTPUTS`
+    or demands; what is not asked for is not computed.  Rows outside the domain have NaN and a
+    status.
     """
     _check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
@@ -500,10 +520,12 @@ def solve(
 def later_loading(
     scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-4, threads: int | None = None
 ) -> Array:
-    """Largest force up to the horizon over that up to the first loss of contact, (n,): above 1 an echo loads harder.
+    """Largest force up to the horizon over that up to the first loss of contact, (n,): above 1 an
+    echo loads harder.
 
-    For bars whose record ends at the first loss; NaN where a row has no answer, 1 where the record ends otherwise.  A
-    row of the whole record costs 3 to 75 times as much: a run looks at its first 512.
+    For bars whose record ends at the first loss; NaN where a row has no answer, 1 where the record
+    ends otherwise.  A row of the whole record costs 3 to 75 times as much: a run looks at its first
+    512.
     """
     if scene.rig != "bars" or scene.infinite or scene.first_loading_only or scene.whole_record:
         return np.where(scene.status == 0, 1.0, np.nan)
@@ -520,15 +542,17 @@ def later_loading(
     return np.asarray(np.maximum(peaks[1] / peaks[0], 1.0))
 
 
-# --- rows that are integrated again ----------------------------------------------------------------------
+# --- rows that are integrated again ---------------------------------------------------------------
 
-#: steps after which the errors of single steps may have added up; the largest approach alone they leave within a
-#: twentieth of the tolerance after up to 18,000 steps (`tests/mechanics/test_hard_cases.py`)
+#: steps after which the errors of single steps may have added up; the largest approach alone they
+#: leave within a twentieth of the tolerance after up to 18,000 steps
+#: (`tests/mechanics/test_hard_cases.py`)
 _MANY_STEPS: Final = 1_000
-#: share of its tolerance that a row is integrated again with, and the smallest tolerance: 450 roundings of a double
+#: share of its tolerance that a row is integrated again with, and the smallest tolerance: 450
+#: roundings of a double
 _CLOSER, _FINEST = 1e-2, 1e-13
-#: tolerances by which an error of the approach may move the first loss of contact; where its time is asked for, a first
-#: look leaves a third of one
+#: tolerances by which an error of the approach may move the first loss of contact; where its time
+#: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
 
 
@@ -540,10 +564,12 @@ def look_closer(
     wanted: int,
     stop_at_loss: bool = True,
 ) -> Scaled:
-    """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse than `tolerance`.
+    """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse
+    than `tolerance`.
 
-    ANSWER_GRAZED is then 1 where the first loss of contact is in doubt at the finest tolerance still, else 0: an
-    error of the approach may decide whether contact is lost, or move the loss by more than `_FIRM` tolerances.
+    ANSWER_GRAZED is then 1 where the first loss of contact is in doubt at the finest tolerance
+    still, else 0: an error of the approach may decide whether contact is lost, or move the loss by
+    more than `_FIRM` tolerances.
     """
     n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["rigs"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)

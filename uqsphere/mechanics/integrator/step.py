@@ -1,17 +1,20 @@
-"""One step of the equations of motion as a power series in time, for all lanes of the integrator at once.
+"""One step of the equations of motion as a power series in time, for all lanes of the integrator at
+once.
 
-The motion between two jumps of the waves is analytic as long as a pressed face stays pressed, so its Taylor
-series about the start of a step follows from recurrences for products and square roots (R. Barrio, Appl. Math.
-Comput. 163, 2005, 525; A. Jorba, M. Zou, Experimental Mathematics 14, 2005, 99).  With theta = 0 ... 1 over the
-length h of the step, theory (9) reads for the coefficients
+The motion between two jumps of the waves is analytic as long as a pressed face stays pressed, so
+its Taylor series about the start of a step follows from recurrences for products and square roots
+(R. Barrio, Appl. Math. Comput. 163, 2005, 525; A. Jorba, M. Zou, Experimental Mathematics 14, 2005,
+99).  With theta = 0 ... 1 over the length h of the step, theory (9) reads for the coefficients
 
     (k+1) x_1[k+1] = h (2 f[k] - q_1[k] - u[k])          q = x y,  y² = x:
-    (k+1) x_2[k+1] = h (u[k] - q_2[k] - 2 h_B[k])        2 y[0] y[k] = x[k] - sum of y[j] y[k-j], 0 < j < k
-    (k+1) u[k+1]   = h (q_1[k] - q_2[k])/mu              q[k] = sum of x[j] y[k-j], 0 <= j <= k
+    (k+1) x_2[k+1] = h (u[k] - q_2[k] - 2 h_B[k])        2 y[0] y[k] = x[k] - sum of y[j] y[k-j], 0
+    < j < k (k+1) u[k+1]   = h (q_1[k] - q_2[k])/mu              q[k] = sum of x[j] y[k-j], 0 <= j
+    <= k
 
-The series serves three ends at once: it makes the step, it says how long the step may be, and it is the motion
-inside the step.  Arrays are (coefficient, lane); what exists at both faces has the lanes of face A first, then
-those of face B.  Between other partners than bars the equations are (R3), see `uqsphere.mechanics.integrator.solve`.
+The series serves three ends at once: it makes the step, it says how long the step may be, and it is
+the motion inside the step.  Arrays are (coefficient, lane); what exists at both faces has the lanes
+of face A first, then those of face B.  Between other partners than bars the equations are (R3), see
+`uqsphere.mechanics.integrator.solve`.
 """
 
 from __future__ import annotations
@@ -45,7 +48,8 @@ from uqsphere.mechanics.integrator.vectors import (
     where,
 )
 
-#: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section 5)
+#: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section
+#: 5)
 _CIRCLE = 0.85
 #: Runge-Kutta steps over a touch
 _TOUCH_STEPS = 4
@@ -66,8 +70,8 @@ _shifted_root = elementwise(
         where((by_log < 0.0) | (by_log > 0.0), 1.0 / (root + base), 0.0),
     ),
 )
-# of a face on virgin loading (inverse > 0) the terms of the logarithm stand in the place of those of x, so that one
-# product with the root's serves both
+# of a face on virgin loading (inverse > 0) the terms of the logarithm stand in the place of those
+# of x, so that one product with the root's serves both
 _beside = elementwise(PAIR, 1, lambda x, inverse: where(inverse > 0.0, 0.0 * x, x))
 _any_branch = elementwise(
     PAIR,
@@ -105,7 +109,7 @@ _next_x = elementwise(
 _next_of_rig = elementwise(
     LANES,
     5,
-    lambda push_a, push_b, force_a, force_b, u, w_a, w_b, gives_a, gives_b, light_a, light_b, there_a, there_b, h, inverse_mu, share: (
+    lambda push_a, push_b, force_a, force_b, u, w_a, w_b, gives_a, gives_b, light_a, light_b, there_a, there_b, h, inverse_mu, share: (  # noqa: E501
         h * share * there_a * (push_a + w_a - gives_a * force_a - u),
         h * share * there_b * (push_b + w_b - gives_b * force_b + u),
         h * share * inverse_mu * (force_a - force_b),
@@ -161,10 +165,12 @@ def _branches(s, k):
 
 @compiled
 def expand(s, by_law, virgin):
-    """Fill the series of x, u, root = sqrt(x) and force = q(x) from their first terms, theory (9) and (R3).
+    """Fill the series of x, u, root = sqrt(x) and force = q(x) from their first terms, theory (9)
+    and (R3).
 
-    s.push: 2 f and -2 h_B.  A face whose approach is not positive carries no force.  by_law: whether forces follow laws
-    of faces, virgin: whether one is on virgin loading; s.log is then k times the k-th term of l there, else of x.
+    s.push: 2 f and -2 h_B.  A face whose approach is not positive carries no force.  by_law:
+    whether forces follow laws of faces, virgin: whether one is on virgin loading; s.log is then k
+    times the k-th term of l there, else of x.
     """
     apart()
     x, u, root, force, free = s.x, s.u, s.root, s.force, s.free
@@ -235,7 +241,9 @@ def _larger_of(a, b, c, d):
 
 
 def _by_terms(before, last, local):
-    """theta at which theta^15 before + theta^16 last = local, by one step of a fixed-point iteration."""
+    """theta at which theta^15 before + theta^16 last = local, by one step of a fixed-point
+    iteration.
+    """
     guess = smaller(_root_16(local / (before + last + 1e-300)), 8.0)
     two = guess * guess
     four = two * two
@@ -248,8 +256,9 @@ def _reached(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, scale_x
     before = larger(larger(size_of(x_15), size_of(y_15)) / scale_x, size_of(u_15) / scale_u)
     last = larger(larger(size_of(x_16), size_of(y_16)) / scale_x, size_of(u_16) / scale_u)
     theta = _by_terms(before, last, local)
-    # where a face nearly leaves, x = 0 lies close to the real axis: the last terms may still be small beyond the
-    # circle in which the series holds, and its radius follows from how they grow over four powers
+    # where a face nearly leaves, x = 0 lies close to the real axis: the last terms may still be
+    # small beyond the circle in which the series holds, and its radius follows from how they grow
+    # over four powers
     late = _larger_of(x_15, y_15, x_16, y_16)
     radius = root_of(root_of(_larger_of(x_11, y_11, x_12, y_12) / (late + 1e-300)))
     bounded = where(late > 1e-3 * local * scale_x, smaller(theta, _CIRCLE * radius), theta)
@@ -283,7 +292,9 @@ def _reached_of_rig(
     scale_w,
     local,
 ):
-    """The same where every state has a scale of its own: both approaches, speeds of the sphere and of the partners."""
+    """The same where every state has a scale of its own: both approaches, speeds of the sphere and
+    of the partners.
+    """
     before = larger(
         larger(size_of(x_15) / scale_x, size_of(y_15) / scale_y), size_of(u_15) / scale_u
     )
@@ -311,7 +322,8 @@ _longest_of_rig = elementwise(LANES, 1, _reached_of_rig)
 
 @compiled
 def longest(s):
-    """theta up to which the last two terms of every series stay below the error allowed, times its scale.
+    """theta up to which the last two terms of every series stay below the error allowed, times its
+    scale.
 
     s.size (SCALES, LANES): scales of x_1, u, x_2, U_A, U_B; without rigs the faces are alike.
     """
@@ -361,7 +373,8 @@ def longest(s):
     )
 
 
-# --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's neighbours.
+# --- What a step may be and whether it holds, for all lanes: nothing here depends on a lane's
+# neighbours.
 
 _cut = elementwise(
     LANES,
@@ -403,7 +416,9 @@ def cut_at_stop(s):
 
 @compiled
 def doubt(s):
-    """1 where a step may have gone through a loss of contact, and where its waves do not fit or it is none."""
+    """1 where a step may have gone through a loss of contact, and where its waves do not fit or it
+    is none.
+    """
     apart()
     _doubted(
         s.crosses,
@@ -424,7 +439,9 @@ def doubt(s):
 
 @compiled
 def inside(s, bent):
-    """Values, derivatives and, if `bent`, half the second ones of the approaches at equal distances over the step."""
+    """Values, derivatives and, if `bent`, half the second ones of the approaches at equal distances
+    over the step.
+    """
     apart()
     for j in range(LANES):
         s.width[j] = s.width[LANES + j] = s.theta[j] * (1.0 / POINTS)
@@ -458,10 +475,11 @@ _unlike = elementwise(
 
 @compiled
 def wrong_roots(s):
-    """s.wrong (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end from that of x.
+    """s.wrong (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end
+    from that of x.
 
-    Past a point where a face nearly leaves, x has two complex roots so close to the real axis that the series
-    walks between them and goes on, smoothly, with -sqrt(x).
+    Past a point where a face nearly leaves, x has two complex roots so close to the real axis that
+    the series walks between them and goes on, smoothly, with -sqrt(x).
     """
     apart()
     value, slope = row(s.room, 0, 0), row(s.room, 1, 0)
@@ -477,7 +495,8 @@ def speeds(s):
     derivatives_at(s.u, ORDER, LANES, 0, s.theta, s.at_u, s.rate_u)
 
 
-# --- The first short step from a touch, where x^(3/2) has no power series in time: Runge-Kutta steps of order 4 over h.
+# --- The first short step from a touch, where x^(3/2) has no power series in time: Runge-Kutta
+# steps of order 4 over h.
 
 
 @compiled
@@ -555,18 +574,18 @@ def step_from_touch(s, j):
         _join(s.force, m, left, left_slope * s.x[1, m], right, right_slope * h * rate)
 
 
-# --- Steps along the slow motion: once the fast oscillation has died out, nothing of it needs to be resolved.
-# For small mu the difference z = x_1 - x_2 of the approaches swings with the frequency sqrt(3 sqrt(x)/mu) and dies
-# out at the rate 0.75 sqrt(x).  What is left follows the waves: with m = (x_1 + x_2)/2 and D = q(x_1) - q(x_2),
-# theory (9) reads
+# --- Steps along the slow motion: once the fast oscillation has died out, nothing of it needs to be
+# resolved. For small mu the difference z = x_1 - x_2 of the approaches swings with the frequency
+# sqrt(3 sqrt(x)/mu) and dies out at the rate 0.75 sqrt(x).  What is left follows the waves: with m
+# = (x_1 + x_2)/2 and D = q(x_1) - q(x_2), theory (9) reads
 #
 # m' = f - h - (q(x_1) + q(x_2))/2        u = f + h - D/2 - z'/2        D = mu u'
 #
-# Starting from z = 0, the second and the third equation give u, D and z in turn, each round a factor of about
-# mu smaller, all as power series over the step; the first one is integrated term by term.  The series is used where
-# it satisfies the equations of motion to the tolerance and where it meets the state of the row.
-# Faces that have yielded are springs of different stiffness k_1, k_2 above their dents: equal forces then mean
-# z = tilt m, from which the rounds start.
+# Starting from z = 0, the second and the third equation give u, D and z in turn, each round a
+# factor of about mu smaller, all as power series over the step; the first one is integrated term by
+# term.  The series is used where it satisfies the equations of motion to the tolerance and where it
+# meets the state of the row. Faces that have yielded are springs of different stiffness k_1, k_2
+# above their dents: equal forces then mean z = tilt m, from which the rounds start.
 
 #: mass number below which the slow motion is looked for
 SMALL_MU = 0.02
@@ -574,7 +593,8 @@ SMALL_MU = 0.02
 _ROUNDS = 5
 #: terms that stay good after the rounds
 _GOOD = 10
-#: columns of s.slow (TERMS, SLOW_ROOM): m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2, the change of z
+#: columns of s.slow (TERMS, SLOW_ROOM): m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2, the
+#: change of z
 _M, _Z, _U, _X, _Y, _Q, _CHANGE = 0, 1, 2, 3, 5, 7, 9
 
 
@@ -610,7 +630,9 @@ def _slow_mean(s, j, tilt):
 
 @compiled
 def _correct(s, j):
-    """One round: u from the waves, D from u, z from D.  Returns the largest change of z in the step, of its terms."""
+    """One round: u from the waves, D from u, z from D.  Returns the largest change of z in the
+    step, of its terms.
+    """
     apart()
     d, push, h, mu = s.slow, s.push, s.h[j], s.mass[j]
     stiff_1, stiff_2 = s.spring[j], s.spring[LANES + j]
@@ -632,7 +654,9 @@ def _correct(s, j):
 
 @compiled
 def _residual(s, j, theta):
-    """Largest error with which the series satisfies the equations at theta, as an error of an approach."""
+    """Largest error with which the series satisfies the equations at theta, as an error of an
+    approach.
+    """
     apart()
     (a, rate_a), (b, rate_b) = both_of(s.slow, _X, theta), both_of(s.slow, _X + 1, theta)
     w, rate_w = both_of(s.slow, _U, theta)
@@ -648,17 +672,20 @@ def _residual(s, j, theta):
 
 @compiled
 def decay_time(s, j):
-    """Time that the oscillation which a jump sets off, about mu^0.45, needs at least to fall to the tolerance."""
+    """Time that the oscillation which a jump sets off, about mu^0.45, needs at least to fall to the
+    tolerance.
+    """
     apart()
     return max(0.0, math.log(s.mass[j] ** 0.45 / s.error[j]))
 
 
 @compiled
 def _slow_step(s, j):
-    """Try to replace the step of one lane by one of the slow motion: theta it may reach, 0 if none; amplitude.
+    """Try to replace the step of one lane by one of the slow motion: theta it may reach, 0 if none;
+    amplitude.
 
-    The amplitude is that of the fast oscillation that the state of the row has about the slow motion, as an
-    approach; it must lie below the tolerance.
+    The amplitude is that of the fast oscillation that the state of the row has about the slow
+    motion, as an approach; it must lie below the tolerance.
     """
     apart()
     d, k = s.slow, LANES + j

@@ -1,9 +1,9 @@
 """Arithmetic on the lanes of the integrator, written down in LLVM's own vector terms.
 
-numba's loops over lanes stay scalar wherever arrays might overlap, and its sums live in memory.  `elementwise`
-turns a formula into vector instructions for a row of columns; the other functions are sums over power series
-with their totals in registers.  Every column goes through the same instructions, so that the bits of a row do
-not depend on its lane.
+numba's loops over lanes stay scalar wherever arrays might overlap, and its sums live in memory.
+`elementwise` turns a formula into vector instructions for a row of columns; the other functions are
+sums over power series with their totals in registers.  Every column goes through the same
+instructions, so that the bits of a row do not depend on its lane.
 
 Numba and LLVM give their values no types that Python could check: none are written down here.
 """
@@ -48,7 +48,9 @@ def _data(context, builder, kind, row):
 
 @intrinsic
 def _row(typing, array, index, first):
-    """Address of array[index, first]: a slice would count its owners, which costs more than the arithmetic."""
+    """Address of array[index, first]: a slice would count its owners, which costs more than the
+    arithmetic.
+    """
 
     def generate(context, builder, signature, arguments):
         kind = signature.args[0]
@@ -130,7 +132,9 @@ def _loop(builder, low, high, totals, body):
 
 
 def _operation(instruction, turned=False):
-    """A method of `Vector` that does one instruction of LLVM, with the other number first if `turned`."""
+    """A method of `Vector` that does one instruction of LLVM, with the other number first if
+    `turned`.
+    """
 
     def apply(self, other):
         left, right = (
@@ -151,7 +155,9 @@ def _comparison(sign):
 
 
 class Vector:
-    """One vector of columns inside a formula of `elementwise`, or the outcome of a comparison of two."""
+    """One vector of columns inside a formula of `elementwise`, or the outcome of a comparison of
+    two.
+    """
 
     def __init__(self, builder, value):
         self.builder, self.value = builder, value
@@ -179,7 +185,9 @@ class Vector:
 
 
 def where(choice, yes, no):
-    """`yes` where a comparison holds, `no` elsewhere; at least one of the two is a vector or a number."""
+    """`yes` where a comparison holds, `no` elsewhere; at least one of the two is a vector or a
+    number.
+    """
     return Vector(
         choice.builder, choice.builder.select(choice.value, choice._other(yes), choice._other(no))
     )
@@ -213,10 +221,11 @@ def size_of(a):
 
 
 def elementwise(columns, outputs, formula):
-    """A function f(out_1 ... out_k, in_1 ... in_n) for compiled code that applies `formula` to `columns` columns.
+    """A function f(out_1 ... out_k, in_1 ... in_n) for compiled code that applies `formula` to
+    `columns` columns.
 
-    What goes in are arrays of one dimension, rows of arrays of two, as `row` gives them, or single numbers; what
-    comes out may be one of the rows that went in.
+    What goes in are arrays of one dimension, rows of arrays of two, as `row` gives them, or single
+    numbers; what comes out may be one of the rows that went in.
     """
 
     width, count = _vectors(columns)
@@ -265,7 +274,9 @@ def _zeros(count, width):
 
 
 def _sum(builder, data, low, high, columns, term):
-    """Store in data[m] the sum of term(j, i, total) over low <= j < high; i counts the vectors of `columns` columns."""
+    """Store in data[m] the sum of term(j, i, total) over low <= j < high; i counts the vectors of
+    `columns` columns.
+    """
     width, count = _vectors(columns)
 
     def body(j, totals):
@@ -358,7 +369,8 @@ def _mix(typing, weights, rows, out):
 def _series_of(columns, derivatives):
     """The function that evaluates power series at t[m], over `columns` columns from `first`.
 
-    at[m] = sum of x[k, m] t[m]^k, its derivative by t, half of the second one: as many rows as asked for.
+    at[m] = sum of x[k, m] t[m]^k, its derivative by t, half of the second one: as many rows as
+    asked for.
     """
     width, count = _vectors(columns)
 
@@ -406,7 +418,9 @@ def _series_of(columns, derivatives):
 
 @intrinsic
 def _apart(typing):
-    """Keep the function that calls this out of its callers: a copy at every place of use costs seconds to compile."""
+    """Keep the function that calls this out of its callers: a copy at every place of use costs
+    seconds to compile.
+    """
 
     def generate(context, builder, signature, arguments):
         builder.function.attributes.add("noinline")

@@ -1,4 +1,6 @@
-"""Sparse polynomial chaos in standardised germs: fit, values, moments, Sobol' indices, and chaospy's objects."""
+"""Sparse polynomial chaos in standardised germs: fit, values, moments, Sobol' indices, and
+chaospy's objects.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """Germs, their orthonormal polynomials, and products of these.
 
-A germ is the standardised random number that an input is expanded in: Hermite polynomials of a standard normal score,
-Legendre polynomials of 2Φ(z) - 1 for laws between bounds, or the polynomials of the input's own law by Stieltjes'
-procedure (Gautschi 2004).  A lognormal input is expanded in its logarithm: polynomials of
-a lognormal law are not complete (Ernst et al. 2012).  Points are given in the base of a germ, "normal" or "uniform", so
-that both bases of an input are compared on the same points.
+A germ is the standardised random number that an input is expanded in: Hermite polynomials of a
+standard normal score, Legendre polynomials of 2Φ(z) - 1 for laws between bounds, or the polynomials
+of the input's own law by Stieltjes' procedure (Gautschi 2004).  A lognormal input is expanded in
+its logarithm: polynomials of a lognormal law are not complete (Ernst et al. 2012).  Points are
+given in the base of a germ, "normal" or "uniform", so that both bases of an input are compared on
+the same points.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ Indices: TypeAlias = npt.NDArray[np.int64]
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11
 HIGHEST_DEGREE: Final = 15
-#: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and the knots of the table
+#: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and
+#: the knots of the table
 REACH, KNOTS = 12.0, 2401
 
 
@@ -37,8 +39,8 @@ REACH, KNOTS = 12.0, 2401
 class Germ:
     """A germ with a law of its own, at points of the base "normal" or "uniform".
 
-    `table` is the standardised value (x - centre)/half of the law over the normal score; `recurrence` (2, degree + 1)
-    the monic coefficients a, b of its polynomials.
+    `table` is the standardised value (x - centre)/half of the law over the normal score;
+    `recurrence` (2, degree + 1) the monic coefficients a, b of its polynomials.
     """
 
     law: Law
@@ -63,7 +65,9 @@ def base_of(germ: GermLike) -> str:
 
 
 def recurrence_of(germ: GermLike, degree: int) -> Array:
-    """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: b is k (normal) or k²/(4 k² - 1) (uniform)."""
+    """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: b is k (normal) or k²/(4 k²
+    - 1) (uniform).
+    """
     if isinstance(germ, Germ):
         return germ.recurrence
     k = np.arange(degree + 1.0)
@@ -71,7 +75,8 @@ def recurrence_of(germ: GermLike, degree: int) -> Array:
 
 
 def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Array:
-    """Recurrence (2, degree + 1) of a law with these values (n,) and probabilities (Gautschi 2004, section 2.2.3).
+    """Recurrence (2, degree + 1) of a law with these values (n,) and probabilities (Gautschi 2004,
+    section 2.2.3).
 
     >>> stieltjes(np.array([-1.0, 1.0]), np.array([0.5, 0.5]), 0).tolist()
     [[0.0], [1.0]]
@@ -87,7 +92,9 @@ def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Ar
 
 
 def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
-    """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or Hermite's."""
+    """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or
+    Hermite's.
+    """
     return tuple(
         _own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper)
         if _own_polynomials(law)
@@ -119,7 +126,8 @@ def _own_polynomials(law: Law) -> bool:
 def _own_germ(
     family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float
 ) -> GermLike:
-    """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no such polynomials.
+    """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no
+    such polynomials.
 
     Its integrals are those of the trapezoidal rule in normal scores, as for the moments of a law.
     """
@@ -163,7 +171,9 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
 
 
 def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
-    """Independent standard normals (n, d) -> points (n, d) of the germs' bases: as they are, or 2Φ(z) - 1."""
+    """Independent standard normals (n, d) -> points (n, d) of the germs' bases: as they are, or
+    2Φ(z) - 1.
+    """
     points = np.array(normals, dtype=float)
     for column, germ in enumerate(germs):
         if base_of(germ) == "uniform":
@@ -175,7 +185,8 @@ def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
 
 
 def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> Indices | None:
-    """Multi-indices (P, d) with (Σ α_j^norm)^(1/norm) <= degree, or None if there are more than `most`.
+    """Multi-indices (P, d) with (Σ α_j^norm)^(1/norm) <= degree, or None if there are more than
+    `most`.
 
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
@@ -198,9 +209,11 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
 def nested(
     dimension: int, norm: float, highest: int, most: int
 ) -> tuple[Indices, tuple[int, ...]] | None:
-    """The largest hyperbolic set of at most `most` terms, and how many of them each lower degree has.
+    """The largest hyperbolic set of at most `most` terms, and how many of them each lower degree
+    has.
 
-    The rows are ordered so that the set of every degree comes first.  None where degree 1 has too many.
+    The rows are ordered so that the set of every degree comes first.  None where degree 1 has too
+    many.
     """
     sets: list[Indices] = []
     for degree in range(1, highest + 1):
@@ -216,10 +229,12 @@ def nested(
 
 
 def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
-    """The terms `active` (k, d), what lies below them, and the neighbours one degree above: at most `most` terms.
+    """The terms `active` (k, d), what lies below them, and the neighbours one degree above: at most
+    `most` terms.
 
-    A neighbour is let in where everything just below it is there (Gerstner and Griebel 2003; for regression, Jakeman,
-    Eldred and Sargsyan 2015); where there are too many, those of the terms with the largest `weights` (k,) come first.
+    A neighbour is let in where everything just below it is there (Gerstner and Griebel 2003; for
+    regression, Jakeman, Eldred and Sargsyan 2015); where there are too many, those of the terms
+    with the largest `weights` (k,) come first.
     """
     rows = list(map(tuple, active.tolist()))
     ranks = dict(zip(rows, weights.tolist(), strict=True))
@@ -246,7 +261,8 @@ def _below(row: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def skipping(active: Indices, highest: int) -> Indices:
-    """The terms (m, d) two degrees above one of `active` (k, d) in an input of it, unless these are there.
+    """The terms (m, d) two degrees above one of `active` (k, d) in an input of it, unless these are
+    there.
 
     Outputs that are even or odd in an input have nothing in between: `grown` never gets past it.
 
@@ -264,7 +280,9 @@ def skipping(active: Indices, highest: int) -> Indices:
 
 
 def products(tables: Sequence[Array], terms: Indices) -> Array:
-    """Values (P, n) of the products with degrees terms (P, d), from those (degree + 1, n) of each input."""
+    """Values (P, n) of the products with degrees terms (P, d), from those (degree + 1, n) of each
+    input.
+    """
     matrix = np.ones((len(terms), tables[0].shape[1]))
     for column, table in enumerate(tables):
         active = np.flatnonzero(terms[:, column])

@@ -1,7 +1,7 @@
 """The fitted expansion: its values, moments, Sobol' indices, and the same as an object of chaospy.
 
-Moments and indices are those of the coefficients.  An expansion of ln y has a plain form by least squares at points of
-the law, which is the control variate of the pairs of points that integrate it.
+Moments and indices are those of the coefficients.  An expansion of ln y has a plain form by least
+squares at points of the law, which is the control variate of the pairs of points that integrate it.
 """
 
 from __future__ import annotations
@@ -37,14 +37,17 @@ if TYPE_CHECKING:
 BLOCK: Final = 4096
 #: terms of a plain form at most: its points are 17 times as many
 PLAIN: Final = 240
-#: randomisations of the pairs that integrate ln y, and the base points of each; `Integrals.error` is what they leave
+#: randomisations of the pairs that integrate ln y, and the base points of each; `Integrals.error`
+#: is what they leave
 PAIRS_REPLICATES, PAIRS = 8, 256
 
 
 class ChaospyObjects(NamedTuple):
-    """An expansion as chaospy has it: the polynomial in q0 ... q(d-1), its coefficients by term, and the germs.
+    """An expansion as chaospy has it: the polynomial in q0 ... q(d-1), its coefficients by term,
+    and the germs.
 
-    `polynomial` is `sum(coefficients * expansion)`; `of_logarithm` says that it is that of ln(sign · y).
+    `polynomial` is `sum(coefficients * expansion)`; `of_logarithm` says that it is that of ln(sign
+    · y).
     """
 
     polynomial: Any
@@ -64,8 +67,8 @@ class Chaos:
     multi_indices : (P, d) degrees of each product; row 0 is the constant
     germs : what it is in
     log, sign, bounds : whether it is that of ln(sign · y), which is held between the bounds
-    cross_validation_error : K-fold mean square error and its standard error, over the variance of the output, in the
-        units of the output; at most 1, and 1 for a constant
+    cross_validation_error : K-fold mean square error and its standard error, over the variance of
+        the output, in the units of the output; at most 1, and 1 for a constant
     samples : how many it was fitted to
     """
 
@@ -80,7 +83,10 @@ class Chaos:
 
     def __repr__(self) -> str:
         what = "ln y" if self.log else "y"
-        return f"<Chaos of {what}: {len(self.coefficients)} terms of degree {self.degree} in {len(self.germs)} inputs>"
+        return (
+            f"<Chaos of {what}: {len(self.coefficients)} terms of degree {self.degree} in "
+            f"{len(self.germs)} inputs>"
+        )
 
     @property
     def degree(self) -> int:
@@ -102,9 +108,11 @@ class Chaos:
         return frame
 
     def chaospy(self) -> ChaospyObjects:
-        """The expansion as chaospy's polynomial, basis, coefficients and joint distribution of the germs.
+        """The expansion as chaospy's polynomial, basis, coefficients and joint distribution of the
+        germs.
 
-        Terms are multiplied out over the inputs that they have, so that the cost grows with terms and not with inputs.
+        Terms are multiplied out over the inputs that they have, so that the cost grows with terms
+        and not with inputs.
         """
         from uqsphere.uq.interop import load_chaospy
 
@@ -145,7 +153,9 @@ class Chaos:
 
     @cached_property
     def plain_form(self) -> Chaos:
-        """The expansion of the output itself: of one of ln y by least squares, in the inputs that it has."""
+        """The expansion of the output itself: of one of ln y by least squares, in the inputs that
+        it has.
+        """
         if not self.log:
             return self
         inputs = np.flatnonzero((self.multi_indices > 0).any(axis=0))
@@ -187,7 +197,9 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
 
 
 def _powers(germ: GermLike, degree: int) -> Array:
-    """Coefficients (degree + 1, degree + 1) of the powers of the orthonormal polynomials of a germ."""
+    """Coefficients (degree + 1, degree + 1) of the powers of the orthonormal polynomials of a
+    germ.
+    """
     a, b = recurrence_of(germ, degree)
     table = np.zeros((degree + 1, degree + 1))
     table[0, 0] = 1.0
@@ -211,12 +223,14 @@ def predict(fit: Chaos, points: Array) -> Array:
     return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)) if fit.log else values)
 
 
-# --- moments and indices ------------------------------------------------------------------------------------
+# --- moments and indices --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Integrals:
-    """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the indices."""
+    """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the
+    indices.
+    """
 
     mean: float
     sd: float
@@ -228,15 +242,18 @@ class Integrals:
 def integrals(fit: Chaos) -> Integrals:
     """Moments and indices of an expansion: of its coefficients.
 
-    An expansion S of ln y without interactions is a product, whose moments and indices are known by quadrature.  Any
-    other one has those of its plain form S', and what pairs of points (`uq.indices`) show of S less what they show of
-    S': their noise is that of S - S'.
+    An expansion S of ln y without interactions is a product, whose moments and indices are known by
+    quadrature.  Any other one has those of its plain form S', and what pairs of points
+    (`uq.indices`) show of S less what they show of S': their noise is that of S - S'.
 
-    >>> chaos = Chaos(coefficients=np.array([5.0, 3.0, 1.0]), multi_indices=np.array([[0, 0], [1, 0], [1, 1]]),
+    >>> chaos = Chaos(coefficients=np.array([5.0, 3.0, 1.0]),
+    ...               multi_indices=np.array([[0, 0], [1, 0], [1, 1]]),
     ...               germs=("normal", "normal"), cross_validation_error=0.0, samples=9)
     >>> found = integrals(chaos)
-    >>> found.mean, round(found.sd**2, 12), found.first.round(12).tolist(), found.total.round(12).tolist()
-    (5.0, 10.0, [0.9, 0.0], [1.0, 0.1])
+    >>> found.mean, round(found.sd**2, 12)
+    (5.0, 10.0)
+    >>> found.first.round(12).tolist(), found.total.round(12).tolist()
+    ([0.9, 0.0], [1.0, 0.1])
     """
     d = len(fit.germs)
     if fit.constant or not d:
@@ -291,7 +308,9 @@ def integrals(fit: Chaos) -> Integrals:
 
 
 def _product(fit: Chaos) -> Integrals:
-    """Those of exp(Σ g_j(x_j)), by the trapezoidal rule in normal scores, which converges geometrically."""
+    """Those of exp(Σ g_j(x_j)), by the trapezoidal rule in normal scores, which converges
+    geometrically.
+    """
     z = np.linspace(-8.5, 8.5, 1701)
     weights = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
     rows = rows_of(
@@ -313,7 +332,9 @@ def _product(fit: Chaos) -> Integrals:
 
 
 def projections(fit: Chaos, points: Array) -> tuple[Array, Array]:
-    """What the terms of single inputs, (d, n), and all terms with an input, (d, n), say at germ points (n, d)."""
+    """What the terms of single inputs, (d, n), and all terms with an input, (d, n), say at germ
+    points (n, d).
+    """
     plain = fit.plain_form
     active = plain.multi_indices > 0
     rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]

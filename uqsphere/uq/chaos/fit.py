@@ -1,7 +1,9 @@
-"""A sparse expansion of an output: sets of products, whole or selected, of y or ln|y|, compete by K-fold error.
+"""A sparse expansion of an output: sets of products, whole or selected, of y or ln|y|, compete by
+K-fold error.
 
-Errors are counted in the units of the output, on samples left out of the whole choice of terms.  Forward selection
-looks for the set: norm by norm, degree by degree; the winner's set grows around the terms that it kept.
+Errors are counted in the units of the output, on samples left out of the whole choice of terms.
+Forward selection looks for the set: norm by norm, degree by degree; the winner's set grows around
+the terms that it kept.
 """
 
 from __future__ import annotations
@@ -32,12 +34,15 @@ from uqsphere.uq.chaos.select import Order, Path, folds_of, forward_selection, s
 NORMS: Final = (0.75, 1.0, 0.5)
 #: share of the variance below which a larger set would only cost time
 ENOUGH: Final = 1e-18
-#: terms at most, and candidates for them: more take time and gain nothing in tests/campaigns/chaos.py
+#: terms at most, and candidates for them: more take time and gain nothing in
+#: tests/campaigns/chaos.py
 MOST_TERMS, MOST_CANDIDATES = 256, 800
 
 
 class Basis(NamedTuple):
-    """Products with degrees `terms` (P, d), their `rows` (P, n) at the samples, and the sizes of nested sets within."""
+    """Products with degrees `terms` (P, d), their `rows` (P, n) at the samples, and the sizes of
+    nested sets within.
+    """
 
     terms: Indices
     rows: Array
@@ -52,10 +57,11 @@ def mean_and_sd(values: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
-    """What is expanded: w, the outputs (n,) or ln(sign · outputs), less its centre, over its spread.
+    """What is expanded: w, the outputs (n,) or ln(sign · outputs), less its centre, over its
+    spread.
 
-    The exponential of a polynomial has no bounds of its own: ln(sign · y) is held to `bounds`, and may leave the
-    samples by as much as these range.
+    The exponential of a polynomial has no bounds of its own: ln(sign · y) is held to `bounds`, and
+    may leave the samples by as much as these range.
     """
 
     outputs: Array
@@ -126,7 +132,9 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
-    """Terms (k, d) with their rows (k, n), their K-fold error and its standard error, over the outputs' variance."""
+    """Terms (k, d) with their rows (k, n), their K-fold error and its standard error, over the
+    outputs' variance.
+    """
 
     target: Target
     terms: Indices
@@ -149,8 +157,8 @@ def fit_chaos(
 ) -> Chaos:
     """The sparse expansion of outputs (n,) at germ points (n, d).
 
-    Never more terms than half the points, or than two thirds where a whole set of degrees is fitted.  A fit whose
-    error reaches the variance is given up for the constant.
+    Never more terms than half the points, or than two thirds where a whole set of degrees is
+    fitted.  A fit whose error reaches the variance is given up for the constant.
 
     Parameters
     ----------
@@ -256,8 +264,9 @@ def _search(target: Target, basis: Basis, most: int) -> Choice:
 
 
 def _grow(found: Choice, tables: Sequence[Array]) -> Choice:
-    """Bases that grow around the terms that were kept, as long as the error falls: by their neighbours, else by the
-    terms two degrees above as well, which outputs that are even or odd in an input need."""
+    """Bases that grow around the terms that were kept, as long as the error falls: by their
+    neighbours, else by the terms two degrees above as well, which outputs that are even or odd in
+    an input need."""
     n = found.target.outputs.size
     for _ in range(6):
         if found.error < ENOUGH or len(found.terms) < 2:

@@ -1,8 +1,9 @@
 """Which terms of a basis to keep, judged on samples that the choice has not seen.
 
-A solver runs on all samples and on all samples but one fold, K times, next to each other ("lanes", the first of which
-has all samples): the fold left out is predicted by terms that were chosen without it.  The leave-one-out error of terms
-chosen on all samples is ten to a hundred times too small where candidates outnumber samples.
+A solver runs on all samples and on all samples but one fold, K times, next to each other ("lanes",
+the first of which has all samples): the fold left out is predicted by terms that were chosen
+without it.  The leave-one-out error of terms chosen on all samples is ten to a hundred times too
+small where candidates outnumber samples.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ from uqsphere.arrays import Array
 
 Order: TypeAlias = npt.NDArray[np.intp]
 
-#: what is left of the square norm of the outputs by rounding (the square of 1e-15), and of a row that depends on those
-#: taken before, to half of the digits
+#: what is left of the square norm of the outputs by rounding (the square of 1e-15), and of a row
+#: that depends on those taken before, to half of the digits
 ROUNDING, DEPENDENT = 1e-30, 1e-8
 
 
 class Path(NamedTuple):
-    """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its fold."""
+    """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its
+    fold.
+    """
 
     rows: Order
     error: float
@@ -32,7 +35,9 @@ class Path(NamedTuple):
 
 
 def folds_of(n: int, folds: int) -> Order:
-    """Fold of every sample: each run of `folds` samples is dealt out in an order of its own, the same every time."""
+    """Fold of every sample: each run of `folds` samples is dealt out in an order of its own, the
+    same every time.
+    """
     folds = min(folds, n)
     generator = np.random.default_rng(0)
     runs = [generator.permutation(folds) for _ in range(-(-n // folds))]
@@ -42,12 +47,14 @@ def folds_of(n: int, folds: int) -> Order:
 def forward_selection(
     basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int
 ) -> Path:
-    """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989), in every lane.
+    """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo
+    1989), in every lane.
 
-    `basis` (P, n) at the samples, row 0 constant; `target` (n,); the fold (n,) of every sample; `error_of` the error of
-    predictions (n,) of the target; at most so many rows.  Directions are orthonormal over the samples that a lane sees
-    and go on over the fold left out, so that the fit is a prediction there.  Correlations follow from those before by
-    one product of the basis with the new directions.
+    `basis` (P, n) at the samples, row 0 constant; `target` (n,); the fold (n,) of every sample;
+    `error_of` the error of predictions (n,) of the target; at most so many rows.  Directions are
+    orthonormal over the samples that a lane sees and go on over the fold left out, so that the fit
+    is a prediction there.  Correlations follow from those before by one product of the basis with
+    the new directions.
     """
     seen = folds != np.arange(folds.max() + 1)[:, None]
     masks = np.concatenate([np.ones((1, folds.size)), seen.astype(float)])
@@ -124,8 +131,8 @@ def whole_set(
 ) -> Path:
     """All rows of a set, of the nested sets of these sizes that with the least K-fold error.
 
-    Least squares without a fold miss its samples by (I - H_kk)⁻¹ r_k, with H_kk the block of the projection on the rows
-    and r_k the residuals of all samples.
+    Least squares without a fold miss its samples by (I - H_kk)⁻¹ r_k, with H_kk the block of the
+    projection on the rows and r_k the residuals of all samples.
     """
     n, count = target.size, int(folds.max()) + 1
     sizes = tuple(size for size in sizes if size <= min(most, n - -(-n // count) - 1))
@@ -135,7 +142,8 @@ def whole_set(
         held_out, own = target.copy(), q[:, :size]
         left = target - own @ (own.T @ target)
         for at in (np.flatnonzero(folds == k) for k in range(count)):
-            # 1e-12: where the other folds leave a sample open, its prediction is far off and not an error
+            # 1e-12: where the other folds leave a sample open, its prediction is far off and not an
+            # error
             held_out[at] -= np.linalg.solve(
                 (1.0 + 1e-12) * np.eye(at.size) - own[at] @ own[at].T, left[at]
             )

@@ -1,9 +1,10 @@
-"""Small probabilities: failure where a function of independent standard normal variables is negative.
+"""Small probabilities: failure where a function of independent standard normal variables is
+negative.
 
-One door, `failure_probability`: design points and subset simulation tell where the failure domain lies; a Gaussian
-mixture fitted to what they show is improved by cross-entropy; importance sampling from it gives the answer.  Subset
-simulation, which shares nothing with the weights, certifies it: where the two disagree the interval holds both, and
-that is said.
+One door, `failure_probability`: design points and subset simulation tell where the failure domain
+lies; a Gaussian mixture fitted to what they show is improved by cross-entropy; importance sampling
+from it gives the answer.  Subset simulation, which shares nothing with the weights, certifies it:
+where the two disagree the interval holds both, and that is said.
 """
 
 from __future__ import annotations
@@ -48,9 +49,11 @@ __all__ = [
     "find_design_points",
 ]
 
-#: evaluations below which subset simulation misses too often to certify anything (4 of 14 cases with 5,000)
+#: evaluations below which subset simulation misses too often to certify anything (4 of 14 cases
+#: with 5,000)
 FEW: Final = 5000
-#: factor on the upper end of subset simulation with no second method: of 5,000 rows its intervals missed by up to 10
+#: factor on the upper end of subset simulation with no second method: of 5,000 rows its intervals
+#: missed by up to 10
 UNCERTIFIED: Final = 10.0
 
 
@@ -86,14 +89,14 @@ def failure_probability(
 
     Parameters
     ----------
-    evaluator : the limit function, with the most evaluations that may be spent; below 5,000 they are a plain sample,
-        and nothing is sure
+    evaluator : the limit function, with the most evaluations that may be spent; below 5,000 they
+        are a plain sample, and nothing is sure
     accuracy : half-width of the 95 % interval over the probability at which it ends
-    known : draws of a sure search with the same function for a failure domain that holds this one, and of others inside
-        it; where they suffice there is no search
+    known : draws of a sure search with the same function for a failure domain that holds this one,
+        and of others inside it; where they suffice there is no search
 
-    The function is not evaluated beyond 9 standard deviations.  Rows that are nan are carried to the bounds of the
-    answer: once as failure, once as none.
+    The function is not evaluated beyond 9 standard deviations.  Rows that are nan are carried to
+    the bounds of the answer: once as failure, once as none.
 
     >>> found = failure_probability(Evaluator(lambda u: 4.0 - np.abs(u[:, 0]), 2), seed=1)
     >>> len(found.points), found.sure, found.estimate.low < 6.334248e-05 < found.estimate.high
@@ -147,7 +150,9 @@ def failure_probability(
 
 
 def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
-    """Points far out in all directions; the three most probable failures (n, size) among them as starts."""
+    """Points far out in all directions; the three most probable failures (n, size) among them as
+    starts.
+    """
     d = evaluator.dimension
     if d > MOST_DIMENSIONS:
         return [], np.empty((0, evaluator.size))
@@ -165,7 +170,9 @@ def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
 def _first_mixture(
     evaluator: Evaluator, pool: list[Draws], points: tuple[DesignPoint, ...], subset: SubsetAnswer
 ) -> Mixture | None:
-    """A mixture of what the three ways to look have seen; None where there was no failure at all."""
+    """A mixture of what the three ways to look have seen; None where there was no failure at
+    all.
+    """
     d = evaluator.dimension
     parts: list[Mixture] = []
     if len(subset.failures) and d <= MOST_DIMENSIONS:
@@ -178,7 +185,9 @@ def _first_mixture(
 
 
 def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
-    """The answer if subset simulation does not contradict it, else one whose interval holds both, and a warning."""
+    """The answer if subset simulation does not contradict it, else one whose interval holds both,
+    and a warning.
+    """
     own = answer.estimate
     if own.value is None or own.low is None or own.high is None:
         return _bound(
@@ -202,7 +211,8 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
             "" if agreed else f"subset simulation missed a part of the failures: {other.value:.3g}",
         )
     warning = (
-        f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset simulation "
+        f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset "
+        "simulation "
         f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both"
     )
     return replace(
@@ -211,11 +221,16 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
 
 
 def _bound(single: Estimate) -> Estimate:
-    """What subset simulation says by itself: a bound, since its chains may have missed most of the failures."""
+    """What subset simulation says by itself: a bound, since its chains may have missed most of the
+    failures.
+    """
     if single.value is None or single.high is None:
         return single
     high = min(1.0, UNCERTIFIED * single.high)
-    reason = f"subset simulation gives {single.value:.2g} and no second method certifies it; it is below {high:.2g}"
+    reason = (
+        f"subset simulation gives {single.value:.2g} and no second method certifies it; it is "
+        f"below {high:.2g}"
+    )
     return replace(single, value=None, low=0.0, high=high, std_error=None, reason=reason)
 
 

@@ -1,8 +1,9 @@
-"""Design points: the points of the failure domain's edge that are nearest to the origin of standard normal space.
+"""Design points: the points of the failure domain's edge that are nearest to the origin of standard
+normal space.
 
-Sequential quadratic programming (SciPy's SLSQP) minimises |u|²/2 on g(u) = 0 from several starts: its first step is
-that of Hasofer and Lind (1974) and Rackwitz and Fiessler (1978).  Gradients are central differences over a step that is
-wide enough to see across kinks.
+Sequential quadratic programming (SciPy's SLSQP) minimises |u|²/2 on g(u) = 0 from several starts:
+its first step is that of Hasofer and Lind (1974) and Rackwitz and Fiessler (1978).  Gradients are
+central differences over a step that is wide enough to see across kinks.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
-#: step of the central differences, and the distance below which two design points are one, in standard deviations
+#: step of the central differences, and the distance below which two design points are one, in
+#: standard deviations
 STEP, SAME = 0.03, 0.5
 
 
@@ -27,7 +29,8 @@ STEP, SAME = 0.03, 0.5
 class DesignPoint:
     """A design point (size,) in (augmented) standard normal space.
 
-    `beta` is its distance, negative where the origin fails; `direction` the unit vector against the gradient of g.
+    `beta` is its distance, negative where the origin fails; `direction` the unit vector against the
+    gradient of g.
     """
 
     point: Array
@@ -38,9 +41,11 @@ class DesignPoint:
 def find_design_points(
     evaluator: Evaluator, *, seed: int, starts: Array | None = None, most: float = math.inf
 ) -> tuple[DesignPoint, ...]:
-    """Design points by rising distance, from the origin, from quasi-random directions, and from `starts` (n, size).
+    """Design points by rising distance, from the origin, from quasi-random directions, and from
+    `starts` (n, size).
 
-    At most `most` evaluations are spent.  Empty where no search converged, or g is constant where it was looked at.
+    At most `most` evaluations are spent.  Empty where no search converged, or g is constant where
+    it was looked at.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
     >>> round(find_design_points(plane, seed=1)[0].beta, 6)
@@ -63,7 +68,8 @@ def find_design_points(
     with suppress(Spent):
         looked = evaluator.hard(first)
         known = looked[np.isfinite(looked)]
-        # a typical size of g: its value at the origin, or its spread over the starts where that is larger
+        # a typical size of g: its value at the origin, or its spread over the starts where that is
+        # larger
         spread = float(np.ptp(known)) if known.size else 0.0
         scale = max(abs(float(looked[0])), spread) if math.isfinite(looked[0]) else spread
         for start in first if scale > 0.0 else ():
@@ -86,7 +92,9 @@ def find_design_points(
 def _search(
     evaluator: Evaluator, start: Array, scale: float, last: float
 ) -> tuple[Array, Array, Array]:
-    """Point (size,), value (1,) and gradient of g/scale where the search from a start ends, within `REACH`."""
+    """Point (size,), value (1,) and gradient of g/scale where the search from a start ends, within
+    `REACH`.
+    """
     from scipy.optimize import fmin_slsqp
 
     size = evaluator.size

@@ -1,10 +1,12 @@
-"""Importance sampling from a Gaussian mixture, with randomised Sobol' points and an interval from their replicates.
+"""Importance sampling from a Gaussian mixture, with randomised Sobol' points and an interval from
+their replicates.
 
-The density always holds a defensive share: wider copies of its components, and Gaussians of rising spread about the
-origin that reach every direction, so that a part of the failure domain nobody aimed at shows as a point of great weight
-rather than not at all.  The density that was drawn from is fitted to weighted failures of what was drawn so far, by
-expectation-maximisation (cross-entropy; Kurtz and Song 2013, doi 10.1016/j.strusafe.2013.01.006); a point is weighted
-by the density of all stages together (Cornuet et al. 2012, doi 10.1111/j.1467-9469.2011.00756.x).
+The density always holds a defensive share: wider copies of its components, and Gaussians of rising
+spread about the origin that reach every direction, so that a part of the failure domain nobody
+aimed at shows as a point of great weight rather than not at all.  The density that was drawn from
+is fitted to weighted failures of what was drawn so far, by expectation-maximisation (cross-entropy;
+Kurtz and Song 2013, doi 10.1016/j.strusafe.2013.01.006); a point is weighted by the density of all
+stages together (Cornuet et al. 2012, doi 10.1111/j.1467-9469.2011.00756.x).
 """
 
 from __future__ import annotations
@@ -33,11 +35,11 @@ from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 
 METHOD: Final = "importance sampling, mixture with randomised Sobol' points"
-#: least standard error on a hard limit, over that of independent points: stopping when the replicates happen to agree
-#: would make the interval too short (tests/campaigns/rare.py)
+#: least standard error on a hard limit, over that of independent points: stopping when the
+#: replicates happen to agree would make the interval too short (tests/campaigns/rare.py)
 HARD: Final = 0.7
-#: points of a search that must carry the probability of a failure domain inside its own: of a part with 5 % of it one
-#: in 170 such sets of points would have none
+#: points of a search that must carry the probability of a failure domain inside its own: of a part
+#: with 5 % of it one in 170 such sets of points would have none
 CARRIERS: Final = 100.0
 #: steps of expectation-maximisation in a fit: 2 to 20 do alike (tests/campaigns/rare.py)
 STEPS: Final = 5
@@ -45,7 +47,9 @@ STEPS: Final = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mixture:
-    """Gaussians: shares (K,) of sum 1, means (K, d), and lower Cholesky factors (K, d, d) of their covariances."""
+    """Gaussians: shares (K,) of sum 1, means (K, d), and lower Cholesky factors (K, d, d) of their
+    covariances.
+    """
 
     shares: Array
     means: Array
@@ -79,17 +83,20 @@ class Mixture:
         return special.logsumexp(self.log_densities(points), axis=1)
 
     def allocated(self, count: int) -> tuple[Array, Mixture]:
-        """Points of each component among `count`, at least one, and the mixture with the shares really drawn."""
+        """Points of each component among `count`, at least one, and the mixture with the shares
+        really drawn.
+        """
         wanted = 1.0 + self.shares * (count - self.shares.size)
         counts = np.floor(wanted).astype(int)
         counts[np.argsort(-(wanted - counts), kind="stable")[: count - int(counts.sum())]] += 1
         return counts, Mixture(shares=counts / count, means=self.means, factors=self.factors)
 
     def draw(self, counts: Array, *, seed: int, task: str, replicate: int, block: int = 0) -> Array:
-        """Points (sum counts, d) of one replicate, counts[k] of component k in turn; `block` continues the sequence.
+        """Points (sum counts, d) of one replicate, counts[k] of component k in turn; `block`
+        continues the sequence.
 
-        A draw is stratified over the components: with the shares really drawn as weights it stands for the mixture
-        without bias (Owen and Zhou 2000, doi 10.1080/01621459.2000.10473909).
+        A draw is stratified over the components: with the shares really drawn as weights it stands
+        for the mixture without bias (Owen and Zhou 2000, doi 10.1080/01621459.2000.10473909).
         """
         total = int(counts.sum())
         uniforms = sobol_points(
@@ -120,16 +127,20 @@ def joined(parts: Sequence[tuple[float, Mixture]]) -> Mixture:
 
 
 def wide_mixture(dimension: int) -> Mixture:
-    """Six Gaussians about the origin whose points lie up to 6 beyond where standard normal points lie."""
+    """Six Gaussians about the origin whose points lie up to 6 beyond where standard normal points
+    lie.
+    """
     typical, rungs = math.sqrt(dimension), np.linspace(0.0, 6.0, 6)
     factors = (1.0 + rungs / typical)[:, None, None] * np.eye(dimension)
     return Mixture(shares=np.full(6, 1.0 / 6.0), means=np.zeros((6, dimension)), factors=factors)
 
 
 def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixture:
-    """A Gaussian just beyond every design point, narrow along its direction, weighted by first-order probability.
+    """A Gaussian just beyond every design point, narrow along its direction, weighted by
+    first-order probability.
 
-    Where a variable is integrated the design points have one more coordinate than `dimension`; it is dropped.
+    Where a variable is integrated the design points have one more coordinate than `dimension`; it
+    is dropped.
     """
     means, factors = [], []
     for point in points:
@@ -147,7 +158,9 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
 
 
 def defended(mixture: Mixture) -> Mixture:
-    """The mixture with its defensive shares: wider copies of the components, and the ladder about the origin."""
+    """The mixture with its defensive shares: wider copies of the components, and the ladder about
+    the origin.
+    """
     copies = Mixture(shares=mixture.shares, means=mixture.means, factors=1.6 * mixture.factors)
     return joined([(0.84, mixture), (0.12, copies), (0.04, wide_mixture(mixture.dimension))])
 
@@ -172,7 +185,9 @@ def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
 
 
 def _mixture_of(points: Array, weights: Array, duties: Array, worth: float) -> Mixture:
-    """Shares, means and covariances for given duties (n, K); components that carry almost nothing are dropped."""
+    """Shares, means and covariances for given duties (n, K); components that carry almost nothing
+    are dropped.
+    """
     loads = weights @ duties
     kept = np.flatnonzero(loads > 2.0 / worth)
     kept = kept if kept.size else np.array([int(loads.argmax())])
@@ -193,7 +208,7 @@ def _mixture_of(points: Array, weights: Array, duties: Array, worth: float) -> M
     )
 
 
-# --- stages -----------------------------------------------------------------------------------------
+# --- stages ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -215,8 +230,8 @@ def draw(
 
 
 def weighted_mass(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
-    """Weights (..., n) of the points of all draws together, and of those without an answer: mass of failure times the
-    standard normal density over the density of all draws."""
+    """Weights (..., n) of the points of all draws together, and of those without an answer: mass of
+    failure times the standard normal density over the density of all draws."""
     sizes = np.array([one.answers.size for one in draws], dtype=float)
     weights, lost = [], []
     for one in draws:
@@ -261,13 +276,14 @@ def adapt(
     return mixture
 
 
-# --- the answer -------------------------------------------------------------------------------------
+# --- the answer -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportanceAnswer:
-    """An estimate with the share of its largest weight, and the order of the weights' tail by Hill's rule: up to 2 they
-    have no variance, and the interval is not to be trusted (of 720 thin rings two were sure and wrong so)."""
+    """An estimate with the share of its largest weight, and the order of the weights' tail by
+    Hill's rule: up to 2 they have no variance, and the interval is not to be trusted (of 720 thin
+    rings two were sure and wrong so)."""
 
     estimate: Estimate
     heaviest: float = 1.0
@@ -283,8 +299,8 @@ class ImportanceAnswer:
 def importance_sampling(
     evaluator: Evaluator, mixture: Mixture, *, seed: int, accuracy: float = 0.02
 ) -> ImportanceAnswer:
-    """Probability of failure from blocks of points of each replicate, half as many again until the half-width over the
-    value is at most `accuracy` or the budget is spent.
+    """Probability of failure from blocks of points of each replicate, half as many again until the
+    half-width over the value is at most `accuracy` or the budget is spent.
 
     >>> from uqsphere.uq.rare.form import find_design_points
     >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3)
@@ -329,8 +345,8 @@ def importance_sampling(
 
 
 def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> ImportanceAnswer:
-    """Mean of the weights (R, n) of draws, with Student's interval over the replicates, in logarithms; rows without an
-    answer widen it."""
+    """Mean of the weights (R, n) of draws, with Student's interval over the replicates, in
+    logarithms; rows without an answer widen it."""
     weights, lost = weighted_mass(evaluator, draws)
     rows = weights.mean(axis=1)
     value, t = float(rows.mean()), student(rows.size) / math.sqrt(rows.size)
@@ -360,8 +376,9 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
 def nearby(
     evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy: float
 ) -> ImportanceAnswer | None:
-    """Probability of a failure domain inside another one, by the draws of a search for that and others nearby: weighted
-    anew, else from a mixture that is fitted to them; None where the first of the draws have too few failures here."""
+    """Probability of a failure domain inside another one, by the draws of a search for that and
+    others nearby: weighted anew, else from a mixture that is fitted to them; None where the first
+    of the draws have too few failures here."""
     known = weigh(evaluator, draws, 0)
     before = known.estimate
     if before.value is None or carriers(weighted_mass(evaluator, draws[:1])[0]) < CARRIERS:

@@ -1,8 +1,10 @@
-"""The rare-event problem: a limit function of independent standard normal variables, whose evaluations are counted.
+"""The rare-event problem: a limit function of independent standard normal variables, whose
+evaluations are counted.
 
-The failure domain is g(u) < 0.  Where the strength's own score is integrated exactly, failure has the probability
-Phi(-g(u)) given u instead; with one more standard normal variable z that is the domain g(u) + z < 0 of the augmented
-space v = (u, z), in which every method works that needs a hard limit.
+The failure domain is g(u) < 0.  Where the strength's own score is integrated exactly, failure has
+the probability Phi(-g(u)) given u instead; with one more standard normal variable z that is the
+domain g(u) + z < 0 of the augmented space v = (u, z), in which every method works that needs a hard
+limit.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 
-#: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability lies there
+#: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability
+#: lies there
 REACH: Final = 9.0
-#: variables beyond which starts are few and no mixture is fitted: a covariance would take more points than a stage has
+#: variables beyond which starts are few and no mixture is fitted: a covariance would take more
+#: points than a stage has
 MOST_DIMENSIONS: Final = 10
 
 
@@ -30,9 +34,9 @@ class Spent(Exception):
 class Evaluator:
     """Evaluates a limit function of `dimension` independent standard normal variables, and counts.
 
-    `function` maps rows (n, dimension) to answers (n,), nan where there is none, and `limit` answers to g, failure
-    where negative; without it they are g.  `integrated`: given u, failure has the probability Phi(-g(u)).  `budget` is
-    the most evaluations that may be spent.
+    `function` maps rows (n, dimension) to answers (n,), nan where there is none, and `limit`
+    answers to g, failure where negative; without it they are g.  `integrated`: given u, failure has
+    the probability Phi(-g(u)).  `budget` is the most evaluations that may be spent.
     """
 
     function: Callable[[Array], Array]
@@ -84,7 +88,9 @@ class Evaluator:
         return answers if self.limit is None else self.limit(answers)
 
     def hard(self, points: Array) -> Array:
-        """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends there."""
+        """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends
+        there.
+        """
         found = self.values(points[:, : self.dimension])
         found = np.where(np.isnan(found), np.inf, found)
         return found + points[:, self.dimension] if self.integrated else found

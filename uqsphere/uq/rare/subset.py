@@ -1,8 +1,8 @@
 """Subset simulation: levels that hold a tenth of the sample each (Au and Beck 2001).
 
-Chains move by conditional sampling with a step that follows the rate of acceptance (Papaioannou et al. 2015, doi
-10.1016/j.probengmech.2015.06.006).  The usual coefficient of variation takes the levels for independent and is too
-small: the interval is that of whole repetitions.
+Chains move by conditional sampling with a step that follows the rate of acceptance (Papaioannou et
+al. 2015, doi 10.1016/j.probengmech.2015.06.006).  The usual coefficient of variation takes the
+levels for independent and is too small: the interval is that of whole repetitions.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from uqsphere.uq.estimate import Estimate, absent, count_bound, probability_ends
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
-#: share of a level that seeds the next (Au and Beck), the rate of acceptance that steps aim at (Papaioannou et al.),
-#: and the levels at most: ten to the minus fourteen
+#: share of a level that seeds the next (Au and Beck), the rate of acceptance that steps aim at
+#: (Papaioannou et al.), and the levels at most: ten to the minus fourteen
 SHARE, ACCEPTANCE, MOST_LEVELS = 0.1, 0.44, 14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SubsetAnswer:
-    """The probability, and points (n, size) of the failure domain distributed as the variables given failure.
+    """The probability, and points (n, size) of the failure domain distributed as the variables
+    given failure.
 
     The estimate is absent where no failure was reached: then its upper end bounds the probability.
     """
@@ -38,7 +39,8 @@ class SubsetAnswer:
 def subset_simulation(
     evaluator: Evaluator, *, seed: int, per_level: int = 1000, repetitions: int = 4
 ) -> SubsetAnswer:
-    """Probability of failure with the spread of `repetitions` whole runs of `per_level` points a level.
+    """Probability of failure with the spread of `repetitions` whole runs of `per_level` points a
+    level.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
     >>> found = subset_simulation(plane, seed=1).estimate
@@ -96,7 +98,8 @@ def subset_simulation(
         high = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * repetitions)
         reason = f"no failure was reached; its probability is below {high:.2g}"
     elif known.size < repetitions:
-        # some repetitions reached a failure domain that others did not: their answers are worlds apart
+        # some repetitions reached a failure domain that others did not: their answers are worlds
+        # apart
         value, error = float(known.sum()) / repetitions, float(known.max())
         high = min(10.0 * error, 1.0)
     else:
@@ -123,7 +126,9 @@ def _moved(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Chains of every repetition from its seeds (R, seeds, size), all in step: the sample of the next level."""
+    """Chains of every repetition from its seeds (R, seeds, size), all in step: the sample of the
+    next level.
+    """
     parts, scales = [(states, values)], np.full((len(states), 1, 1), 0.6)
     for step in range(1, count // states.shape[1]):
         spread = np.minimum(1.0, scales)
