@@ -15,7 +15,7 @@ LAYERS = (
     "study",
     "models",
     "results",
-    "run",
+    "propagation",
     "report",
     "bench analysis labs",
     "cli",
@@ -23,7 +23,12 @@ LAYERS = (
 )
 #: a run draws its own page, and an opened run its plots; a study hands rows that were answered
 #: elsewhere to a run
-LATE = {("results", "report"), ("run", "report"), ("study", "results"), ("study", "run")}
+LATE = {
+    ("results", "report"),
+    ("propagation", "report"),
+    ("study", "results"),
+    ("study", "propagation"),
+}
 
 
 def test_rooms_import_only_what_stands_before_them() -> None:

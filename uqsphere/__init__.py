@@ -9,16 +9,14 @@ duration, strength.
 
 from __future__ import annotations
 
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere import analysis
     from uqsphere.models.model import evaluate
+    from uqsphere.propagation import run
     from uqsphere.report.history import history
     from uqsphere.results import Run, open_run
-    from uqsphere.run import run
     from uqsphere.study import Study, load_study
 
 __all__ = ["Run", "Study", "analysis", "evaluate", "history", "load_study", "open_run", "run"]
@@ -33,20 +31,8 @@ _HOMES = {
     "history": "uqsphere.report.history",
     "load_study": "uqsphere.study",
     "open_run": "uqsphere.results",
-    "run": "uqsphere.run",
+    "run": "uqsphere.propagation",
 }
-
-
-class _Package(ModuleType):
-    """The package; its `run` is the function, also once the room of that name is imported."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        super().__setattr__(
-            name, value.run if name == "run" and isinstance(value, ModuleType) else value
-        )
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:

@@ -174,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
 
 class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from uqsphere.run.write import _versions
+        from uqsphere.propagation.write import _versions
 
         print("\n".join(f"{name} {number}" for name, number in _versions().items()))
         parser.exit()
@@ -254,8 +254,8 @@ def _check(given: argparse.Namespace) -> None:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from uqsphere.run import run
-    from uqsphere.run.progress import watched
+    from uqsphere.propagation import run
+    from uqsphere.propagation.progress import watched
     from uqsphere.units import parse_value
 
     study, seconds = _loaded(given), None
@@ -363,8 +363,8 @@ def _verify(given: argparse.Namespace) -> None:
     print(f"{given.folder}: every file is as it was written")
     if not given.again:
         return
+    from uqsphere.propagation import run
     from uqsphere.report.compare import comparison_text
-    from uqsphere.run import run
     from uqsphere.study import load_study
 
     before = open_run(given.folder)

@@ -82,7 +82,7 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
         with pytest.MonkeyPatch.context() as patch:
             for module, numbers in larger.items():
                 for constant, value in numbers.items():
-                    patch.setattr(import_module(f"uqsphere.run.{module}"), constant, value)
+                    patch.setattr(import_module(f"uqsphere.propagation.{module}"), constant, value)
             run = uqsphere.run(study, model)
         return {
             (r["subject"], r["answer"], r["at"]): r["value"]

@@ -33,7 +33,7 @@ ROOMS = {
     "uq": ("uq/**/*.py", "uq/test_*.py"),
     "study": ("study/*.py", "study/test_*.py"),
     "models": ("models/*.py", "models/test_*.py"),
-    "run": ("run/*.py", "run/test_*.py"),
+    "propagation": ("propagation/*.py", "propagation/test_*.py"),
     "labs": ("labs/**/*.py", "labs/test_*.py"),
 }
 TURNED: dict[type[ast.AST], tuple[type[Any], ...]] = {

@@ -21,7 +21,7 @@ from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.models.black_box import call_black_box, read_model
 from uqsphere.models.model import Model, evaluate
 from uqsphere.models.scene import absent_quantity, check_scene, evaluate_scene, scene_of
-from uqsphere.run.design import Design
+from uqsphere.propagation.design import Design
 from uqsphere.study import Study, load_study, shipped_studies
 
 BARS = """

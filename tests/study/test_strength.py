@@ -18,10 +18,10 @@ from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.crushing import Demand, force_at, value_at
 from uqsphere.models.model import Model
+from uqsphere.propagation.demands import column_of, demands_of, strength_of
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.tables import evaluate
 from uqsphere.report.study import described
-from uqsphere.run.demands import column_of, demands_of, strength_of
-from uqsphere.run.design import Design
-from uqsphere.run.tables import evaluate
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq import Law, Sample
 from uqsphere.uq.fitting import modulus_of

@@ -26,8 +26,8 @@ import uqsphere
 from tests.campaigns.fuzz import fuzz
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
-from uqsphere.run.failure_modes import failure_modes_of
-from uqsphere.run.free_number import with_number
+from uqsphere.propagation.failure_modes import failure_modes_of
+from uqsphere.propagation.free_number import with_number
 from uqsphere.study import Limit, Study, json_schema, load_study, shipped_studies
 from uqsphere.study.document import Document
 

@@ -112,8 +112,8 @@ def _strengths(study: Study) -> str:
 def cost(study: Study) -> str:
     """About how long the first size of a run takes: 64 rows are timed, and multiplied."""
     from uqsphere.models.model import Model
-    from uqsphere.run.design import Design
-    from uqsphere.run.grow import first_rows
+    from uqsphere.propagation.design import Design
+    from uqsphere.propagation.grow import first_rows
 
     first, price = first_rows(study), study.analysis.cost
     if study.black_box:

@@ -41,8 +41,8 @@ class Limit:
 
     With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's
     own.  `fracture`: whether exceeding it breaks the sphere; None leaves that to the quantity.
-    `tested`: the crushing tests behind the strength, if it has such; `uqsphere.run.demands` makes
-    their forces comparable with those of a row.
+    `tested`: the crushing tests behind the strength, if it has such;
+    `uqsphere.propagation.demands` makes their forces comparable with those of a row.
     """
 
     name: str
@@ -258,7 +258,7 @@ class Study:
 
         An event rarer than 3 in the number of rows is in no interval, and the answers say so.
         """
-        from uqsphere.run import run
+        from uqsphere.propagation import run
 
         return run(self, rows=frame, out=out)
 

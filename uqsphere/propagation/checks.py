@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_probability
-from uqsphere.run.design import Design
-from uqsphere.run.limits import failure_given_inputs, state_of
-from uqsphere.run.tables import Tables
 from uqsphere.uq import Law
 
 #: rows that are checked

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.propagation.design import VALUES, Design, number
+from uqsphere.propagation.free_number import demand_factor, grid
+from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.run.design import VALUES, Design, number
-from uqsphere.run.free_number import demand_factor, grid
-from uqsphere.run.limits import failure_given_inputs, state_of
-from uqsphere.run.tables import Tables
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, Sample
 from uqsphere.uq.curve import Fragility

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from uqsphere.models.scene import fractures_of
+from uqsphere.propagation.assumptions import _common_factor
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.limits import state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.results import Answers
-from uqsphere.run.assumptions import _common_factor
-from uqsphere.run.design import Design
-from uqsphere.run.limits import state_of
-from uqsphere.run.tables import Tables
 from uqsphere.uq import random_generator
 from uqsphere.uq.estimate import share as share_of
 from uqsphere.uq.limit_state import exceedance

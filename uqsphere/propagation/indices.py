@@ -11,11 +11,11 @@ import numpy as np
 
 from uqsphere.arrays import special
 from uqsphere.models.model import Model
+from uqsphere.propagation import chaos, surrogate
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.run import chaos, surrogate
-from uqsphere.run.design import Design
-from uqsphere.run.tables import Tables
 from uqsphere.uq import Estimate, absent, from_replicates
 from uqsphere.uq.estimate import ratio_of_means
 from uqsphere.uq.indices import Blocks, sampled_indices

@@ -19,16 +19,16 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.run import rare
-from uqsphere.run.chaos import expansions
-from uqsphere.run.design import REPLICATES, VALUES, Design, is_strength, normal_scores
-from uqsphere.run.distributions import described
-from uqsphere.run.fragility import margin_and_scale
-from uqsphere.run.free_number import grid, moved, shares_of, values_at
-from uqsphere.run.indices import by_chaos_accurate, of_quantity
-from uqsphere.run.limits import failure
-from uqsphere.run.progress import Progress, share_done
-from uqsphere.run.tables import Accuracy, Tables, check_failures, evaluate
+from uqsphere.propagation import rare
+from uqsphere.propagation.chaos import expansions
+from uqsphere.propagation.design import REPLICATES, VALUES, Design, is_strength, normal_scores
+from uqsphere.propagation.distributions import described
+from uqsphere.propagation.fragility import margin_and_scale
+from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
+from uqsphere.propagation.indices import by_chaos_accurate, of_quantity
+from uqsphere.propagation.limits import failure
+from uqsphere.propagation.progress import Progress, share_done
+from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
 from uqsphere.study import Study
 from uqsphere.uq import Sample
 from uqsphere.uq.indices import Blocks, base_points

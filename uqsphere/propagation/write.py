@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.models.model import Model
+from uqsphere.propagation.checks import Check
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.distributions import MOST_MANY, density, many_values
+from uqsphere.propagation.failure_modes import breaks_by, means_fracture
+from uqsphere.propagation.fragility import planned_value
+from uqsphere.propagation.indices import method_of
+from uqsphere.propagation.limits import state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
 from uqsphere.results.answers import as_json, frame_of
 from uqsphere.results.folder import write_files
-from uqsphere.run.checks import Check
-from uqsphere.run.design import Design
-from uqsphere.run.distributions import MOST_MANY, density, many_values
-from uqsphere.run.failure_modes import breaks_by, means_fracture
-from uqsphere.run.fragility import planned_value
-from uqsphere.run.indices import method_of
-from uqsphere.run.limits import state_of
-from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted

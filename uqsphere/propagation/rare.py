@@ -19,10 +19,10 @@ from uqsphere.arrays import Array
 from uqsphere.errors import ModelError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.run.chaos import MOST_LEFT, values_at
-from uqsphere.run.demands import by_force, strength_of, with_test_forces
-from uqsphere.run.design import Design, at_normals, number
-from uqsphere.run.tables import Tables, evaluate
+from uqsphere.propagation.chaos import MOST_LEFT, values_at
+from uqsphere.propagation.demands import by_force, strength_of, with_test_forces
+from uqsphere.propagation.design import Design, at_normals, number
+from uqsphere.propagation.tables import Tables, evaluate
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.forms import CERTAIN
@@ -58,7 +58,7 @@ def search(design: Design, model: Model, tables: Tables, end: float) -> None:
 
     The likelier of two limits comes first: its draws may serve the other.
     """
-    from uqsphere.run.limits import failure
+    from uqsphere.propagation.limits import failure
 
     def answered(points: Sample) -> Sample:
         return evaluate(design, model, points)
@@ -136,7 +136,7 @@ def _problem(
     Where failure hangs on the quantity alone, its values are the answers: draws for one limit then
     serve another.
     """
-    from uqsphere.run.limits import state_of
+    from uqsphere.propagation.limits import state_of
 
     sign = -1.0 if limit.aim == "break" else 1.0
 
@@ -177,7 +177,7 @@ def _physical(
     """The variables at the nearest design point, a random strength behind the others; empty if
     there is none.
     """
-    from uqsphere.run.limits import state_of
+    from uqsphere.propagation.limits import state_of
 
     if not points:
         return {}

@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.propagation import chaos, surrogate
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.run import chaos, surrogate
-from uqsphere.run.design import Design
-from uqsphere.run.tables import Tables
 from uqsphere.uq import exact
 from uqsphere.uq.describe import Description, describe, describe_controlled
 

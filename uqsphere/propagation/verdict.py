@@ -13,16 +13,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from uqsphere.propagation.assumptions import (
+    MOST,
+    OTHER_DISTRIBUTIONS,
+    Assumptions,
+    along_line,
+    together,
+)
+from uqsphere.propagation.checks import Check
+from uqsphere.propagation.demands import strength_of
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.failure_modes import means_fracture
+from uqsphere.propagation.fragility import allowable_probability, curve_by, planned_value, target_of
+from uqsphere.propagation.limits import failure, failure_given_inputs, state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_conservative, format_probability, format_value, lookup
 from uqsphere.results import Answers
-from uqsphere.run.assumptions import MOST, OTHER_DISTRIBUTIONS, Assumptions, along_line, together
-from uqsphere.run.checks import Check
-from uqsphere.run.demands import strength_of
-from uqsphere.run.design import Design
-from uqsphere.run.failure_modes import means_fracture
-from uqsphere.run.fragility import allowable_probability, curve_by, planned_value, target_of
-from uqsphere.run.limits import failure, failure_given_inputs, state_of
-from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, Sample, absent, complement, from_replicates, target_met
 from uqsphere.uq.fitting import count_tests

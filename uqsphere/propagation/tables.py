@@ -14,15 +14,15 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.errors import TooManyFailures
 from uqsphere.models.model import Model
+from uqsphere.propagation.demands import with_test_forces
+from uqsphere.propagation.design import Design
 from uqsphere.quantities import format_probability
-from uqsphere.run.demands import with_test_forces
-from uqsphere.run.design import Design
 from uqsphere.uq import Estimate, Sample
 
 if TYPE_CHECKING:
-    from uqsphere.run.chaos import Expansion
-    from uqsphere.run.rare import RareAnswer
-    from uqsphere.run.surrogate import Slow
+    from uqsphere.propagation.chaos import Expansion
+    from uqsphere.propagation.rare import RareAnswer
+    from uqsphere.propagation.surrogate import Slow
     from uqsphere.uq.describe import Description
 
 

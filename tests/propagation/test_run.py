@@ -20,9 +20,9 @@ from uqsphere import Study
 from uqsphere.errors import FolderError, TooManyFailures, UsageError
 from uqsphere.mechanics.history import trace
 from uqsphere.models.scene import scene_of
+from uqsphere.propagation.distributions import density
 from uqsphere.results import COLUMNS, Run
 from uqsphere.results.folder import damaged_files
-from uqsphere.run.distributions import density
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 FIXED = (

@@ -21,10 +21,10 @@ from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.run.chaos import points_of
-from uqsphere.run.design import REPLICATES, VALUES, Design, at_normals, normal_scores
-from uqsphere.run.free_number import grid, moved, shares_of, values_at
-from uqsphere.run.tables import Tables, check_failures, evaluate
+from uqsphere.propagation.chaos import points_of
+from uqsphere.propagation.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
+from uqsphere.propagation.tables import Tables, check_failures, evaluate
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.describe import Description, describe
@@ -40,7 +40,7 @@ from uqsphere.uq.response import (
 from uqsphere.uq.surrogate import columns_of, each_once
 
 if TYPE_CHECKING:
-    from uqsphere.run.progress import Progress
+    from uqsphere.propagation.progress import Progress
 
 #: rows that measure what the model costs, rows of a design at most and at least, and points of a
 #: replicate of a table
@@ -73,7 +73,7 @@ class Slow:
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
     """Whether the first size of the loop is more than the budget allows."""
-    from uqsphere.run.grow import first_rows
+    from uqsphere.propagation.grow import first_rows
 
     analysis = design.study.analysis
     if not design.study.black_box or not design.inputs:
@@ -184,7 +184,7 @@ def tables_of(
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
-    from uqsphere.run.grow import accuracies
+    from uqsphere.propagation.grow import accuracies
 
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.run.design import Design
+from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
 from uqsphere.uq.chaos import (
     Chaos,

@@ -16,8 +16,8 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.models.scene import absent_quantity
-from uqsphere.run.demands import by_force
-from uqsphere.run.failure_modes import FailureMode, failure_modes_of, means_fracture
+from uqsphere.propagation.demands import by_force
+from uqsphere.propagation.failure_modes import FailureMode, failure_modes_of, means_fracture
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
 

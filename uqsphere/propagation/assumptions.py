@@ -17,14 +17,14 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.models.scene import rows_under_plastic_contact
+from uqsphere.propagation.demands import strength_of, with_test_forces
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.fragility import allowable_probability, curve_of, target_of
+from uqsphere.propagation.free_number import demand_factor
+from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.run.demands import strength_of, with_test_forces
-from uqsphere.run.design import Design
-from uqsphere.run.fragility import allowable_probability, curve_of, target_of
-from uqsphere.run.free_number import demand_factor
-from uqsphere.run.limits import failure_given_inputs, state_of
-from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Law, LawError, LimitState, Sample, make_law, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted, possible_laws

@@ -21,24 +21,24 @@ import numpy as np
 from uqsphere.errors import UqsphereError, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
+from uqsphere.propagation import surrogate
+from uqsphere.propagation.assumptions import assumptions
+from uqsphere.propagation.chaos import MOST_ROWS
+from uqsphere.propagation.checks import checks
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.distributions import distributions
+from uqsphere.propagation.drivers import drivers
+from uqsphere.propagation.fracture import fracture
+from uqsphere.propagation.fragility import fragility
+from uqsphere.propagation.grow import grow, pair_rows
+from uqsphere.propagation.indices import indices, salib_indices
+from uqsphere.propagation.limits import limits
+from uqsphere.propagation.progress import Progress, watched
+from uqsphere.propagation.tables import Tables
+from uqsphere.propagation.verdict import verdicts
+from uqsphere.propagation.write import results_of, samples_of, written
 from uqsphere.results import Answers, Run
 from uqsphere.results.folder import Log, clear, locked, read_results
-from uqsphere.run import surrogate
-from uqsphere.run.assumptions import assumptions
-from uqsphere.run.chaos import MOST_ROWS
-from uqsphere.run.checks import checks
-from uqsphere.run.design import Design
-from uqsphere.run.distributions import distributions
-from uqsphere.run.drivers import drivers
-from uqsphere.run.fracture import fracture
-from uqsphere.run.fragility import fragility
-from uqsphere.run.grow import grow, pair_rows
-from uqsphere.run.indices import indices, salib_indices
-from uqsphere.run.limits import limits
-from uqsphere.run.progress import Progress, watched
-from uqsphere.run.tables import Tables
-from uqsphere.run.verdict import verdicts
-from uqsphere.run.write import results_of, samples_of, written
 from uqsphere.study import Study, load_study
 
 __all__ = ["run"]

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.arrays import Array, special
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.tables import Tables
 from uqsphere.results import Answers
-from uqsphere.run.design import Design
-from uqsphere.run.limits import failure_given_inputs, state_of
-from uqsphere.run.tables import Tables
 from uqsphere.study import limit_of, strength_name
 from uqsphere.uq import Estimate, Law, from_replicates, score_of
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from uqsphere.models.model import Model
-from uqsphere.run.design import Design
-from uqsphere.run.grow import paired
-from uqsphere.run.tables import Tables, evaluate
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.grow import paired
+from uqsphere.propagation.tables import Tables, evaluate
 from uqsphere.study import load_study
 
-grow = sys.modules["uqsphere.run.grow"]
+grow = sys.modules["uqsphere.propagation.grow"]
 STUDY = """
 seed = 1
 [inputs]

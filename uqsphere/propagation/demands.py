@@ -21,7 +21,7 @@ from uqsphere.study import Limit
 from uqsphere.uq import Law, Sample
 
 if TYPE_CHECKING:
-    from uqsphere.run.design import Design
+    from uqsphere.propagation.design import Design
 
 #: numbers of the sphere that the force in a test depends on
 SPHERE = ("sphere.E", "sphere.nu", "sphere.density")

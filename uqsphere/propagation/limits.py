@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from uqsphere.propagation import rare, surrogate
+from uqsphere.propagation.demands import column_of, demands_of, strength_of
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.run import rare, surrogate
-from uqsphere.run.demands import column_of, demands_of, strength_of
-from uqsphere.run.design import Design
-from uqsphere.run.tables import Tables
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, failure_of_aim
 from uqsphere.uq.estimate import carriers
