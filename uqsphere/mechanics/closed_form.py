@@ -24,7 +24,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
-from uqsphere.mechanics.rigs import MOST_YIELDING, RIGS, Partner
+from uqsphere.mechanics.rigs import MOST_YIELDING, Partner
 from uqsphere.mechanics.roots import newton
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face
@@ -349,10 +349,10 @@ def closed_form_rows(scene: Scene) -> Flags:
     """Rows that `solve_blow` answers, (n,): one contact, nothing back before the bodies part;
     platens all.
     """
-    kind = RIGS[scene.rig].kind(1, scene.options)
-    bare = RIGS[scene.rig].contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
+    kind = scene.setup.kind(1, scene.options)
+    bare = scene.setup.contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
     behind, ahead = scene.partners
-    if scene.rig == "platens" or bare:
+    if scene.setup.by_press or bare:
         return np.ones(len(scene), dtype=bool)
     if behind is not None or ahead is None or scene.horizon is not None:
         return np.zeros(len(scene), dtype=bool)
@@ -384,7 +384,7 @@ def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answe
             *((rows[block], solve_blow(scene.at(block), quantities)) for block in blocks)
         )
     with np.errstate(all="ignore"):
-        if scene.rig == "platens":
+        if scene.setup.by_press:
             tracked = _pressed(scene)
         else:
             ahead = scene.partners[1]

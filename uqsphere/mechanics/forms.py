@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from uqsphere.mechanics.rigs import RIGS
+
 _STRUCK: Final = {
     "thick": "E nu; density",
     "plate": "E nu density thickness; width",
@@ -36,7 +38,7 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
         "two_peak": "t1 level1 t2 level2; duration valley",
         "measured": "; gain",
     },
-    "rig": dict.fromkeys(("impact", "sphere_on_sphere"), "speed|drop_height; angle"),
+    "rig": {name: "speed|drop_height; angle" for name, rig in RIGS.items() if rig.sphere_moves},
     "target": _STRUCK,
     "anvil": _STRUCK,
     "other": {"": "E nu density radius"},

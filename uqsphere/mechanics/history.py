@@ -365,14 +365,14 @@ def trace(
     found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
     changes = find_changes(found, tolerance=tolerance)
     lost = next(
-        (change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf
+        (change.time for change in changes if change.kind == "lost" and scene.by_wave), np.inf
     )
     first, later = largest(found, 0.0, lost), largest(found, lost, found.horizon)
     times, sides = _instants(
         found, points, [event.time for event in (*changes, first, later) if event is not None]
     )
     states, forces = found.states_at(times), found.forces_at(times).T
-    waves = waves_at(found, times, sides=sides) if scene.rig == "bars" else Waves.none(len(times))
+    waves = waves_at(found, times, sides=sides) if scene.by_wave else Waves.none(len(times))
     balance = balance_of(found, times) if fidelity == "full" else None
     approaches, pressures = _pressed(found, states, forces, balance)
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no
@@ -425,7 +425,7 @@ def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, A
     """
     scene, row, horizon = found.scene, found.row, found.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
-    breaks = scene.pulse.breaks[row] if scene.rig == "bars" else np.zeros(0)
+    breaks = scene.pulse.breaks[row] if scene.by_wave else np.zeros(0)
     breaks = breaks[np.isfinite(breaks)]
     bars = [bar for bar in (0, 1) if scene.reflections[row, bar] != 0.0]
     # echoes of the echoes are left to the grid: the first of each bar is what people look for

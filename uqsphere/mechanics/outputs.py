@@ -21,7 +21,7 @@ from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
-from uqsphere.mechanics.rigs import RIGS, Partner, loss_to_waves
+from uqsphere.mechanics.rigs import Partner, loss_to_waves
 from uqsphere.mechanics.scene import Scales, Scene, answered
 from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
@@ -513,7 +513,7 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those
     of the row.
     """
-    if scene.rig == "bars" and scene.struck.face is None:
+    if scene.by_wave and scene.struck.face is None:
         return {}
     poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
     sides = [_face(scene, name, tracked) for name in poles]
@@ -537,7 +537,7 @@ def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
     that force over the face's own, at its peak.
     """
     side = _side(scene, "ab".index(name), tracked[f"x_{name}"])
-    if scene.rig != "bars":
+    if not scene.by_wave:
         other = 0.0 if len(scene.there) == 1 else scene.scales.force * tracked[_OPPOSITE[name]]
         pressed = Columns(side)["P_max"]
         side["balance"] = np.where(pressed > 0.0, other / pressed, 0.0)
@@ -555,7 +555,7 @@ def _of_forces(
         found["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
     elif "difference" in tracked:
         found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
-    if scene.rig != "bars":
+    if not scene.by_wave:
         found["force_at_centre"] = found.get("mean_force_max") or (
             lambda: force * tracked["mean_force"]
         )
@@ -599,7 +599,7 @@ def _energy_of_sphere(
     itself.
     """
     faces = list(zip(scene.there, sides, strict=True))
-    if len(sides) == 1 or scene.rig == "bars":
+    if len(sides) == 1 or scene.by_wave:
         own = scene.struck.share * energy()
     elif "stored_sphere" not in tracked:
         own = sum(partner.share * side["stored"] for partner, side in faces)
@@ -614,7 +614,7 @@ def _energy_of_sphere(
 
 def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
     """Columns of bodies that meet: energy offered, speeds after, energy carried off by waves."""
-    if not RIGS[scene.rig].blow:
+    if not scene.setup.by_impact:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
     # P_c alpha_c = m V_c², (R5)
@@ -653,41 +653,41 @@ def _half(scales: Scales) -> Array:
 _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]] = (
     (
         ("difference",),
-        lambda s: RIGS[s.rig].contacts == 1,
+        lambda s: s.setup.contacts == 1,
         "with one contact the other force is nothing: the imbalance is 1 by definition",
     ),
     (
         ("parting", "touches"),
-        lambda s: s.rig == "bars",
+        lambda s: s.by_wave,
         "between bars echoes load the sphere again and again",
     ),
-    (("carried_off",), lambda s: s.rig == "bars", "bars carry waves both ways: history shows them"),
+    (("carried_off",), lambda s: s.by_wave, "bars carry waves both ways: history shows them"),
     (
         ("offered", "leaving", "parting_speed"),
-        lambda s: not RIGS[s.rig].blow,
+        lambda s: not s.setup.by_impact,
         "no body meets the sphere with a speed: a wave, or a slow press, loads it",
     ),
     (
         ("carried_off",),
-        lambda s: RIGS[s.rig].blow and loss_to_waves(s) is None and not _carrying(s.there),
+        lambda s: s.setup.by_impact and loss_to_waves(s) is None and not _carrying(s.there),
         "what stands at the poles carries nothing off here (a thick target: give its density)",
     ),
     (
         ("parting", "touches", "contact", "duration", "carried_off"),
-        lambda s: s.rig == "platens",
+        lambda s: s.setup.by_press,
         "platens press slowly and stay",
     ),
     (
         ("rise",),
         lambda s: (
-            s.rig == "platens"
+            s.setup.by_press
             and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate"))
         ),
         'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate',
     ),
     (
         ("x_first",),
-        lambda s: s.rig != "bars" and not any(np.any(one.reflection) for one in s.there),
+        lambda s: not s.by_wave and not any(np.any(one.reflection) for one in s.there),
         "no wave comes back to the sphere",
     ),
     (
@@ -799,7 +799,7 @@ def _wider_than_its_rod(scene: Scene, made: Mapping[str, Known]) -> Flags:
     found = np.zeros(len(scene), dtype=bool)
     sides = made.get("sides")
     for partner, side in zip(scene.there, sides if isinstance(sides, list) else (), strict=False):
-        if partner.kind == "bar" and scene.rig != "bars":
+        if partner.kind == "bar" and not scene.by_wave:
             with np.errstate(invalid="ignore"):
                 found |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
     return found

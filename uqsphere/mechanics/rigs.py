@@ -1,10 +1,9 @@
-"""The rigs: what stands at the two poles of the sphere, who moves at first touch, and which numbers
-that takes.
+"""The rigs: the counter-bodies at the two poles of the sphere, and what loads it.
 
-A partner gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick
-block, a platen); its contact with the sphere has a reduced modulus, a radius and, where it yields,
-a law of its own. A new rig is one entry of `RIGS`; what its tables need stands in `forms.FORMS`.
-Numbering (R...) and (C...) of docs/theory.md; SI.
+A counter-body gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick
+block, a platen).  Its contact with the sphere has a reduced modulus, a radius and, if it yields, a
+contact law.  A new rig is one entry of `RIGS`; the keys of its tables are in `forms.FORMS`.
+Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TYPE_CHECKING, Final, TypedDict
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 import numpy as np
 
@@ -236,32 +235,67 @@ _PULSE: Final = 3.80584
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """One rig.
+    """One rig: a set-up that loads the sphere.
 
-    behind, ahead: tables of the partners at pole A and at pole B; empty: nothing stands there.
-    kinds: their kinds; empty where the study chooses (`target.kind`, `anvil.kind`).  mover: table
-    that has the speed of the blow, `rig` (of the sphere), `hammer`, or empty.  blow: bodies that
-    meet with a speed; their records end at parting, not at the first loss of contact.
+    title: as it stands in the description of a study.  meaning: one sentence.  behind, ahead:
+    tables of the counter-bodies at contacts A and B; empty where the sphere is free.  kinds: their
+    kinds; empty where the study chooses (`target.kind`, `anvil.kind`).  loading: `wave`, a pulse
+    that arrives through the bar at A; `impact`, bodies that meet with a speed; `press`, slow
+    loading.  mover: table with the speed at first touch, `striker`, `rig` (the sphere moves) or
+    `hammer`; empty for slow loading.
     """
 
     name: str
+    title: str
     meaning: str
     behind: str
     ahead: str
     kinds: tuple[str, str]
+    loading: Literal["wave", "impact", "press"] = "impact"
     mover: str = ""
-    blow: bool = True
+
+    @property
+    def by_wave(self) -> bool:
+        """Whether a stress wave loads the sphere."""
+        return self.loading == "wave"
+
+    @property
+    def by_impact(self) -> bool:
+        """Whether bodies meet with a speed; their record ends when they part."""
+        return self.loading == "impact"
+
+    @property
+    def by_press(self) -> bool:
+        """Whether the sphere is loaded slowly."""
+        return self.loading == "press"
+
+    @property
+    def sphere_moves(self) -> bool:
+        """Whether the sphere itself has the impact speed."""
+        return self.mover == "rig"
+
+    @property
+    def weight_falls(self) -> bool:
+        """Whether a drop weight has the impact speed."""
+        return self.mover == "hammer"
 
     @property
     def contacts(self) -> int:
-        """Faces at which the sphere is pressed."""
+        """Number of contacts of the sphere."""
         return 2 if self.behind else 1
 
     @property
     def tables(self) -> tuple[str, ...]:
         """Tables of a study that belong to this rig."""
-        found = dict.fromkeys((self.behind, self.ahead))
-        return tuple(name for name in found if name)
+        tables = dict.fromkeys((self.behind, self.ahead))
+        if self.by_wave:
+            tables |= dict.fromkeys(("striker", "pulse"))
+        return tuple(name for name in tables if name)
+
+    def may_have(self, kind: str) -> bool:
+        """Whether a counter-body of this rig is, or can be chosen to be, of a kind."""
+        poles = zip((self.behind, self.ahead), self.kinds, strict=True)
+        return any(table and fixed in ("", kind) for table, fixed in poles)
 
     def kind(self, pole: int, options: Values) -> str:
         """Kind of the partner at a pole; `thick` where the study does not choose."""
@@ -270,20 +304,23 @@ class Rig:
         )
 
 
+#: every rig, declared once
 RIGS: Final[dict[str, Rig]] = {
     rig.name: rig
     for rig in (
         Rig(
             name="bars",
+            title="between Hopkinson bars",
             meaning="a sphere between two bars, one of which a striker hits",
             behind="bars",
             ahead="bars",
             kinds=("bar", "bar"),
+            loading="wave",
             mover="striker",
-            blow=False,
         ),
         Rig(
             name="impact",
+            title="impact on a body",
             meaning="a sphere strikes a thick block, a plate, the end of a bar or a free mass",
             behind="",
             ahead="target",
@@ -292,7 +329,8 @@ RIGS: Final[dict[str, Rig]] = {
         ),
         Rig(
             name="sphere_on_sphere",
-            meaning="a sphere strikes another one",
+            title="sphere on sphere",
+            meaning="a sphere strikes another sphere",
             behind="",
             ahead="other",
             kinds=("", "mass"),
@@ -300,6 +338,7 @@ RIGS: Final[dict[str, Rig]] = {
         ),
         Rig(
             name="drop_weight",
+            title="drop weight",
             meaning="a weight falls on a sphere that rests on an anvil",
             behind="hammer",
             ahead="anvil",
@@ -308,6 +347,7 @@ RIGS: Final[dict[str, Rig]] = {
         ),
         Rig(
             name="load_cell",
+            title="impact load cell",
             meaning="a weight falls on a sphere that rests on a long rod with a gauge",
             behind="hammer",
             ahead="rod",
@@ -316,14 +356,19 @@ RIGS: Final[dict[str, Rig]] = {
         ),
         Rig(
             name="platens",
+            title="between platens",
             meaning="a sphere is pressed slowly between two platens",
             behind="platens",
             ahead="platens",
             kinds=("platen", "platen"),
-            blow=False,
+            loading="press",
         ),
     )
 }
+
+
+#: the rig of a study that names none
+DEFAULT_RIG: Final = "bars"
 
 
 def drop_speed(height: Values, radius: Values, density: Values) -> Array:
@@ -347,7 +392,7 @@ def closing_speed(scene: Scene) -> Array:
     with np.errstate(all="ignore"):
         if f"{rig.mover}.drop_height" not in c:
             speed = scene.column(f"{rig.mover}.speed")
-        elif rig.mover == "rig":
+        elif rig.sphere_moves:
             speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
         else:
             # drag on a weight of any shape is not known; it is small
@@ -360,7 +405,7 @@ def partners_of(scene: Scene) -> tuple[Partner | None, Partner | None]:
     rig = RIGS[scene.rig]
     if rig.behind == rig.ahead:
         one = partner_of(scene, rig.behind, rig.kinds[0])
-        if rig.name != "bars":
+        if not rig.by_wave:
             return one, one
         trips, ends = scene.round_trips, scene.reflections
         both = [replace(one, round_trip=trips[:, k], reflection=ends[:, k]) for k in (0, 1)]
@@ -377,8 +422,10 @@ def speeds_at_touch(scene: Scene) -> Array:
     """
     rig = RIGS[scene.rig]
     start = np.zeros((len(scene), 3))
-    if rig.mover in ("rig", "hammer"):
-        start[:, 0 if rig.mover == "rig" else 1] = scene.closing_speed
+    if rig.sphere_moves:
+        start[:, 0] = scene.closing_speed
+    elif rig.weight_falls:
+        start[:, 1] = scene.closing_speed
     return start
 
 
@@ -397,7 +444,7 @@ def outside(scene: Scene) -> Array:
                 found |= ~(scales.force / (partner.impedance * scales.speed) <= MOST_YIELDING)
         if behind is not None and ahead is not None:
             found |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
-            if rig.mover == "hammer":
+            if rig.weight_falls:
                 found |= _beyond(scales.mass / behind.mass, MASS_RATIO)
         if "platens.displacement" in scene.columns:
             found |= scene.columns["platens.displacement"] >= scene.columns["sphere.radius"]

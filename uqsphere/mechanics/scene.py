@@ -20,8 +20,10 @@ from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
 from uqsphere.mechanics.pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
 from uqsphere.mechanics.rigs import (
+    DEFAULT_RIG,
     RIGS,
     Partner,
+    Rig,
     closing_speed,
     outside,
     partners_of,
@@ -640,7 +642,7 @@ class Scene:
     contact_law: str = "hertz"
     hardness_at_onset: bool = False
     record: MeasuredPulse | None = None
-    rig: str = "bars"
+    rig: str = DEFAULT_RIG
     options: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -673,11 +675,7 @@ class Scene:
             infinite=self.infinite,
             options=self.options,
         )
-        tables = [
-            "sphere",
-            *RIGS[self.rig].tables,
-            *(["striker", "pulse"] if self.rig == "bars" else ["rig"]),
-        ]
+        tables = ["sphere", *self.setup.tables, "rig"]
         needs = [
             (table, need)
             for table in tables
@@ -691,6 +689,16 @@ class Scene:
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
+
+    @property
+    def setup(self) -> Rig:
+        """The entry of its rig in `rigs.RIGS`."""
+        return RIGS[self.rig]
+
+    @property
+    def by_wave(self) -> bool:
+        """Whether a stress wave loads the sphere, between bars."""
+        return RIGS[self.rig].by_wave
 
     def at(self, rows: Places | slice) -> Scene:
         """The scene of some of its rows."""
@@ -706,7 +714,7 @@ class Scene:
         """The incident pulse of every row, times in seconds; one that is nothing where no wave
         comes in.
         """
-        if self.rig != "bars":
+        if not self.by_wave:
             none = np.zeros(len(self))
             return Pulse(
                 breaks=np.zeros((len(self), 2)),
@@ -750,7 +758,7 @@ class Scene:
         """Round trips of the bars at A and B, (n, 2) [s]; infinite where there is no bar, or one
         without length.
         """
-        if self.rig != "bars":
+        if not self.by_wave:
             none = np.full(len(self), np.inf)
             return np.stack(
                 [none if one is None else one.round_trip for one in self.partners], axis=1
@@ -763,7 +771,7 @@ class Scene:
     @cached_property
     def reflections(self) -> Array:
         """Velocity reflection coefficients of the far ends, (n, 2); 0 where nothing comes back."""
-        if self.rig != "bars":
+        if not self.by_wave:
             none = np.zeros(len(self))
             return np.stack(
                 [none if one is None else one.reflection for one in self.partners], axis=1
@@ -792,7 +800,7 @@ class Scene:
         """
         if self.horizon is not None:
             ends = np.full(len(self), self.horizon)
-        elif self.infinite or self.rig != "bars":
+        elif self.infinite or not self.by_wave:
             ends = np.full(len(self), np.inf)
         else:
             ends = 8.0 * self.round_trips.max(axis=1)
@@ -811,7 +819,7 @@ class Scene:
     @property
     def contacts(self) -> int:
         """Faces at which the sphere is pressed."""
-        return RIGS[self.rig].contacts
+        return self.setup.contacts
 
     @property
     def struck(self) -> Partner:
@@ -839,14 +847,14 @@ class Scene:
         with np.errstate(all="ignore"):
             mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
             impedance = (self.partners[1] or face).impedance
-            if self.rig == "bars":
+            if self.by_wave:
                 speed = 0.5 * c["striker.speed"]
                 force = impedance * speed
             else:
                 speed, force = self._blow(mass)
             approach = contact.approach_at_force(force, face.hertz_constant)
             time = approach / speed
-            momentum = impedance * time if self.rig == "bars" else force * time
+            momentum = impedance * time if self.by_wave else force * time
             return Scales(
                 modulus=face.modulus,
                 effective_radius=face.effective_radius,
@@ -856,7 +864,7 @@ class Scene:
                 force=force,
                 approach=approach,
                 time=time,
-                mass_number=(mass if self.rig == "bars" else mass * speed) / momentum,
+                mass_number=(mass if self.by_wave else mass * speed) / momentum,
                 duration=self._duration,
                 speed=speed,
             )
@@ -864,7 +872,7 @@ class Scene:
     @property
     def _duration(self) -> Array:
         """Length of the pulse, (n,) [s]; infinite for a step, and where no wave comes in."""
-        if self.rig != "bars" or self.shape == "step":
+        if not self.by_wave or self.shape == "step":
             return np.full(len(self), np.inf)
         if self.record is not None:
             return np.full(len(self), self.record.duration)
@@ -876,7 +884,7 @@ class Scene:
         """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), m the reduced mass of the sphere, or the
         weight's; of platens 1, and a force of theirs."""
         face, behind, beta = self.struck, self.partners[0], self.struck.hertz_constant
-        if self.rig == "platens":
+        if self.setup.by_press:
             return np.ones(len(self)), beta * self.columns["sphere.radius"] ** 1.5
         speed = self.closing_speed
         moved = mass / (1.0 + mass / face.mass) if behind is None else behind.mass
@@ -915,9 +923,9 @@ class Scene:
                     self.reflections != 0.0
                 )
                 codes[brief.any(axis=1)] = 1
-            if self.rig != "bars":
+            if not self.by_wave:
                 codes[outside(self)] = 1
-                if RIGS[self.rig].blow:
+                if self.setup.by_impact:
                     codes[self.closing_speed <= 0.0] = NEVER_CLOSES
                 return codes
             codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = 1
@@ -939,7 +947,7 @@ _CONTRADICTIONS: Final[tuple[tuple[Callable[[Scene], bool], str], ...]] = (
         "a {0.shape} pulse does not follow from the striker's material or diameter",
     ),
     (
-        lambda s: s.rig == "bars" and s.shape == "step" and s.horizon is None and s.infinite,
+        lambda s: s.by_wave and s.shape == "step" and s.horizon is None and s.infinite,
         "a step pulse never ends: the record needs a horizon",
     ),
     (

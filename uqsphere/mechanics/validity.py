@@ -20,8 +20,8 @@ from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range, 
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.rigs import (
     GRAVITY,
-    RIGS,
     Partner,
+    Rig,
     body_of,
     loss_to_waves,
     softest_partner,
@@ -42,12 +42,12 @@ _IMBALANCE: Final = (1.318, 0.45)
 class Rule:
     """One check: how a row is measured, and beyond what it is graded how.
 
-    measure: function of (scene, answers) that gives the number per row, (n,), NaN where it says
-    nothing about a row; or a text, why the check is left out; or None where the scene has nothing
-    to check.  information, warning, failure: beyond these, above if `rising` and else below, a row
-    gets the grade 1, 2, 3.  words: sentence on a breach, with {worst} and {limit}.  laws, rigs: for
-    which it is asked.  further: function of (scene, answers, good rows), what is said further on a
-    breach.
+    measure: function of (scene, answers) that returns the measured number per row, (n,), NaN for
+    rows it does not apply to; or a text, why the check was not made; or None for a scene it does
+    not apply to.  information, warning, failure: thresholds of the grades 1, 2, 3; exceeded above
+    if `rising`, else below.  words: sentence on a breach, with {worst} and {limit}.  laws: contact
+    laws it applies to.  applies: whether it applies to a rig.  further: function of (scene,
+    answers, good rows) that returns what is added on a breach.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Rule:
     rising: bool = True
     words: str
     laws: tuple[str, ...] = ("hertz", "plastic")
-    rigs: tuple[str, ...] = tuple(RIGS)
+    applies: Callable[[Rig], bool] = lambda rig: True
     further: Callable[[Scene, Answers, Flags], str] | None = None
 
     @property
@@ -108,11 +108,6 @@ class Check:
         return self.share_information + self.share_warning + self.share_failure
 
 
-#: rigs by what they are checked for
-_BARS: Final = ("bars",)
-_BLOWS: Final = tuple(rig.name for rig in RIGS.values() if rig.blow)
-_ONE: Final = tuple(rig.name for rig in RIGS.values() if rig.contacts == 1)
-_WEIGHTS: Final = tuple(rig.name for rig in RIGS.values() if rig.mover == "hammer")
 _NO_FACE: Final = "not checked: nothing yields"
 _NO_ROW: Final = "not checked: no row was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
@@ -221,7 +216,7 @@ def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
     assert not isinstance(found, str)
     dent = found[good]
     flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene.columns).onset).any())
-    faces = "the bars" if scene.rig == "bars" else "what stands there"
+    faces = "the bars" if scene.by_wave else "what stands there"
     due = f": re-lap {faces}" if flats_yield and np.nanmax(dent) > _RELAP else ""
     return f"; dents of up to {1e6 * np.nanmax(dent):.2g} um stay{due}"
 
@@ -391,7 +386,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_contact_over_bar,
         warning=0.2,
         failure=1.0,
-        rigs=("bars", "impact", "drop_weight", "load_cell"),
+        applies=lambda rig: rig.may_have("bar"),
         words="the contact is large for the bar's end, a/(d_b/2) reaches {worst} (limit {limit})",
     ),
     Rule(
@@ -400,7 +395,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD),
         warning=1.0,
         laws=("hertz",),
-        rigs=_BARS,
+        applies=lambda rig: rig.by_wave,
         further=_static(softest_partner),
         words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which "
         "they begin to; "
@@ -411,7 +406,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="stress of the pulse over the bars' yield strength (elastic waves)",
         measure=_pulse_over_yield,
         warning=1.0,
-        rigs=_BARS,
+        applies=lambda rig: rig.by_wave,
         words=(
             "the pulse makes the bars yield, its stress reaches {worst} times their yield strength"
         ),
@@ -422,7 +417,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_imbalance,
         information=0.05,
         warning=0.1,
-        rigs=(*_BARS, *_WEIGHTS),
+        applies=lambda rig: rig.contacts == 2 and not rig.by_press,
         words="the forces of the two faces differ by up to {worst} of the largest at some instant "
         "(limit {limit}). "
         "What measures one of them does not measure the other",
@@ -434,7 +429,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=4.0,
         failure=3.0,
         rising=False,
-        rigs=(*_BARS, *_WEIGHTS),
+        applies=lambda rig: rig.contacts == 2 and not rig.by_press,
         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises "
         "from "
         "10 % to 90 % (at least {limit}); too few for a quasi-static sphere",
@@ -445,7 +440,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_pulse_rise,
         warning=5.0,
         rising=False,
-        rigs=_BARS,
+        applies=lambda rig: rig.by_wave,
         words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit}), sharper "
         "than one-dimensional waves can carry",
     ),
@@ -455,7 +450,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: s.scales.pulse_number,
         information=2.0,
         rising=False,
-        rigs=_BARS,
+        applies=lambda rig: rig.by_wave,
         words="the pulse is short: {worst} times the time scale of the contact (limit {limit}). "
         "The force depends on "
         "the pulse's length; the formula Z v_0/2 would overestimate it",
@@ -465,7 +460,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="record over the first return of a reflected wave (infinite bars)",
         measure=_record_over_echo,
         information=1.0,
-        rigs=_BARS,
+        applies=lambda rig: rig.by_wave,
         words="infinite bars were requested; but the record runs to {worst} times the first return "
         "of a "
         "reflected wave in bars of the given length",
@@ -534,7 +529,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="three contact radii over the thickness of the inserts",
         measure=_contact_over_insert,
         warning=1.0,
-        rigs=_BARS,
+        applies=lambda rig: rig.by_wave,
         words=(
             "the inserts are thin, three contact radii reach {worst} of their thickness: the bar "
             "yields below them"
@@ -558,7 +553,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=6.0,
         failure=4.0,
         rising=False,
-        rigs=_ONE,
+        applies=lambda rig: rig.contacts == 1,
         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed "
         "(at least {limit}); "
         "too few for a quasi-static sphere",
@@ -569,7 +564,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_over_partner_onset,
         warning=1.0,
         laws=("hertz",),
-        rigs=(*_BLOWS, "platens"),
+        applies=lambda rig: not rig.by_wave,
         further=_static(softest_partner),
         words=(
             "what stands at a pole yields under the sphere, p_0 reaches {worst} times the "
@@ -583,7 +578,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=5.0,
         failure=2.0,
         rising=False,
-        rigs=("impact", "drop_weight"),
+        applies=lambda rig: rig.may_have("plate"),
         words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); "
         "where few "
         "waves cross its thickness under load, a thick target is nearer",
@@ -593,7 +588,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="time under load over the return of the bending wave from the plate's edge",
         measure=_plate_edge,
         warning=1.0,
-        rigs=("impact", "drop_weight"),
+        applies=lambda rig: rig.may_have("plate"),
         words=(
             "the bending wave is back from the plate's edge while the sphere is pressed: {worst} "
             "returns"
@@ -605,7 +600,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_gravity,
         information=0.01,
         warning=0.05,
-        rigs=_BLOWS,
+        applies=lambda rig: rig.by_impact,
         words=(
             "weights, which the motion leaves out, reach {worst} of the largest force (limit "
             "{limit})"
@@ -623,7 +618,7 @@ RULES: Final[tuple[Rule, ...]] = (
         ),
         information=0.05,
         warning=0.2,
-        rigs=_ONE,
+        applies=lambda rig: rig.contacts == 1,
         words=(
             "the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} "
             "(limit {limit})"
@@ -639,7 +634,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=45.0,
         failure=20.0,
         rising=False,
-        rigs=_ONE,
+        applies=lambda rig: rig.contacts == 1,
         words="the blow is oblique, {worst} deg (square on from {limit}); friction, spin and "
         "tension by sliding at "
         "the rim are left out, the normal part of the speed counts",
@@ -650,7 +645,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: loss_to_waves(s),
         information=0.02,
         warning=0.05,
-        rigs=_ONE,
+        applies=lambda rig: rig.contacts == 1,
         further=_restitution_of_waves,
         words=(
             "the target carries off {worst} of the energy as waves (limit {limit}); forces leave "
@@ -663,7 +658,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_rod_rise,
         warning=5.0,
         rising=False,
-        rigs=("impact", "drop_weight", "load_cell"),
+        applies=lambda rig: rig.may_have("bar") and not rig.by_wave,
         words=(
             "the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves "
             "of one dimension"
@@ -674,7 +669,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="time under load over the round trip of the rod",
         measure=_echo_under_load,
         information=1.0,
-        rigs=("impact", "drop_weight", "load_cell"),
+        applies=lambda rig: rig.may_have("bar") and not rig.by_wave,
         words="waves come back along the rod while the sphere is pressed: {worst} round trips",
     ),
     Rule(
@@ -691,7 +686,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="contacts lost and found again before the largest force",
         measure=lambda s, a: a.values["retouches"],
         information=0.0,
-        rigs=_WEIGHTS,
+        applies=lambda rig: rig.weight_falls,
         words="contacts are lost and found again before the largest force, up to {worst} times",
     ),
     Rule(
@@ -701,7 +696,7 @@ RULES: Final[tuple[Rule, ...]] = (
         information=0.1,
         warning=0.2,
         failure=0.3,
-        rigs=_BLOWS,
+        applies=lambda rig: rig.by_impact,
         words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit "
         "{limit}); the "
         "field of one force is not half that of two",
@@ -728,7 +723,7 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
         rule
         for rule in RULES
         if scene.contact_law in rule.laws
-        and scene.rig in rule.rigs
+        and rule.applies(scene.setup)
         and (rule.name != "insert_thickness" or "bars.insert_E" in scene.columns)
         and (rule.name != "sphere_yield_contact" or "sphere.onset_pressure" in scene.columns)
     )

@@ -124,7 +124,7 @@ def solve_scene(
             part, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
         )
 
-    if scene.rig == "bars":
+    if scene.by_wave:
         exact: Flags = np.asarray(closed_form.closed_form_applies(scene, fidelity))
         closed = partial(closed_form.solve_closed, fidelity=fidelity, quantities=quantities)
     elif fidelity == "massless" and closed_form.light_sphere_applies(scene):

@@ -17,7 +17,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.models.scene import absent_quantity
 from uqsphere.propagation.demands import by_force
-from uqsphere.propagation.failure_modes import FailureMode, failure_modes_of, means_fracture
+from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, means_fracture
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
 
@@ -40,7 +40,7 @@ class Design:
 
     study: Study
     judged: Study
-    modes: tuple[FailureMode, ...]
+    modes: tuple[AssumedMode, ...]
     not_judged: Mapping[str, str]
     columns: tuple[str, ...]
 

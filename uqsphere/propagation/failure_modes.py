@@ -1,33 +1,22 @@
-"""Failure modes: the ways in which a rock sphere can break, and the strengths assumed for those
-without a limit.
-"""
+"""The failure modes that a study has no limit for, assessed with library strengths."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
 
-from uqsphere.materials import library
+from uqsphere.materials import Material, Property, library
 from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.failure_modes import FAILURE_MODES, FailureMode, failure_place
 from uqsphere.quantities import lookup
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law, make_law
 
-#: by the place in the sphere where each begins: what it is called, the criterion that is assumed
-#: for it, and the library's strength
-_FAILURE_MODES: Final = {
-    "contact": ("contact pressure", "contact_pressure", "contact_strength"),
-    "rim": ("ring crack", "ring_crack", "fracture_toughness"),
-    "core": ("core tension", "weakest_link_volume", "tensile_strength"),
-    "energy": ("fracture energy", "specific_energy", "fracture_energy"),
-}
-
 
 @dataclass(frozen=True, kw_only=True)
-class FailureMode:
-    """A failure mode with an assumed strength: its limit, and the strength at both ends of the
+class AssumedMode:
+    """A failure mode with a library strength: its limit, and the strength at both ends of the
     library's 95 % range.
     """
 
@@ -41,29 +30,21 @@ class FailureMode:
 
 @dataclass(frozen=True, kw_only=True)
 class FailureModes:
-    """The failure modes that a study has no limit for: those assumed, and why the others are not
-    judged.
+    """The failure modes without a study limit: those assumed, and why the others are not
+    assessed.
     """
 
-    assumed: tuple[FailureMode, ...]
+    assumed: tuple[AssumedMode, ...]
     not_judged: Mapping[str, str]
 
 
 def breaks_by(limit: Limit) -> str:
-    """Which of `_FAILURE_MODES` a limit is on; "force" for one on the force itself, empty where it
-    is no fracture.
+    """Place of the failure mode that a limit is on, see `failure_place`.
 
     >>> breaks_by(Limit(name="a", quantity="core_tension", strength=1e7))
     'core'
     """
-    entry = lookup(limit.quantity)
-    return (
-        ""
-        if not entry.fracture
-        else "energy"
-        if entry.follows == "energy"
-        else entry.place or "force"
-    )
+    return failure_place(lookup(limit.quantity))
 
 
 def means_fracture(limit: Limit) -> bool:
@@ -74,66 +55,76 @@ def means_fracture(limit: Limit) -> bool:
 
 
 def failure_modes_of(study: Study) -> FailureModes:
-    """The failure modes that have no limit, with assumed strengths; none for what is no rock, or is
-    not to be.
+    """The failure modes without a limit, with assumed strengths; none for materials that are not
+    rock, or if the study excludes them.
     """
     rock = library()["sphere"].get(study.materials.get("sphere", ""))
-    given = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
-    if (
-        study.black_box
-        or study.analysis.failure_modes == "given"
-        or rock is None
-        or not rock.rock
-        or not given
-    ):
+    limited = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
+    if study.black_box or study.analysis.failure_modes == "given":
         return FailureModes(assumed=(), not_judged={})
-    assumed, not_judged, diameter = [], {}, 2.0 * study.at_means()["sphere.radius"]
-    for place, (called, criterion, key) in _FAILURE_MODES.items():
-        if place in given:
+    if rock is None or not rock.rock or not limited:
+        return FailureModes(assumed=(), not_judged={})
+    assumed, not_judged = [], {}
+    diameter = 2.0 * study.at_means()["sphere.radius"]
+    for mode in FAILURE_MODES.values():
+        if mode.place in limited:
             continue
-        entry, own = rock.properties.get(key), dict[str, float]()
-        if entry is None or entry.range is None:
-            said = f"neither the study nor the library has one for {rock.title.lower()}"
-            if entry is not None:
-                said = "the library's strength is of no known volume"
-            not_judged[called] = f"no strength: {said}"
-            continue
-        values = (entry.value, *entry.range)
-        if place == "core":
-            # the strength of a specimen says nothing of a volume that is a million times smaller,
-            # but by the size law
-            own = {
-                "modulus": rock.properties["weibull_modulus"].value,
-                "reference_volume": entry.further["volume"],
-            }
-            laws = [
-                make_law("weibull", {"mean": value, "modulus": own["modulus"]}) for value in values
-            ]
-        elif place == "energy":
-            # the median of particles of this size (Tavares and King 1998, equation 15)
-            size = 1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"]
-            laws = [
-                make_law("lognormal", {"log_mean": math.log(x * size), "log_sd": entry.cov})
-                for x in values
-            ]
+        strength = rock.properties.get(mode.strength)
+        if strength is None:
+            reason = f"neither the study nor the library has one for {rock.title.lower()}"
+            not_judged[mode.name] = f"no strength: {reason}"
+        elif strength.range is None:
+            not_judged[mode.name] = "no strength: the library's strength is of no known volume"
         else:
-            laws = [make_law("lognormal", {"mean": value, "cov": entry.cov}) for value in values]
-        name = f"{called} (assumed)"
-        limit = Limit(
-            name=name,
-            quantity=CRITERIA[criterion].quantity or f"{criterion}.{name}",
-            strength=laws[0],
-            criterion=criterion if own else None,
-            parameters=own,
-        )
-        assumed.append(
-            FailureMode(
-                called=called,
-                limit=limit,
-                weak=laws[1],
-                strong=laws[2],
-                source=entry.source,
-                seen=entry.seen,
-            )
-        )
+            assumed.append(_assumed(mode, rock, strength, diameter))
     return FailureModes(assumed=tuple(assumed), not_judged=not_judged)
+
+
+def _assumed(mode: FailureMode, rock: Material, strength: Property, diameter: float) -> AssumedMode:
+    """A failure mode with the library strength of a rock, for spheres of one diameter [m]."""
+    assert strength.range is not None
+    parameters: dict[str, float] = {}
+    # a strength measured on a specimen says nothing of a volume a million times smaller without
+    # its size law
+    if mode.size_law == "volume":
+        parameters = {
+            "modulus": rock.properties["weibull_modulus"].value,
+            "reference_volume": strength.further["volume"],
+        }
+    middle, weak, strong = (
+        _strength_law(mode, strength, value, parameters, diameter)
+        for value in (strength.value, *strength.range)
+    )
+    name = f"{mode.name} (assumed)"
+    limit = Limit(
+        name=name,
+        quantity=CRITERIA[mode.criterion].quantity or f"{mode.criterion}.{name}",
+        strength=middle,
+        criterion=mode.criterion if parameters else None,
+        parameters=parameters,
+    )
+    return AssumedMode(
+        called=mode.name,
+        limit=limit,
+        weak=weak,
+        strong=strong,
+        source=strength.source,
+        seen=strength.seen,
+    )
+
+
+def _strength_law(
+    mode: FailureMode,
+    strength: Property,
+    value: float,
+    parameters: Mapping[str, float],
+    diameter: float,
+) -> Law:
+    """Distribution of a library strength with the mean, or median, `value`."""
+    if mode.size_law == "volume":
+        return make_law("weibull", {"mean": value, "modulus": parameters["modulus"]})
+    if mode.size_law == "particle":
+        # median of particles of this size (Tavares and King 1998, equation 15)
+        size = 1.0 + (strength.further["size"] / diameter) ** strength.further["exponent"]
+        return make_law("lognormal", {"log_mean": math.log(value * size), "log_sd": strength.cov})
+    return make_law("lognormal", {"mean": value, "cov": strength.cov})

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.mechanics.failure_modes import mode_name
+from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.model import Model
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.design import Design
@@ -125,16 +127,9 @@ def _description(design: Design) -> list[str]:
         means = study.at_means()
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
         size = f"{2e3 * means['sphere.radius']:.3g} mm"
-        rig = {
-            "bars": "between Hopkinson bars",
-            "impact": "impact on a body",
-            "sphere_on_sphere": "sphere on sphere",
-            "drop_weight": "drop weight",
-            "load_cell": "impact load cell",
-            "platens": "between platens",
-        }[study.rig]
         scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
-        first = f"{rock[:1].upper()}{rock[1:]}, {size}, {rig}; scatter of {scatter}"
+        sphere = f"{rock[:1].upper()}{rock[1:]}, {size}"
+        first = f"{sphere}, {RIGS[study.rig].title}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
         tests = _tests(limit)
@@ -203,15 +198,8 @@ def _limit(design: Design, limit: Limit) -> dict[str, Any]:
     else:
         strength |= {"median": float(law), "p05": float(law), "p95": float(law), "density": None}
     tests = _tests(limit)
-    modes = {
-        "contact": "contact pressure",
-        "rim": "ring crack",
-        "core": "core tension",
-        "energy": "fracture energy",
-    }
-    found = breaks_by(limit)
     return {
-        "mode": modes.get(found, found or "limit"),
+        "mode": mode_name(breaks_by(limit)),
         "quantity": limit.quantity,
         "aim": limit.aim,
         "target": limit.target,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.errors import UsageError
+from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.model import announce_compilation
 from uqsphere.models.scene import evaluate_scene, scene_of
 from uqsphere.quantities import format_value, lookup
@@ -56,7 +57,7 @@ def history(
         found = trace(
             scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points
         )
-        if study.rig == "bars":
+        if RIGS[study.rig].by_wave:
             places = tuple(
                 (gauge.bar, gauge.position) for gauge in study.gauges
             ) or default_positions(found.motion)
@@ -85,7 +86,7 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
     from uqsphere.mechanics.outputs import OUTPUTS, absent_in
 
     rows = [("mu, scaled mass of the sphere", f"{found.mass_number:.4g}")]
-    if study.rig == "bars" and math.isfinite(found.pulse_number):
+    if RIGS[study.rig].by_wave and math.isfinite(found.pulse_number):
         rows.append(("theta, scaled length of the pulse", f"{found.pulse_number:.4g}"))
     scene = scene_of(study, {}, 1)
     names = [name for name in OUTPUTS if not absent_in(scene, name)]
@@ -115,7 +116,7 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
                 f"{pressure} at {_when(found.later_peak.time)}",
             )
         )
-    if study.rig == "bars":
+    if RIGS[study.rig].by_wave:
         rows.append(("forces first within 5 % of their mean", _when(equilibrium(found))))
         for bar in BARS:
             tension = first_tension(found.motion, bar)
@@ -158,7 +159,7 @@ def write_history(study: Study, found: History, folder: Path) -> list[str]:
     draw = {"forces": _draw_forces, "pressures": _draw_pressures} | (
         {"gauges": _draw_gauges} if found.gauges else {}
     )
-    draw |= {"xt": _draw_xt} if study.rig == "bars" else {}
+    draw |= {"xt": _draw_xt} if RIGS[study.rig].by_wave else {}
     for name, one in draw.items():
         files[f"figures/{name}.svg"] = svg(partial(one, found=found))
     write_files(folder, files)

@@ -25,7 +25,7 @@ from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
-from uqsphere.mechanics.rigs import LAW
+from uqsphere.mechanics.rigs import LAW, RIGS
 from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
@@ -53,16 +53,22 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
     "rod": {"": "E nu density diameter length"},
     "pulse": {**forms.FORMS["pulse"], "measured": "file; columns units factor gain"},
     "analysis": {"a black box": "; cost time_limit"},
-    "model": {"bars": "; first_loading_only whole_record compare_with_paper"},
+    "model": {
+        name: "; first_loading_only whole_record compare_with_paper"
+        for name, rig in RIGS.items()
+        if rig.by_wave
+    },
 }
 
 
 def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
     document, rod = draft.document, draft.document.rod
-    usual = (
-        draft.known if draft.box else ("p_max", *["contact_duration"] * (draft.rig != "platens"))
-    )
+    usual: tuple[str, ...] = ("p_max", "contact_duration")
+    if draft.box:
+        usual = draft.known
+    elif RIGS[draft.rig].by_press:
+        usual = ("p_max",)
     gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
     own = {
         name: number.value
@@ -223,9 +229,10 @@ def _forms(draft: Draft) -> Faults:
         f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers
     }
     pulse, shape = document.pulse, str(document.pulse.shape)
-    if draft.rig != "bars":
+    if not RIGS[draft.rig].by_wave:
         options["rig.kind"] = draft.rig
-        usual |= {"rig.angle": 0.5 * math.pi} if draft.rig in ("impact", "sphere_on_sphere") else {}
+        if RIGS[draft.rig].sphere_moves:
+            usual["rig.angle"] = 0.5 * math.pi
     else:
         if pulse.preset is not None:
             shape, values = PRESETS[pulse.preset]
@@ -298,22 +305,15 @@ def _forms(draft: Draft) -> Faults:
 
 def _model(draft: Draft) -> Faults:
     """Which models go with a rig."""
-    rig, model, anvil, bars = (
-        draft.rig,
-        draft.document.model,
-        draft.document.anvil,
-        draft.rig == "bars",
-    )
+    rig, model = RIGS[draft.rig], draft.document.model
     light = (
-        rig == "drop_weight"
-        and anvil.kind != "bar"
+        rig.weight_falls
+        and rig.kind(1, draft.options) != "bar"
         and not draft.plastic
         and model.fidelity == "massless"
     )
-    for key, word in (
-        (("fidelity", "linear"), ("compare_with_paper", True)) if bars and draft.plastic else ()
-    ):
-        if getattr(model, key) == word:
+    for key, word in (("fidelity", "linear"), ("compare_with_paper", True)):
+        if rig.by_wave and draft.plastic and getattr(model, key) == word:
             said = (
                 'the linear model and the paper know Hertz only, contact.law is "plastic": leave '
                 "one out"
@@ -322,11 +322,11 @@ def _model(draft: Draft) -> Faults:
     if model.whole_record and model.first_loading_only:
         said = "the whole record goes on after the first loading: leave first_loading_only out"
         yield Fault(said, "model", "whole_record")
-    if model.fidelity != "full" and not bars and not light:
+    if model.fidelity != "full" and not rig.by_wave and not light:
         yield Fault(
-            f"the rig {shown(rig)} is solved in full: leave fidelity out", "model", "fidelity"
+            f"the rig {shown(draft.rig)} is solved in full: leave fidelity out", "model", "fidelity"
         )
-    if not bars and rig != "platens":
+    if rig.by_impact:
         draft.warn((), _NO_SPHERE)
     if draft.mean("platens.displacement") >= (radius := draft.mean("sphere.radius")):
         said = f'more than the radius of the sphere, {1e3 * radius:.4g} mm: write "0.1 mm", say'
@@ -391,7 +391,7 @@ def _scene(draft: Draft) -> Faults:
                 "contact" if own else softer,
                 "hardness",
             )
-    if draft.rig != "bars":
+    if not RIGS[draft.rig].by_wave:
         return
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
     if across > bars:
@@ -444,7 +444,7 @@ def _gauges(draft: Draft) -> Faults:
     ]
     for place, bar, position in places:
         path, what = ("rod.length", "rod") if bar == "rod" else (f"bars.{bar}_length", f"{bar} bar")
-        if (bar == "rod") != (draft.rig == "load_cell"):
+        if (bar == "rod") != ("rod" in RIGS[draft.rig].tables):
             said = f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell"
             yield Fault(said, *place, "bar")
         elif position > (length := draft.mean(path)):

@@ -29,7 +29,7 @@ from uqsphere.documents import Fault, Place, Table, one_of, path_of, shown, tabl
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
-from uqsphere.mechanics.rigs import RIGS
+from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS
 from uqsphere.study.values import (
     Number,
     Observations,
@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
-    name: (*rig.tables, *("striker", "pulse", "insert") * (name == "bars"))
-    for name, rig in RIGS.items()
+    name: (*rig.tables, "insert") if rig.by_wave else rig.tables for name, rig in RIGS.items()
 }
 #: tables that have numbers of `uqsphere.quantities.INPUTS`
 SCENE: Final = (
@@ -176,7 +175,7 @@ class Contact(Table):
 class Rig(Table):
     """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
-    kind: Literal[*RIGS] = keyed("what loads the sphere", "bars")  # type: ignore[valid-type]
+    kind: Literal[*RIGS] = keyed("what loads the sphere", DEFAULT_RIG)  # type: ignore[valid-type]
 
 
 class Struck(Body):
@@ -500,7 +499,7 @@ class Draft:
     data: dict[str, Any] = field(default_factory=dict)
     document: Words = field(default_factory=Document.model_construct)
     box: bool = False
-    rig: str = "bars"
+    rig: str = DEFAULT_RIG
     plastic: bool = False
     known: tuple[str, ...] = ()
     numbers: dict[str, Number] = field(default_factory=dict)

@@ -17,7 +17,7 @@ from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.outputs import PATHS, follows_force
-from uqsphere.mechanics.rigs import LAW, sphere_body
+from uqsphere.mechanics.rigs import LAW, RIGS, sphere_body
 from uqsphere.quantities import INPUTS, lookup, plain_quantity
 from uqsphere.study import values
 from uqsphere.study.document import Draft, LimitTable
@@ -114,7 +114,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     if criterion is not None and draft.box:
         raise Fault("a criterion belongs to the impact model: name a quantity instead", "criterion")
     if criterion == "specific_energy":
-        if table.energy_is is None and draft.rig != "bars":
+        if table.energy_is is None and not RIGS[draft.rig].by_wave:
             raise Fault(
                 f"energy_is is missing: write what the strength means, {one_of(_ENERGIES)}",
                 "energy_is",
@@ -241,7 +241,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         exponent=exponent,
     )
     compare_sizes(replace(limit, tested=tested), radii, draft, (*place, "diameter"))
-    if draft.rig != "platens" and "rate_0" not in limit.parameters:
+    if not RIGS[draft.rig].by_press and "rate_0" not in limit.parameters:
         draft.warn(
             place,
             "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is "

@@ -22,6 +22,7 @@ from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
+from uqsphere.mechanics.rigs import DEFAULT_RIG
 from uqsphere.study.document import Analysis, Document, Gauge, Margins, ModelChoice
 from uqsphere.study.values import Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
@@ -136,7 +137,7 @@ class Study:
     @property
     def rig(self) -> str:
         """What loads the sphere: `bars`, `impact`, ..."""
-        return str(self.options.get("rig.kind", "bars"))
+        return str(self.options.get("rig.kind", DEFAULT_RIG))
 
     def __repr__(self) -> str:
         parts = [f"{len(self.random)} random input{'' if len(self.random) == 1 else 's'}"]
