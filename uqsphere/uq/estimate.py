@@ -31,7 +31,13 @@ SURE: Final = 4.0
 class Estimate:
     """A number with its 95 % interval; where there is none, `value` is None and `reason` says why.
 
-    `evaluations` counts the model runs that it rests on.
+    Attributes
+    ----------
+    value, low, high : the number and both ends of its interval; an end without a bound is None
+    low_unseen, high_unseen : ends that also allow for an event of which the runs show nothing, 3/N
+        more in probability; None where these are `low` and `high`
+    std_error : standard error
+    evaluations : model runs that it rests on
     """
 
     value: float | None
@@ -41,9 +47,11 @@ class Estimate:
     method: str
     evaluations: int
     reason: str | None = None
+    low_unseen: float | None = None
+    high_unseen: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("value", "low", "high", "std_error"):
+        for name in ("value", "low", "high", "std_error", "low_unseen", "high_unseen"):
             number = getattr(self, name)
             if number is not None and not math.isfinite(number):
                 raise ValueError(f"{name} of an estimate must be finite or absent, found {number}")
@@ -54,6 +62,13 @@ class Estimate:
     def half_width(self) -> float:
         """Half the length of the interval; inf where an end is absent."""
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
+
+    @property
+    def outer(self) -> tuple[float | None, float | None]:
+        """The interval that also allows for what the runs do not show; verdicts use this one."""
+        low = self.low if self.low_unseen is None else self.low_unseen
+        high = self.high if self.high_unseen is None else self.high_unseen
+        return low, high
 
     def spanning(self, low: float, high: float) -> Estimate:
         """The same from one end to another, which its standard error follows; the value stays

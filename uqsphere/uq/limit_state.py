@@ -188,20 +188,31 @@ def reliability_index(probability: float | None) -> float | None:
 
 def complement(e: Estimate) -> Estimate:
     """The probability of the opposite; what is not known is bounded the other way round."""
-    value, low, high = (None if end is None else 1.0 - end for end in (e.value, e.high, e.low))
+
+    def of(p: float | None) -> float | None:
+        return None if p is None else 1.0 - p
+
     return replace(
-        e, value=value, low=low, high=high, reason=e.reason and f"of the opposite: {e.reason}"
+        e,
+        value=of(e.value),
+        low=of(e.high),
+        high=of(e.low),
+        low_unseen=of(e.high_unseen),
+        high_unseen=of(e.low_unseen),
+        reason=e.reason and f"of the opposite: {e.reason}",
     )
 
 
 def target_met(missed: Estimate, target: float) -> bool | None:
     """True if the interval lies below the target, False if above, None (undecided) if it straddles.
 
-    An upper end is enough, for an answer without a value too.
+    An upper end is enough, for an answer without a value too.  The interval is the one that also
+    allows for what the runs do not show.
     """
-    if missed.high is not None and missed.high < target:
+    low, high = missed.outer
+    if high is not None and high < target:
         return True
-    return False if missed.low is not None and missed.low > target else None
+    return False if low is not None and low > target else None
 
 
 # --- safety factor --------------------------------------------------------------------------------
