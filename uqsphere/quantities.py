@@ -24,10 +24,13 @@ __all__ = [
     "format_bounds",
     "format_conservative",
     "format_estimate",
+    "format_index",
     "format_probability",
+    "format_probability_estimate",
     "format_value",
     "lookup",
     "plain_quantity",
+    "round_conservative",
 ]
 
 #: the unit that is read in place of a larger one
@@ -86,8 +89,9 @@ def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
 
 
 def format_value(value: float, name: str, digits: int = 4) -> str:
-    """`value` (SI) of the named quantity for people, in its display unit, to `digits` significant
-    digits; no power of ten where the digits before the point say it.
+    """Text of a value [SI] of the named quantity, in its display unit.
+
+    The value has `digits` significant digits, and no power of ten below a million.
 
     >>> format_value(2.5541e9, "p_max"), format_value(0.001091, "contact_duration", 3)
     ('2.554 GPa', '1091 us')
@@ -98,68 +102,162 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     return f"{scaled:.{max(digits, before)}g} {unit}".rstrip()
 
 
+def round_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> float:
+    """A conservative bound [SI] rounded to what people read: up if it is the `least` allowable
+    value, else down.
+
+    Ratios that stand beside the rounded number are computed from it, so that text and ratio agree.
+
+    >>> round_conservative(0.458, "striker.speed", least=False)
+    0.45
+    """
+    _, factor = display_unit(name, value)
+    return _significant(value * factor, digits, 1 if least else -1) / factor
+
+
 def format_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> str:
-    """As `format_value`, rounded up where a value is the `least` that is safe, else down.
+    """Text of a conservative bound [SI], rounded as `round_conservative` does.
 
     >>> [format_conservative(0.458, "striker.speed", least=least) for least in (False, True)]
     ['0.45 m/s', '0.46 m/s']
     """
     unit, factor = display_unit(name, value)
-    scaled = value * factor
-    step = 10.0 ** (math.floor(math.log10(abs(scaled))) - digits + 1) if scaled else 1.0
-    rounded = (
-        math.ceil(scaled / step - 1e-9) if least else math.floor(scaled / step + 1e-9)
-    ) * step
-    return f"{float(f'{rounded:.{digits}g}'):g} {unit}".rstrip()
+    return f"{_significant(value * factor, digits, 1 if least else -1):g} {unit}".rstrip()
 
 
-def format_probability(value: float | None, high: float | None = None) -> str:
-    """A probability for people: percent to two digits, more near 100 %, a power of ten below 0.01
-    %, "above" 99.99 %; never rounded to 0 or 100 %.
+def _significant(value: float, digits: int, direction: int) -> float:
+    """`value` to significant digits: rounded up for a direction of 1, down for -1, else to the
+    nearest.
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
+    # what is a round number but for the last bits stays what it is
+    if direction > 0:
+        steps = math.ceil(value / step - 1e-9)
+    elif direction < 0:
+        steps = math.floor(value / step + 1e-9)
+    else:
+        steps = round(value / step)
+    return float(f"{steps * step:.{digits}g}")
 
-    Without a value its upper bound, if there is one.
+
+def format_probability(
+    value: float | None, high: float | None = None, low: float | None = None
+) -> str:
+    """Text of a probability: percent to two digits, more near 100 %, a power of ten below 0.01 %.
+
+    It is never rounded to 0 or 100 %.  With the ends of its interval, 0 is "below" the upper and 1
+    "above" the lower end; without a value the ends themselves are given.
 
     >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 0.99996, 0.0)]
     ['3.3 %', '2.6e-07', '99.974 %', 'above 99.99 %', '0 %']
-    >>> format_probability(None, 1e-5), format_probability(None)
-    ('below 1e-05', 'not known')
+    >>> format_probability(0.0, 7.32e-4), format_probability(1.0, 1.0, 0.9998)
+    ('below 0.074 %', 'above 99.98 %')
+    >>> format_probability(None, 1e-5), format_probability(None, 1.0, 0.9998)
+    ('below 1e-05', 'above 99.98 %')
+    >>> format_probability(None)
+    'not known'
     """
-    if value is None:
-        return "not known" if high is None else f"below {format_probability(high)}"
+    bounded_above = high is not None and high < 1.0
+    bounded_below = low is not None and low > 0.0
+    if value is None and bounded_above and bounded_below:
+        return f"{_percent(low or 0.0, -1)} to {_percent(high or 0.0, 1)}"
+    if value in (None, 1.0) and bounded_below and low != value:
+        text = _percent(low or 0.0, -1)
+        return text if text.startswith("above") else f"above {text}"
+    if value in (None, 0.0) and bounded_above and high != value:
+        return f"below {_percent(high or 0.0, 1)}"
+    return "not known" if value is None else _percent(value)
+
+
+def _percent(value: float, direction: int = 0) -> str:
+    """A probability without an interval, rounded up or down if it is a bound."""
     if 0.0 < value < 1e-4:
-        return f"{value:.2g}"
+        return f"{_significant(value, 2, direction):.2g}"
     if 0.9999 < value < 1.0:
         return "above 99.99 %"
-    digits = 2 if value <= 0.99 else 1 - math.floor(math.log10(1.0 - value)) if value < 1.0 else 3
-    return f"{100.0 * value:.{digits}g} %"
+    digits = 2
+    if value == 1.0:
+        digits = 3
+    elif value > 0.99:
+        digits = 1 - math.floor(math.log10(1.0 - value))
+    return f"{_significant(100.0 * value, digits, direction):.{digits}g} %"
 
 
-def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:
+def format_probability_estimate(value: float | None, low: float | None, high: float | None) -> str:
+    """Text of a probability with its interval, `format_probability` where one of them is enough.
+
+    >>> format_probability_estimate(0.02017, 0.0199, 0.0204)
+    '2.02 % (1.99 to 2.04 %)'
+    >>> format_probability_estimate(None, 0.0, 1e-5), format_probability_estimate(0.2, 0.2, 0.2)
+    ('below 1e-05', '20 %')
+    """
+    if value is None or low is None or high is None or low == high:
+        return format_probability(value, high, low)
+    if (value == 0.0 and high < 1.0) or (value == 1.0 and low > 0.0):
+        return format_probability(value, high, low)
+    texts = [_percent(number) for number in (value, low, high)]
+    if low >= 1e-4 and high <= 0.99:
+        # as many digits as keep the ends apart, at most three of the value
+        value_digits = 2 - math.floor(math.log10(100.0 * min(value, 1.0 - value)))
+        width_digits = 1 - math.floor(math.log10(100.0 * (high - low)))
+        digits = max(min(value_digits, width_digits), 0)
+        texts = [f"{100.0 * number:.{digits}f} %" for number in (value, low, high)]
+    if texts[0] == texts[1] == texts[2]:
+        return texts[0]
+    first = texts[1].removesuffix(" %") if texts[2].endswith("%") else texts[1]
+    return f"{texts[0]} ({first} to {texts[2]})"
+
+
+def format_index(value: float, low: float | None = None, high: float | None = None) -> str:
+    """Text of a Sobol' index with its interval, to three decimals.
+
+    >>> format_index(0.98412, 0.981, 0.987), format_index(4e-5, 0.0, 9e-5)
+    ('0.984 (0.981 to 0.987)', '0.000')
+    """
+    first = value if low is None else low
+    last = value if high is None else high
+    texts = [f"{number:.3f}" for number in (value, first, last)]
+    if texts[0] == texts[1] == texts[2]:
+        return texts[0]
+    return f"{texts[0]} ({texts[1]} to {texts[2]})"
+
+
+def format_estimate(
+    value: float, low: float | None, high: float | None, name: str = "", most: int = 15
+) -> str:
     """``value (low to high) unit``, every number rounded to what the interval supports.
 
     The half-width keeps two significant digits, the value the same decimal and at most `most`
-    digits; where that would round the value away, an interval that is far longer to one side has
-    the digits of its shorter one.
+    digits.  If that would round the value away, an interval that is far longer to one side has the
+    digits of its shorter side.  An interval that rounds to the value is omitted.
 
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
+    >>> format_estimate(0.5, None, None), format_estimate(2.5e9, 2.499999e9, 2.5e9, "p_max", 4)
+    ('0.5', '2.500 GPa')
     """
+    if low is None or high is None or low == high:
+        return format_value(value, name, min(most, 6))
     unit, factor = display_unit(name, value) if name else ("", 1.0)
     scaled = [number * factor for number in (value, low, high)]
-    if low == high:
-        return f"{scaled[0]:.6g} {unit}".rstrip()
     if not all(map(math.isfinite, scaled)):  # a difference of numbers near the largest there are
         return f"{scaled[0]:.6g} ({scaled[1]:.6g} to {scaled[2]:.6g}) {unit}".rstrip()
     decimals = _decimals(*scaled)
     largest = max(abs(number) for number in scaled)
-    decimals = min(decimals, most - 1 - math.floor(math.log10(largest)) if largest else decimals)
+    magnitude = math.floor(math.log10(largest)) if largest else 0
+    if largest:
+        decimals = min(decimals, most - 1 - magnitude)
     if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
-        digits = max(1, decimals + 1 + (math.floor(math.log10(largest)) if largest else 0))
+        digits = max(1, decimals + 1 + magnitude)
         texts = [f"{number:.{digits - 1}e}" for number in scaled]
     else:
         places = max(0, decimals)
         # + 0.0: what rounds to zero has no sign
         texts = [f"{round(number, decimals) + 0.0:.{places}f}" for number in scaled]
+    if texts[0] == texts[1] == texts[2]:
+        return f"{texts[0]} {unit}".rstrip()
     return f"{texts[0]} ({texts[1]} to {texts[2]}) {unit}".rstrip()
 
 

@@ -353,7 +353,7 @@ def _number_to_use(
         "by": by,
         "safe_end": "largest" if pick is min else "smallest",
         "path": margins.solve,
-        "text": format_value(value, margins.solve, 2),
+        "text": format_conservative(value, margins.solve, least=pick is not min),
         "governing": governing,
         "factor": factor,
     }

@@ -4,12 +4,17 @@ figures alike.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from uqsphere.quantities import format_estimate, format_probability, format_value, lookup
+from uqsphere.quantities import (
+    format_estimate,
+    format_index,
+    format_probability_estimate,
+    format_value,
+    lookup,
+)
 
 Row = Mapping[str, Any]
 Results = Mapping[str, Any]
@@ -120,13 +125,7 @@ def estimate(row: Row | None, name: str = "", most: int = 4) -> str:
         return "–"
     if row["value"] is None:
         return f"– ({row['note']})" if row["note"] else "–"
-    if row["low"] is None or row["high"] is None or row["low"] == row["high"]:
-        return value(row["value"], name, most)
-    text = format_estimate(row["value"], row["low"], row["high"], name, most)
-    middle, _, rest = text.partition(" (")
-    ends, _, unit = rest.partition(")")
-    # an interval that rounds to the value says nothing more
-    return f"{middle}{unit}" if ends == f"{middle} to {middle}" else text
+    return format_estimate(row["value"], row["low"], row["high"], name, most)
 
 
 def index(row: Row | None) -> str:
@@ -138,10 +137,7 @@ def index(row: Row | None) -> str:
     """
     if row is None or row["value"] is None:
         return "–"
-    low, middle, high = (
-        f"{row['value'] if row[key] is None else row[key]:.3f}" for key in ("low", "value", "high")
-    )
-    return middle if low == middle == high else f"{middle} ({low} to {high})"
+    return format_index(row["value"], row["low"], row["high"])
 
 
 def probability(row: Row | None) -> str:
@@ -154,21 +150,9 @@ def probability(row: Row | None) -> str:
     """
     if row is None:
         return "–"
-    low, high = row["low"], row["high"]
-    if row["value"] is None or (row["value"] == 0.0 and high):
-        return "–" if high is None else format_probability(None, high)
-    if low is None or high is None or low == high:
-        return format_probability(row["value"])
-    texts = [format_probability(p) for p in (row["value"], low, high)]
-    if low >= 1e-4 and high <= 0.99:
-        # as many digits as tell the ends apart, three of the value at most
-        least = 2 - math.floor(math.log10(100.0 * min(row["value"], 1.0 - row["value"])))
-        digits = max(min(least, 1 - math.floor(math.log10(100.0 * (high - low)))), 0)
-        texts = [f"{100.0 * p:.{digits}f} %" for p in (row["value"], low, high)]
-    if texts[0] == texts[1] == texts[2]:
-        return texts[0]
-    first = texts[1].removesuffix(" %") if texts[2].endswith("%") else texts[1]
-    return f"{texts[0]} ({first} to {texts[2]})"
+    if row["value"] is None and row["low"] is None and row["high"] is None:
+        return "–"
+    return format_probability_estimate(row["value"], row["low"], row["high"])
 
 
 def meaning(name: str, inputs: Mapping[str, Any] | None = None) -> str:

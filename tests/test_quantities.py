@@ -1,0 +1,93 @@
+"""Numbers as text: one formatter for terminal, page, CSV notes and compare."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from uqsphere.quantities import (
+    format_conservative,
+    format_estimate,
+    format_probability,
+    format_probability_estimate,
+    format_value,
+    round_conservative,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "text"),
+    [
+        # no failure, and only failures, in a sample: what the interval says
+        (0.0, 0.0, 3 / 4096, "below 0.074 %"),
+        (1.0, 1.0 - 3 / 4096, 1.0, "above 99.926 %"),
+        (0.0, 0.0, 0.0, "0 %"),
+        (1.0, 1.0, 1.0, "100 %"),
+        # no value: never "below 100 %"
+        (None, 0.9998, 1.0, "above 99.98 %"),
+        (None, 0.99995, 1.0, "above 99.99 %"),
+        (None, 0.0, 1e-5, "below 1e-05"),
+        (None, 0.2, 0.4, "20 % to 40 %"),
+        (None, 0.0, 1.0, "not known"),
+        (None, None, None, "not known"),
+        (0.5, None, None, "50 %"),
+        (0.02017, 0.0199, 0.0204, "2.02 % (1.99 to 2.04 %)"),
+        (0.99, 0.98, 0.9998, "99 % (98 to 99.98 %)"),
+    ],
+)
+def test_probabilities_with_their_intervals(
+    value: float | None, low: float | None, high: float | None, text: str
+) -> None:
+    assert format_probability_estimate(value, low, high) == text
+
+
+def test_a_probability_and_its_interval_read_alike() -> None:
+    """Headline (one text) and table (with interval) say the same of a bound."""
+    for value, low, high in ((0.0, 0.0, 7.3e-4), (1.0, 0.9998, 1.0), (None, 0.9998, 1.0)):
+        assert format_probability(value, high, low) == format_probability_estimate(value, low, high)
+
+
+def test_no_probability_is_rounded_to_none_or_all() -> None:
+    for p in (1e-300, 1e-9, 0.9999, 0.99999999, 1.0 - 1e-16):
+        assert format_probability(p) not in ("0 %", "100 %")
+
+
+def test_a_bound_of_a_probability_is_rounded_outwards() -> None:
+    for bound in np.geomspace(1e-8, 0.9, 200).tolist():
+        text = format_probability(None, bound).removeprefix("below ")
+        read = float(text.removesuffix(" %")) * (0.01 if text.endswith("%") else 1.0)
+        assert bound * (1.0 - 1e-9) <= read <= bound * 1.101
+
+
+def test_conservative_values_never_pass_the_bound() -> None:
+    rng = np.random.default_rng(5)
+    for value in 10.0 ** rng.uniform(-6.0, 3.0, 300):
+        down = round_conservative(value, "striker.speed", least=False)
+        up = round_conservative(value, "striker.speed", least=True)
+        assert down <= value * (1.0 + 1e-9)
+        assert up >= value * (1.0 - 1e-9)
+        assert up - down <= 0.101 * value
+        # what is shown is the rounded number itself
+        number, unit = format_conservative(value, "striker.speed", least=False).split()
+        assert unit == "m/s"
+        assert float(number) == pytest.approx(down, rel=1e-12)
+
+
+def test_round_numbers_stay_as_they_are() -> None:
+    for least in (False, True):
+        assert format_conservative(0.12, "striker.speed", least=least) == "0.12 m/s"
+        assert format_conservative(0.65 + 1e-16, "striker.speed", least=least) == "0.65 m/s"
+    assert format_conservative(0.0, "striker.speed", least=True) == "0 m/s"
+
+
+def test_estimates_have_the_digits_of_their_interval() -> None:
+    assert (
+        format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max") == "2.5541 (2.5502 to 2.5581) GPa"
+    )
+    # an interval that rounds to the value says nothing more
+    assert format_estimate(2.5e9, 2.4999999e9, 2.5000001e9, "p_max", 4) == "2.500 GPa"
+    assert format_estimate(0.25, None, 0.3) == "0.25"
+    assert format_estimate(1.0, -math.inf, 2.0) == "1 (-inf to 2)"
+    assert format_value(math.inf, "bars.end_radius") == "inf mm"
