@@ -88,9 +88,9 @@ def make(out: Path, names: list[str]) -> None:
             continue
         model = str(shipped[name].parent / MODELS[name]) if name in MODELS else None
         found = uqsphere.run(uqsphere.load_study(shipped[name], [ACCURACY]), model, threads=1)
-        table[name] = rows_of(found.results)
+        table[name] = rows_of(found.results.model_dump(mode="json"))
         print(
-            f"{name}: {len(table[name])} rows, {found.results['accuracy']['runs']:,} model runs",
+            f"{name}: {len(table[name])} rows, {found.results.accuracy.runs:,} model runs",
             file=sys.stderr,
         )
     write(out, table)

@@ -38,7 +38,7 @@ def publish(name: str) -> str:
             shutil.copyfile(Path(place) / name / file, HERE / name / file)
     verdicts = "; ".join(f"{limit}: {v['verdict']}" for limit, v in run.verdicts.items())
     return (
-        f"| [{name}]({name}/report.html) | {question} | {run.results['accuracy']['runs']:,} | "
+        f"| [{name}]({name}/report.html) | {question} | {run.results.accuracy.runs:,} | "
         f"{verdicts} |"
     )
 

@@ -135,15 +135,19 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     ),
     **{
         f"results {name}": (
-            f"{DONE}; {damage} s-results/results.json; {UQ} report s-results; {RUN}",
+            f"{DONE}; cd s-results; {damage}; cd ..; {UQ} report s-results; {RUN}",
             5,
             f"(?s){says}.*{says}.*--fresh",
             WHOLE,
         )
         for name, damage, says in (
-            ("truncated", "truncate -s 500", "is damaged"),
-            ("changed", "sed -i s/value/valve/", "not as it was written"),
-            ("of another version", 'sed -i s/n.:.2/n\\":1/', "of another version"),
+            ("truncated", "truncate -s 500 results.json", "not as it was written"),
+            ("changed", "sed -i s/value/valve/ results.json", "not as it was written"),
+            (
+                "of another version",
+                "sed -i s/n.:3/n\\':1/ results.json; sha256sum results.json > SHA256SUMS",
+                "of another version",
+            ),
         )
     },
     "a cache that is none": (

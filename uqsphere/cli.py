@@ -281,18 +281,23 @@ def _run(given: argparse.Namespace) -> int:
             fresh=given.fresh,
         )
     if given.json:
-        print(json.dumps(found.results, indent=1, ensure_ascii=False))
+        print(found.results.to_json(), end="")
     else:
         from shutil import get_terminal_size
 
         from uqsphere.report import summary
 
-        print(summary(found.results, max(min(get_terminal_size().columns - 1, 99), 20)))
+        print(
+            summary(
+                found.results.model_dump(mode="json"),
+                max(min(get_terminal_size().columns - 1, 99), 20),
+            )
+        )
         print(f"report: {folder / 'report.html'}")
-    if found.results["accuracy"]["stopped"] == "interrupted":
+    if found.results.accuracy.stopped == "interrupted":
         return INTERRUPTED
     open_targets = [
-        v for v in found.verdicts.values() if v["target"] is not None and v["verdict"] != "met"
+        v for v in found.verdicts.values() if v.target is not None and v.verdict != "met"
     ]
     return NOT_MET if open_targets else 0
 
@@ -370,15 +375,15 @@ def _verify(given: argparse.Namespace) -> None:
     before = open_run(given.folder)
     text = (given.folder / "study.toml").read_text(encoding="utf-8")
     study = load_study(
-        given.folder / "files" / "study.toml", before.results["study"]["overrides"], text=text
+        given.folder / "files" / "study.toml", before.results.study.overrides, text=text
     )
     after = run(study, given.model)
-    if after.results["answers"] != before.results["answers"]:
+    if after.results.answers != before.results.answers:
         raise FolderError(
             "run again, the answers differ:\n"
             + comparison_text([before, after], ["before", "again"])
         )
-    print(f"run again: all {len(before.results['answers'])} answers are the same")
+    print(f"run again: all {len(before.results.answers)} answers are the same")
 
 
 def _list(given: argparse.Namespace) -> None:

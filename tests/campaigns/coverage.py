@@ -85,9 +85,9 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
                     patch.setattr(import_module(f"uqsphere.propagation.{module}"), constant, value)
             run = uqsphere.run(study, model)
         return {
-            (r["subject"], r["answer"], r["at"]): r["value"]
-            for r in run.results["answers"]
-            if r["value"] is not None
+            (row.subject, row.answer.value, row.at): row.value
+            for row in run.results.answers
+            if row.value is not None
         }
     points = np.concatenate([qmc.Sobol(3, seed=k).random_base2(20) for k in range(4)])
     x = (
@@ -120,16 +120,11 @@ def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
     truth, kinds = truth_of(name), Counter[tuple[str, bool]]()
     for seed in range(seeds):
         study, model = case(name, seed + 1)
-        for row in uqsphere.run(study, model).results["answers"]:
-            key = row["subject"], row["answer"], row["at"]
-            if (
-                row["method"] == "epistemic"
-                or row["low"] is None
-                or row["high"] is None
-                or key not in truth
-            ):
+        for row in uqsphere.run(study, model).results.answers:
+            key = row.subject, row.answer, row.at
+            if row.method == "epistemic" or row.low is None or row.high is None or key not in truth:
                 continue
-            if row["answer"] in (
+            if row.answer in (
                 "driver",
                 "curve",
                 "safety_factor",
@@ -138,7 +133,7 @@ def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
             ):
                 continue
             slack = 1e-9 * abs(truth[key])
-            kinds[row["answer"], bool(row["low"] - slack <= truth[key] <= row["high"] + slack)] += 1
+            kinds[row.answer, bool(row.low - slack <= truth[key] <= row.high + slack)] += 1
     return kinds
 
 

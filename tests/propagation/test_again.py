@@ -43,11 +43,11 @@ def test_every_shipped_study_runs_again_into_its_folder_and_once_more_after_an_i
     again = uqsphere.run(study, model, out=tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     log = (tmp_path / "log.txt").read_text(encoding="utf-8")
-    assert first.results["study"]["hash"] == again.results["study"]["hash"] == study.hash
+    assert first.results.study.hash == again.results.study.hash == study.hash
     assert study.hash[:12] in page
     assert log.count(study.hash) == 3
     assert again.answers["value"].equals(first.answers["value"])
-    assert summary(again.results)
+    assert summary(again.results.model_dump(mode="json"))
 
 
 BOX = {"inputs": {"a": {"dist": "normal", "mean": 1.0, "sd": 0.1}, "b": 2.0}, "outputs": "y"}

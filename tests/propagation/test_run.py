@@ -23,6 +23,7 @@ from uqsphere.models.scene import scene_of
 from uqsphere.propagation.distributions import density
 from uqsphere.results import COLUMNS, Run
 from uqsphere.results.folder import damaged_files
+from uqsphere.results.types import Results
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 FIXED = (
@@ -105,14 +106,14 @@ def test_a_product_has_the_indices_of_its_closed_form(cost: str) -> None:
         )
         assert found["total"][name] == pytest.approx(total, abs=1e-3)
     assert (found["total_high"] - found["total_low"]).max() < 2e-3
-    assert run.results["accuracy"]["runs"] < 30_000
+    assert run.results.accuracy.runs < 30_000
 
 
 def test_a_failure_probability_is_that_of_the_normal(plain: Run) -> None:
     p = float(stats.norm.sf(1.6))
     assert holds(plain, "limits.high", "failure_probability", p)
     assert plain.probability("high")["low"] < p < plain.probability("high")["high"]
-    assert plain.verdicts["high"]["verdict"] == "met"
+    assert plain.verdicts["high"].verdict == "met"
 
 
 def test_a_strength_is_integrated_exactly() -> None:
@@ -151,7 +152,7 @@ def test_many_limits_on_one_quantity_share_their_searches() -> None:
     assert all(holds(run, subject, "failure_probability", p) for subject, p in truth.items())
     assert sum(table.low[subject] <= p <= table.high[subject] for subject, p in truth.items()) >= 35
     # one by one they take 22,000 runs each
-    assert run.results["accuracy"]["runs"] < 40 * 10_000
+    assert run.results.accuracy.runs < 40 * 10_000
 
 
 def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
@@ -166,9 +167,9 @@ def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
         assert row["low"] - 0.05 < truth < row["high"] + 0.05
     curve = run.curve("high")
     assert np.all(np.diff(curve["value"]) >= -1e-9)
-    use = run.verdicts["high"]["use"]
-    assert use["safe_end"] == "largest"
-    assert use["value"] == pytest.approx((8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0, abs=0.15)
+    use = run.verdicts["high"].use
+    assert use.safe_end == "largest"
+    assert use.value == pytest.approx((8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0, abs=0.15)
 
 
 @pytest.mark.parametrize("between", [[-90.0, -60.0], [40.0, 80.0]])
@@ -179,8 +180,8 @@ def test_a_range_that_misses_the_target_is_told_and_drawn(
         study(margins={"solve": "a", "between": between}), linear, out=tmp_path / "out"
     )
     verdict = run.verdicts["high"]
-    assert verdict["use"] is None
-    assert "widen margins.between" in verdict["detail"]
+    assert verdict.use is None
+    assert "widen margins.between" in verdict.detail
     assert (tmp_path / "out" / "figures" / "fragility.svg").exists()
 
 
@@ -196,14 +197,14 @@ def test_a_margin_draws_values_and_points_about_it() -> None:
 
 def test_the_same_study_gives_the_same_numbers(plain: Run) -> None:
     again = uqsphere.run(study(), linear)
-    assert again.results["answers"] == plain.results["answers"]
+    assert again.results.answers == plain.results.answers
 
 
 def test_nothing_random_is_answered_by_one_run() -> None:
     high = {"high": {"quantity": "y", "strength": 8.0, "aim": "survive"}}
     run = uqsphere.run(Study(inputs={"a": 1.0, "b": 2.0}, outputs="y", limits=high), linear)
     table = run.answers
-    assert run.results["accuracy"]["runs"] == 1
+    assert run.results.accuracy.runs == 1
     assert table[(table.subject == "y") & (table.answer == "mean")]["value"].item() == 11.0
     assert run.probability("high")["value"] == 1.0
 
@@ -228,10 +229,10 @@ def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> 
         pressure = run.answers.query("subject == 'p_max' and answer == 'mean'")["value"].item()
         assert pressure == pytest.approx(getattr(history, peak).pressure, rel=1e-3)
         verdicts.append(run.verdicts["crushing"])
-        later = [check for check in run.results["checks"] if check["name"] == "later_loading"]
+        later = [check for check in run.results.checks if check.name == "later_loading"]
         assert len(later) == (whole == "false")
-    assert [verdict["verdict"] for verdict in verdicts] == ["not established", "not met"]
-    assert "model.whole_record" in verdicts[0]["next"]
+    assert [verdict.verdict for verdict in verdicts] == ["not established", "not met"]
+    assert "model.whole_record" in verdicts[0].next
 
 
 @pytest.mark.parametrize(
@@ -258,9 +259,9 @@ def test_a_strength_out_of_reach_and_a_criterion_out_of_its_range_are_said(
 ) -> None:
     speed = "striker.speed=4 m/s" if name == "range_of_edge_tension" else "striker.speed=0.5 m/s"
     run = uqsphere.run(uqsphere.load_study("studies/granite.toml", (*FIXED, speed, *changes)))
-    found = [check for check in run.results["checks"] if check["name"] == name]
-    assert [check["grade"] for check in found] == ([grade] if grade else [])
-    assert all(text in check["text"] for check in found)
+    found = [check for check in run.results.checks if check.name == name]
+    assert [check.grade for check in found] == ([grade] if grade else [])
+    assert all(text in check.text for check in found)
 
 
 # --- what is taken for granted ---
@@ -316,27 +317,27 @@ def test_contacts_that_yield_turn_a_verdict_of_hertz_with_their_own_numbers() ->
         plastic.probability("crushing")["value"], rel=0.02
     )
     assert taken["margin"] == pytest.approx(plastic.margin("crushing", 0.6)["value"], rel=0.02)
-    assert [reason["code"] for reason in hertz.verdicts["crushing"]["reasons"]] == ["contact law"]
-    assert plastic.verdicts["crushing"]["verdict"] == "met"
+    assert [reason.code for reason in hertz.verdicts["crushing"].reasons] == ["contact law"]
+    assert plastic.verdicts["crushing"].verdict == "met"
 
 
 # --- accuracy, budget, interruption ---------------------------------------------------------------
 
 
 def test_speed_against_error_is_told_at_each_size(plain: Run) -> None:
-    reached = plain.results["accuracy"]["reached"]
-    assert [row["runs"] for row in reached] == sorted(row["runs"] for row in reached)
-    assert plain.results["accuracy"]["stopped"] == "accurate"
-    assert reached[-1]["error"] <= 1.0
-    assert not plain.results["accuracy"]["missed"]
+    reached = plain.results.accuracy.reached
+    assert [row.runs for row in reached] == sorted(row.runs for row in reached)
+    assert plain.results.accuracy.stopped == "accurate"
+    assert reached[-1].error <= 1.0
+    assert not plain.results.accuracy.inaccurate
 
 
 def test_an_accuracy_out_of_reach_ends_with_the_budget() -> None:
     tight = study(analysis={"accuracy": {"probability": 1e-6}, "budget": {"evaluations": 20_000}})
     run = uqsphere.run(tight, linear)
-    assert run.results["accuracy"]["stopped"] == "budget"
-    assert run.results["accuracy"]["runs"] <= 20_000
-    assert {miss["answer"] for miss in run.results["accuracy"]["missed"]} >= {"failure_probability"}
+    assert run.results.accuracy.stopped == "budget"
+    assert run.results.accuracy.runs <= 20_000
+    assert {miss.answer for miss in run.results.accuracy.inaccurate} >= {"failure_probability"}
 
 
 def test_a_stop_ends_with_what_is_there() -> None:
@@ -348,7 +349,7 @@ def test_a_stop_ends_with_what_is_there() -> None:
 
     tight = study(analysis={"accuracy": {"probability": 1e-6}})
     run = uqsphere.run(tight, counted, threads=1, stop=lambda: sum(rows) > 6000)
-    assert run.results["accuracy"]["stopped"] == "interrupted"
+    assert run.results.accuracy.stopped == "interrupted"
     assert run.probability("high")["value"] > 0.0
     with pytest.raises(KeyboardInterrupt):  # before there is anything
         uqsphere.run(study(), linear, stop=lambda: True)
@@ -371,7 +372,7 @@ def test_rows_that_fail_are_never_survival(policy: str) -> None:
         assert p["low"] < truth < p["high"]
     else:
         assert p["low"] - lost < truth < p["high"] + lost
-    assert any(check["name"] == "failed_rows" for check in run.results["checks"])
+    assert any(check.name == "failed_rows" for check in run.results.checks)
 
 
 # --- slow models ----------------------------------------------------------------------------------
@@ -384,12 +385,12 @@ def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
         return {"y": linear(inputs)["y"] + 0.1 * inputs["a"] ** 3}
 
     run = uqsphere.run(cubic, model)
-    assert run.results["accuracy"]["runs"] <= 60
+    assert run.results.accuracy.runs <= 60
     sobol = run.sobol("y")
     # Var(3 a + a³/10) = 9 + 6 · 3/10 + 15/100
     var = 9.0 + 1.8 + 0.15
     assert sobol["first"]["a"] == pytest.approx(var / (var + 16.0), abs=1e-3)
-    assert any("3/" in check["text"] for check in run.results["checks"])
+    assert any("3/" in check.text for check in run.results.checks)
     p = run.probability("high")
     assert p["high"] >= 3.0 / 60
     assert p["note"]
@@ -409,8 +410,8 @@ def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> Non
     lost = uqsphere.run(
         study(analysis=few), lambda x: {"y": np.where(x["b"] < 1.9, linear(x)["y"], np.nan)}
     )
-    failed = next(check for check in lost.results["checks"] if check["name"] == "failed_rows")
-    assert failed["share"] == pytest.approx(stats.norm.sf(1.9), abs=0.01)
+    failed = next(check for check in lost.results.checks if check.name == "failed_rows")
+    assert failed.share == pytest.approx(stats.norm.sf(1.9), abs=0.01)
 
 
 def test_a_density_holds_the_whole_probability() -> None:
@@ -493,8 +494,7 @@ def test_results_are_one_long_table_without_nan(granite: Run) -> None:
     assert granite.folder is not None
     text = (granite.folder / "results.json").read_text(encoding="utf-8")
     results = json.loads(text, parse_constant=lambda name: pytest.fail(name))
-    sections = "schema_version study inputs answers verdicts checks accuracy versions"
-    assert set(results) == set(sections.split())
+    assert Results.model_validate(results) == granite.results
     assert all(tuple(row) == COLUMNS for row in results["answers"])
     opened = uqsphere.open_run(granite.folder)
     assert opened.answers.equals(granite.answers)
@@ -520,21 +520,21 @@ def test_both_quantities_of_the_mission_have_distributions_and_indices(granite: 
         sobol = granite.sobol(quantity)
         assert sobol["first"].sum() == pytest.approx(1.0, abs=0.05)
         assert (sobol["total"] >= sobol["first"] - 1e-12).all()
-        assert granite.results["study"]["quantities"][quantity]["density"]
+        assert granite.results.study.quantities[quantity].density
 
 
 def test_the_verdict_names_what_decides_it(granite: Run) -> None:
     verdict = granite.verdicts["crushing"]
-    assert verdict["verdict"] == "not established"
-    assert verdict["reasons"][0]["code"] == "assumed strength"
-    assert verdict["use"]["value"] < 0.5
-    assert "Use at most" in verdict["headline"]
-    assert "no margin" in verdict["headline"]
+    assert verdict.verdict == "not established"
+    assert verdict.reasons[0].code == "assumed strength"
+    assert verdict.use.value < 0.5
+    assert "Use at most" in verdict.headline
+    assert "no margin" in verdict.headline
     # a speed to use is rounded down from the low end of its interval, also that of the study's own
     # limit
     low = granite.margin("crushing", 0.01)["low"]
-    assert f"crushing only: at most {math.floor(100.0 * low) / 100.0:g} m/s" in verdict["detail"]
-    assert verdict["use"]["value"] <= min(
+    assert f"crushing only: at most {math.floor(100.0 * low) / 100.0:g} m/s" in verdict.detail
+    assert verdict.use.value <= min(
         granite.margin(mode, 0.01)["low"] for mode in ("core tension", "ring crack")
     )
 

@@ -36,7 +36,7 @@ from uqsphere.propagation.limits import limits
 from uqsphere.propagation.progress import Progress, watched
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.verdict import verdicts
-from uqsphere.propagation.write import results_of, samples_of, written
+from uqsphere.propagation.write import Cost, results_of, samples_of, written
 from uqsphere.results import Answers, Run
 from uqsphere.results.folder import Log, clear, locked, read_results
 from uqsphere.study import Study, load_study
@@ -172,7 +172,10 @@ def _run(
         checked = checks(design, tables, evaluator.notes)
         judged = verdicts(design, tables, answers, assumed, checked)
         took = time.monotonic() - started
-        results = results_of(design, tables, answers, judged, checked, evaluator, took)
+        cost = Cost(
+            runs=evaluator.evaluations + evaluator.reused, reused=evaluator.reused, seconds=took
+        )
+        results = results_of(design, tables, answers, judged, checked, cost)
     log.write(f"ended: {tables.stopped} after {took:.1f} s")
     return written(folder, study, results, samples_of(design, tables), _live(design, tables))
 
@@ -221,10 +224,10 @@ def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
         return
     if not (folder / "results.json").exists():
         return
-    stored = read_results(folder)["study"]
-    if stored.get("hash") == study.hash:
+    stored = read_results(folder).study
+    if stored.hash == study.hash:
         return
-    changed = _changed_keys(folder, stored["overrides"], study)
+    changed = _changed_keys(folder, stored.overrides, study)
     raise FolderError(
         f"{folder} holds another study{changed}: choose another folder with --out, or replace it "
         "with --fresh"

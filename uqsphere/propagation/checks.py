@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from uqsphere.propagation.design import Design
 from uqsphere.propagation.limits import failure_given_inputs, state_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_probability
+from uqsphere.results.types import CheckEntry, Grade
 from uqsphere.uq import Law
 
 #: rows that are checked
@@ -24,7 +24,7 @@ ROWS = 512
 REACH = (0.01, 0.5)
 #: what a loss of contact that comes a swing sooner or later changes
 _TIMES = {"time_to_first_loss", "contact_duration"}
-GRADES = ("ok", "note", "warning", "failure")
+GRADES: tuple[Grade, ...] = ("ok", "note", "warning", "failure")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,20 +36,20 @@ class Check:
     name: str
     text: str
     share: float
-    grade: str
+    grade: Grade
     effect: str = ""
     remedy: str = ""
     failures: Mapping[str, float] = field(default_factory=dict)
 
-    def as_dict(self) -> dict[str, Any]:
-        """As results.json has it."""
-        return {
-            "name": self.name,
-            "text": self.text,
-            "share": self.share,
-            "grade": self.grade,
-            "effect": self.effect,
-        }
+    def entry(self) -> CheckEntry:
+        """As the results have it."""
+        return CheckEntry(
+            name=self.name,
+            text=self.text,
+            share=self.share,
+            grade=self.grade,
+            effect=self.effect,
+        )
 
 
 def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:

@@ -16,6 +16,7 @@ from uqsphere.propagation.design import Design
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
+from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, absent, from_replicates
 from uqsphere.uq.estimate import ratio_of_means
 from uqsphere.uq.indices import Blocks, sampled_indices
@@ -107,7 +108,7 @@ def of_quantity(design: Design, tables: Tables, name: str) -> Mapping[str, tuple
     return dict.fromkeys(design.inputs, (nothing, nothing))
 
 
-def method_of(design: Design, tables: Tables, name: str) -> str:
+def method_of(design: Design, tables: Tables, name: str) -> IndexMethod:
     """Where the indices of a quantity come from: "chaos", "pairs" or nothing."""
     if not design.inputs:
         return ""

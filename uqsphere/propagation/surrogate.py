@@ -25,6 +25,7 @@ from uqsphere.propagation.chaos import points_of
 from uqsphere.propagation.design import REPLICATES, VALUES, Design, at_normals, normal_scores
 from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
 from uqsphere.propagation.tables import Tables, check_failures, evaluate
+from uqsphere.results.types import Stop
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.describe import Description, describe
@@ -203,7 +204,8 @@ def tables_of(
             "least: "
             "raise analysis.budget or --budget"
         )
-    stopped, rows = "", None
+    stopped: Stop = ""
+    rows: Sample | None = None
     points = (
         at_normals(design.drawn, _design_points(design, count)[None]) if known is None else known
     )

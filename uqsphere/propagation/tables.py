@@ -17,6 +17,7 @@ from uqsphere.models.model import Model
 from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
 from uqsphere.quantities import format_probability
+from uqsphere.results.types import Stop
 from uqsphere.uq import Estimate, Sample
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ class Tables:
     descriptions: dict[str, tuple[Sample, Description]] = field(default_factory=dict)
     reached: list[tuple[int, float]] = field(default_factory=list)
     inaccurate: list[Accuracy] = field(default_factory=list)
-    stopped: str = ""
+    stopped: Stop = ""
     slow: Slow | None = None
     margins: dict[str, tuple[Estimate, float | None]] = field(default_factory=dict)
 

@@ -29,15 +29,17 @@ from uqsphere.propagation.limits import failure, failure_given_inputs, state_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_conservative, format_probability, format_value, lookup
 from uqsphere.results import Answers
+from uqsphere.results.types import AllModes, LimitVerdict, NumberToUse, Range, VerdictWord
+from uqsphere.results.types import Reason as ReasonEntry
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Estimate, Law, Sample, absent, complement, from_replicates, target_met
+from uqsphere.uq import Estimate, Law, Sample, complement, from_replicates, target_met
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.limit_state import reliability_index
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
 
-WORDS = {True: "met", False: "not met", None: "undecided"}
+WORDS: dict[bool | None, VerdictWord] = {True: "met", False: "not met", None: "undecided"}
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,8 @@ class Reason:
 
 def verdicts(
     design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check]
-) -> dict[str, dict[str, Any]]:
-    """The verdict on every limit of the study, ready for results.json."""
+) -> dict[str, LimitVerdict]:
+    """The verdict on every limit of the study."""
     return {
         limit.name: _verdict(design, tables, answers, assumed, checks, limit)
         for limit in design.limits
@@ -66,7 +68,7 @@ def _verdict(
     assumed: Assumptions,
     checks: Sequence[Check],
     limit: Limit,
-) -> dict[str, Any]:
+) -> LimitVerdict:
     judged = _judged_together(design, limit)
     p = failure(design, tables, limit)
     if len(judged) > 1:
@@ -79,7 +81,7 @@ def _verdict(
         if target is not None
         else []
     )
-    word = (
+    word: VerdictWord = (
         "no target"
         if target is None
         else "not established"
@@ -91,34 +93,38 @@ def _verdict(
     governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
     joint, curve = _joint(design, tables, answers, limit, judged, modes, p)
     number = _number_to_use(design, answers, limit, modes, joint)
-    verdict = {
-        "verdict": word,
-        "aim": limit.aim,
-        "target": target,
-        "probability": _ends(p),
-        "all_modes": {name: _ends(e) for name, e in joint.items()}
-        | (
-            {
-                "reliability_index": {"value": reliability_index(joint["probability"].value)},
-                "curve": curve,
-            }
-            if joint
-            else {}
-        ),
-        "governing": design.subject(number["governing"] if number else governing),
-        "reasons": [{"code": reason.code, "text": reason.text} for reason in reasons],
-        "use": None
-        if number is None
-        else {k: number[k] for k in ("value", "low", "high", "safe_end", "path", "text")},
-        "safety_factor": None if number is None else number["factor"],
-        "next": _next(word, limit, reasons),
-    }
+    all_modes = None
+    if joint:
+        all_modes = AllModes(
+            **{name: _range(estimate) for name, estimate in joint.items()},
+            reliability_index=Range(value=reliability_index(joint["probability"].value)),
+            curve=curve,
+        )
+    use = None
+    if number is not None:
+        keys = ("value", "low", "high", "safe_end", "path", "text")
+        use = NumberToUse(**{key: number[key] for key in keys})
     headline, detail = _headline(design, answers, limit, p, word, reasons, number, joint)
-    return {**verdict, "headline": headline, "detail": detail}
+    return LimitVerdict(
+        verdict=word,
+        aim=limit.aim,
+        target=target,
+        probability=_range(p),
+        all_modes=all_modes,
+        governing=design.subject(number["governing"] if number else governing),
+        reasons=[ReasonEntry(code=reason.code, text=reason.text) for reason in reasons],
+        use=use,
+        safety_factor=None if number is None else number["factor"],
+        next=_next(word, limit, reasons),
+        headline=headline,
+        detail=detail,
+    )
 
 
-def _ends(one: Estimate) -> dict[str, Any]:
-    return {"value": one.value, "low": one.low, "high": one.high, "note": one.reason or ""}
+def _range(estimate: Estimate) -> Range:
+    return Range(
+        value=estimate.value, low=estimate.low, high=estimate.high, note=estimate.reason or ""
+    )
 
 
 def _joint(
@@ -211,8 +217,11 @@ def _reasons(
                 )
                 found.append(Reason("tests", text, _more_tests(n, (low, high), target)))
         for row in answers.where(design.subject(one), "failure_probability"):
-            name = str(row["at"]).removeprefix("assumed: ")
-            if name in OTHER_DISTRIBUTIONS and turned(value := _clipped(rest + row["value"])):
+            name = str(row.at).removeprefix("assumed: ")
+            if name not in OTHER_DISTRIBUTIONS:
+                continue
+            value = _clipped(rest + (row.value or 0.0))
+            if turned(value):
                 text = (
                     f"with a {name} of the same mean and scatter, {format_probability(value)} fail"
                 )
@@ -322,8 +331,8 @@ def _number_to_use(
     planned = planned_value(design)
     candidates: list[tuple[float, Limit]] = []
     yielding = answers.get(design.subject(limit), "margin", "assumed: contacts yield")
-    if yielding is not None and yielding["value"] is not None:
-        candidates.append((yielding["value"], limit))
+    if yielding is not None and yielding.value is not None:
+        candidates.append((yielding.value, limit))
     for one in modes:
         safe = _conservative_margin(answers, design.subject(one), wanted, survive=survive)
         if safe is not None:
@@ -332,7 +341,8 @@ def _number_to_use(
         return None
     pick = min if _rising(answers, design.subject(limit)) == survive else max
     value, governing = pick(candidates, key=lambda pair: pair[0])
-    best = answers.get(design.subject(governing), "margin", wanted) or _ends(absent("", "", 0))
+    row = answers.get(design.subject(governing), "margin", wanted)
+    best = Range() if row is None else Range(value=row.value, low=row.low, high=row.high)
     by = _called(design, governing)
     all_modes = joint.get("margin")
     if all_modes is not None:
@@ -341,15 +351,15 @@ def _number_to_use(
         # all modes together ask for a little less than the worst of them
         safe = all_modes.low if pick is min else all_modes.high
         if safe is not None and pick(value, safe) != value:
-            value, best, by = safe, _ends(all_modes), "all failure modes together"
+            value, best, by = safe, _range(all_modes), "all failure modes together"
     factor = None
     if planned and value > 0.0:
         factor = value / planned if pick is min else planned / value
     return {
         "value": value,
-        "low": best["low"],
-        "high": best["high"],
-        "best": best["value"],
+        "low": best.low,
+        "high": best.high,
+        "best": best.value,
         "by": by,
         "safe_end": "largest" if pick is min else "smallest",
         "path": margins.solve,
@@ -366,22 +376,22 @@ def _conservative_margin(
     leave open.
     """
     row, tests = (answers.get(subject, "margin", at) for at in (probability, "tests"))
-    if row is None or row["value"] is None:
+    if row is None or row.value is None:
         return None
     ends = [
-        one[end]
+        getattr(one, end)
         for one in (row, tests)
-        if one is not None and one["value"] is not None
+        if one is not None and one.value is not None
         for end in ("low", "high")
     ]
-    known = [end for end in ends if end is not None] or [row["value"]]
+    known = [end for end in ends if end is not None] or [row.value]
     return float(min(known) if _rising(answers, subject) == survive else max(known))
 
 
 def _rising(answers: Answers, subject: str) -> bool:
     """Whether exceedance rises with the free number."""
     curve = answers.where(subject, "curve")
-    return not curve or (curve[-1]["value"] or 0.0) >= (curve[0]["value"] or 0.0)
+    return not curve or (curve[-1].value or 0.0) >= (curve[0].value or 0.0)
 
 
 # --- words ----------------------------------------------------------------------------------------
@@ -443,7 +453,7 @@ def _headline(
         elif curve:
             path = margins.solve
             (low, p_low), (high, p_high) = (
-                (end["at"], end["value"]) for end in (curve[0], curve[-1])
+                (float(end.at), end.value) for end in (curve[0], curve[-1])
             )
             rest.append(
                 f"No value to use: between {format_value(low, path, 3)} and "

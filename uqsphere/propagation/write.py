@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,21 +14,34 @@ import numpy as np
 
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.models.model import Model
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import MOST_MANY, density, many_values
-from uqsphere.propagation.failure_modes import breaks_by, means_fracture
+from uqsphere.propagation.failure_modes import FailureMode, breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.indices import method_of
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
-from uqsphere.results.answers import as_json, frame_of
+from uqsphere.results.answers import frame_of
 from uqsphere.results.folder import write_files
+from uqsphere.results.types import (
+    AccuracyEntry,
+    DependenceEntry,
+    FreeNumber,
+    InputEntry,
+    LimitEntry,
+    LimitVerdict,
+    QuantityEntry,
+    Reached,
+    Results,
+    Shortfall,
+    Strength,
+    StudyEntry,
+)
 from uqsphere.study import Limit, Study
-from uqsphere.uq import Law, random_generator
+from uqsphere.uq import Dependence, Law, random_generator
 from uqsphere.uq.fitting import count_tests, is_fitted
 
 if TYPE_CHECKING:
@@ -48,71 +61,71 @@ PACKAGES: Final = (
 )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """What a run cost: model runs, those of them from the cache, and run time [s]."""
+
+    runs: int
+    reused: int
+    seconds: float
+
+
 def results_of(
     design: Design,
     tables: Tables,
     answers: Answers,
-    judged: dict[str, Any],
-    checked: Sequence[Check],
-    model: Model,
-    seconds: float,
-) -> dict[str, Any]:
-    """results.json as a dictionary (docs/study-file.md, "Results")."""
+    verdicts: dict[str, LimitVerdict],
+    checks: Sequence[Check],
+    cost: Cost,
+) -> Results:
+    """What results.json holds."""
     study = design.study
-    accuracy = study.analysis.accuracy
-    return {
-        "schema_version": 2,
-        "study": {
-            "title": study.title,
-            "hash": study.hash,
-            "kind": "black box" if study.black_box else study.rig,
-            "seed": study.seed,
-            "description": _description(design),
-            "free": _free(design),
-            "overrides": list(study.overrides),
-            "warnings": list(study.warnings),
-            "quantities": {name: _quantity(design, tables, name) for name in design.described},
-            "limits": {limit.name: _limit(design, limit) for limit in design.limits},
-            "modes": {
-                mode.called: {
-                    **_limit(design, mode.limit),
-                    "assumed": True,
-                    "source": mode.source,
-                    "source_checked": mode.seen,
-                }
-                for mode in design.modes
+    required = study.analysis.accuracy
+    inputs = (*study.fixed, *study.random, *_factors(design))
+    return Results(
+        study=StudyEntry(
+            title=study.title,
+            hash=study.hash,
+            kind="black box" if study.black_box else study.rig,
+            seed=study.seed,
+            description=_description(design),
+            free=_free(design),
+            overrides=list(study.overrides),
+            warnings=list(study.warnings),
+            quantities={name: _quantity(design, tables, name) for name in design.described},
+            limits={limit.name: _limit(limit) for limit in design.limits},
+            modes={mode.called: _assumed(mode) for mode in design.modes},
+            not_judged=dict(design.not_judged),
+            dependence=[_dependence(tie) for tie in study.dependence],
+        ),
+        inputs={name: _input(design, name) for name in inputs},
+        answers=answers.rows,
+        verdicts=verdicts,
+        checks=[check.entry() for check in checks],
+        accuracy=AccuracyEntry(
+            required={
+                "mean": required.mean,
+                "quantile": required.quantile,
+                "sobol": required.sobol,
+                "probability": required.probability,
             },
-            "not_judged": dict(design.not_judged),
-            "dependence": [_dependence(tie) for tie in study.dependence],
-        },
-        "inputs": {
-            name: _input(design, name) for name in (*study.fixed, *study.random, *_factors(design))
-        },
-        "answers": as_json(answers.rows),
-        "verdicts": as_json(judged),
-        "checks": [as_json(check.as_dict()) for check in checked],
-        "accuracy": {
-            "required": {
-                name: getattr(accuracy, name)
-                for name in ("mean", "quantile", "sobol", "probability")
-            },
-            "reached": [{"runs": runs, "error": as_json(error)} for runs, error in tables.reached],
-            "stopped": tables.stopped,
-            "missed": [
-                {
-                    "subject": m.subject,
-                    "answer": m.answer,
-                    "required": m.required,
-                    "reached": as_json(m.reached),
-                }
-                for m in tables.inaccurate
+            reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],
+            stopped=tables.stopped,
+            inaccurate=[
+                Shortfall(
+                    subject=answer.subject,
+                    answer=answer.answer,
+                    required=answer.required,
+                    reached=answer.reached,
+                )
+                for answer in tables.inaccurate
             ],
-            "runs": model.evaluations + model.reused,
-            "reused": model.reused,
-            "seconds": round(seconds, 2),
-        },
-        "versions": _versions(),
-    }
+            runs=cost.runs,
+            reused=cost.reused,
+            seconds=round(cost.seconds, 2),
+        ),
+        versions=_versions(),
+    )
 
 
 def _description(design: Design) -> list[str]:
@@ -144,73 +157,74 @@ def _description(design: Design) -> list[str]:
     ]
 
 
-def _free(design: Design) -> dict[str, Any] | None:
+def _free(design: Design) -> FreeNumber | None:
     margins = design.study.margins
     if margins is None:
         return None
-    path = margins.solve
-    return {
-        "path": path,
-        "meaning": lookup(path).meaning,
-        "planned": planned_value(design),
-        "low": margins.between[0],
-        "high": margins.between[1],
-        "unit": display_unit(path)[0],
-    }
+    low, high = margins.between
+    return FreeNumber(
+        path=margins.solve,
+        meaning=lookup(margins.solve).meaning,
+        planned=planned_value(design),
+        low=low,
+        high=high,
+        unit=display_unit(margins.solve)[0],
+    )
 
 
-def _quantity(design: Design, tables: Tables, name: str) -> dict[str, Any]:
+def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
     expansion = tables.expansions.get(name)
     if expansion is not None and expansion.left < 1e-3 and tables.sample.count < MOST_MANY:
         values = many_values(design, expansion, tables.sample.count)
     else:
         values = tables.sample.answer(name)
-    known = values[np.isfinite(values)]
-    ranges = (
-        [None] * 3 if not known.size else [float(x) for x in np.quantile(known, [0.05, 0.5, 0.95])]
+    finite = values[np.isfinite(values)]
+    ends = np.quantile(finite, [0.05, 0.5, 0.95]) if finite.size else np.full(3, np.nan)
+    low, median, high = (float(end) for end in ends)
+    return QuantityEntry(
+        meaning=lookup(name).meaning,
+        unit=display_unit(name)[0],
+        range=(low, median, high),
+        method_of_indices=method_of(design, tables, name),
+        density=density(values),
     )
-    return {
-        "meaning": lookup(name).meaning,
-        "unit": display_unit(name)[0],
-        "range": ranges,
-        "method_of_indices": method_of(design, tables, name),
-        "density": density(values),
-    }
 
 
-def _limit(design: Design, limit: Limit) -> dict[str, Any]:
-    law = limit.strength
-    strength: dict[str, Any] = {
-        "text": _strength_text(limit),
-        "unit": display_unit(limit.quantity)[0],
-    }
-    if isinstance(law, Law):
-        p05, median, p95 = (float(x) for x in law.ppf(np.array([0.05, 0.5, 0.95])))
-        ends = law.ppf(np.array([0.001, 0.999]))
-        places = np.linspace(float(ends[0]), float(ends[1]), 160)
-        smooth = not law.is_steps
-        strength |= {
-            "median": median,
-            "p05": p05,
-            "p95": p95,
-            "density": [places.tolist(), as_json(law.pdf(places))] if smooth else None,
-        }
-    else:
-        strength |= {"median": float(law), "p05": float(law), "p95": float(law), "density": None}
-    tests = _tests(limit)
-    return {
-        "mode": mode_name(breaks_by(limit)),
-        "quantity": limit.quantity,
-        "aim": limit.aim,
-        "target": limit.target,
-        "criterion": limit.criterion,
-        "fracture": means_fracture(limit),
-        "assumed": False,
-        "tests": tests,
-        "strength": as_json(strength),
-        "source": "study",
-        "test_points": None,
-    }
+def _limit(limit: Limit) -> LimitEntry:
+    return LimitEntry(
+        mode=mode_name(breaks_by(limit)),
+        quantity=limit.quantity,
+        aim=limit.aim,
+        target=limit.target,
+        criterion=limit.criterion,
+        fracture=means_fracture(limit),
+        assumed=False,
+        tests=_tests(limit),
+        strength=_strength(limit),
+        source="study",
+    )
+
+
+def _assumed(mode: FailureMode) -> LimitEntry:
+    library = {"assumed": True, "source": mode.source, "source_checked": mode.seen}
+    return _limit(mode.limit).model_copy(update=library)
+
+
+def _strength(limit: Limit) -> Strength:
+    law, unit = limit.strength, display_unit(limit.quantity)[0]
+    if not isinstance(law, Law):
+        value = float(law)
+        text = _strength_text(limit)
+        return Strength(text=text, unit=unit, median=value, p05=value, p95=value)
+    p05, median, p95 = (float(x) for x in law.ppf(np.array([0.05, 0.5, 0.95])))
+    density = None
+    if not law.is_steps:
+        low, high = (float(x) for x in law.ppf(np.array([0.001, 0.999])))
+        places = np.linspace(low, high, 160)
+        density = [places.tolist(), law.pdf(places).tolist()]
+    return Strength(
+        text=_strength_text(limit), unit=unit, median=median, p05=p05, p95=p95, density=density
+    )
 
 
 def _tests(limit: Limit) -> int | None:
@@ -234,15 +248,14 @@ def _strength_text(limit: Limit) -> str:
     return text
 
 
-def _dependence(tie: Any) -> dict[str, Any]:
-    """Names and text of a dependence."""
-    kind, strength = (
-        ("Spearman", tie.spearman) if tie.spearman is not None else ("Kendall", tie.kendall)
-    )
-    copula = (
-        "" if tie.copula == "gaussian" else f", Student t copula of {tie.dof:g} degrees of freedom"
-    )
-    return {"of": list(tie.of), "text": f"{kind}'s rank correlation {strength:g}{copula}"}
+def _dependence(tie: Dependence) -> DependenceEntry:
+    if tie.spearman is not None:
+        text = f"Spearman's rank correlation {tie.spearman:g}"
+    else:
+        text = f"Kendall's rank correlation {tie.kendall:g}"
+    if tie.copula != "gaussian":
+        text += f", Student t copula of {tie.dof:g} degrees of freedom"
+    return DependenceEntry(of=list(tie.of), text=text)
 
 
 def _factors(design: Design) -> list[str]:
@@ -250,40 +263,28 @@ def _factors(design: Design) -> list[str]:
     return [name for name in design.drawn.names if name not in design.study.random]
 
 
-def _input(design: Design, name: str) -> Any:
+def _input(design: Design, name: str) -> InputEntry:
     study = design.study
-    quantity, source = lookup(name), study.sources.get(name)
-    about = {
-        "meaning": quantity.meaning,
-        "unit": display_unit(name)[0],
-        "source": source.source if source else "study",
-        "source_checked": source.seen if source else True,
-    }
-    if name in design.drawn.names:
-        law = study.laws()[name]
-        low, high = (float(x) for x in law.ppf(np.array([0.05, 0.95])))
-        return as_json(
-            {
-                **about,
-                "mean": law.mean(),
-                "sd": law.sd(),
-                "p05": low,
-                "p95": high,
-                "fixed": False,
-                "distribution": _distribution_text(law, name),
-            }
-        )
-    value = study.fixed[name]
-    return as_json(
-        {
-            **about,
-            "mean": value,
-            "sd": 0.0,
-            "p05": value,
-            "p95": value,
-            "fixed": True,
-            "distribution": "fixed",
-        }
+    source = study.sources.get(name)
+    law = study.laws().get(name)
+    if law is None:
+        value = study.fixed[name]
+        mean, sd, ends, distribution = value, 0.0, (value, value), "fixed"
+    else:
+        mean, sd = law.mean(), law.sd()
+        low, high = law.ppf(np.array([0.05, 0.95]))
+        ends, distribution = (float(low), float(high)), _distribution_text(law, name)
+    return InputEntry(
+        meaning=lookup(name).meaning,
+        unit=display_unit(name)[0],
+        source=source.source if source else "study",
+        source_checked=source.seen if source else True,
+        mean=mean,
+        sd=sd,
+        p05=ends[0],
+        p95=ends[1],
+        fixed=law is None,
+        distribution=distribution,
     )
 
 
@@ -346,7 +347,7 @@ def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
 def written(
     folder: Path | None,
     study: Study,
-    results: dict[str, Any],
+    results: Results,
     samples: pd.DataFrame,
     live: dict[str, Any],
 ) -> Run:
@@ -357,8 +358,8 @@ def written(
     files: dict[str, str | bytes] = {
         "study.toml": study.text,
         **{f"files/{name}": path.read_bytes() for name, path in study.files if path.is_file()},
-        "results.json": json.dumps(results, indent=1, allow_nan=False, ensure_ascii=False) + "\n",
-        "answers.csv": frame_of(results["answers"]).to_csv(index=False),
+        "results.json": results.to_json(),
+        "answers.csv": frame_of(results.answers).to_csv(index=False),
         "samples.csv": samples.to_csv(index=False),
     }
     write_files(folder, files)

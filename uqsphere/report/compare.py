@@ -48,7 +48,7 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
         table["at"] = table["at"].map(str)
         tables.append(table.set_index(keys)[["value", "low", "high"]].add_suffix(f"_{number}"))
     merged = tables[0].join(tables[1:], how="outer").reset_index()
-    targets = {f"limits.{n}": e["target"] for n, e in runs[0].results["study"]["limits"].items()}
+    targets = {f"limits.{n}": limit.target for n, limit in runs[0].results.study.limits.items()}
     changes, significant = [], []
     for _, row in merged.iterrows():
         largest, sure = 0.0, False
@@ -94,8 +94,8 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
     """What was set otherwise, and the answers that moved most, as text."""
     table = compare(runs, names)
     lines = [
-        f"{name}: {run.results['study']['title']}"
-        + "".join(f"\n  set: {s}" for s in run.results["study"]["overrides"])
+        f"{name}: {run.results.study.title}"
+        + "".join(f"\n  set: {s}" for s in run.results.study.overrides)
         for name, run in zip(names, runs, strict=True)
     ]
     lines += [f"  {text}" for text in _inputs_changed(runs, names)]
@@ -138,13 +138,13 @@ def _inputs_changed(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
     from uqsphere.report.format import value
 
     lines = []
-    first = runs[0].results["inputs"]
+    first = runs[0].results.inputs
     for name, run in zip(names[1:], runs[1:], strict=True):
-        for path, entry in run.results["inputs"].items():
+        for path, entry in run.results.inputs.items():
             before = first.get(path)
-            if before is None or (before["mean"], before["sd"]) != (entry["mean"], entry["sd"]):
+            if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):
                 texts = [
-                    "–" if e is None else f"{value(e['mean'], path)} ± {value(e['sd'], path)}"
+                    "–" if e is None else f"{value(e.mean, path)} ± {value(e.sd, path)}"
                     for e in (before, entry)
                 ]
                 lines.append(f"{path}: {texts[0]} -> {texts[1]} ({name})")

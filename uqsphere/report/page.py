@@ -51,7 +51,7 @@ def write_page(folder: Path) -> Path:
 
     Raises FolderError where the folder holds no results, AccessError where it cannot be written.
     """
-    html, drawn = _rendered(read_results(folder))
+    html, drawn = _rendered(read_results(folder).model_dump(mode="json"))
     header = '<?xml version="1.0" encoding="utf-8"?>\n'
     files = {
         "report.html": html,
@@ -385,7 +385,7 @@ def _accuracy(results: Results) -> dict[str, Any]:
             f"{meaning(m['subject'])}, {m['answer'].replace('_', ' ')}: half-width "
             f"{m['reached']:.2g}, required "
             f"{m['required']:.2g}"
-            for m in accuracy["missed"]
+            for m in accuracy["inaccurate"]
             if m["reached"] is not None
         ],
         "required": accuracy["required"],

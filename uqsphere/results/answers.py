@@ -4,41 +4,27 @@ from.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+from uqsphere.results.types import Answer, Kind
 from uqsphere.uq import Estimate
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: columns of answers.csv and of `Run.answers`
-COLUMNS: Final = (
-    "subject",
-    "answer",
-    "at",
-    "value",
-    "low",
-    "high",
-    "std_error",
-    "unit",
-    "method",
-    "runs",
-    "note",
-)
-
-Row = dict[str, Any]
+COLUMNS: Final = tuple(Answer.model_fields)
 
 
 @dataclass(kw_only=True)
 class Answers:
     """Rows of answers, looked up by subject, answer and place."""
 
-    rows: list[Row] = field(default_factory=list)
+    rows: list[Answer] = field(default_factory=list)
     #: rows by subject and answer, of the first so many
-    places: dict[tuple[str, str], list[Row]] = field(
+    places: dict[tuple[str, str], list[Answer]] = field(
         default_factory=dict, repr=False, compare=False
     )
     seen: int = field(default=0, repr=False, compare=False)
@@ -47,7 +33,7 @@ class Answers:
         self.rows += other.rows
         return self
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[Answer]:
         return iter(self.rows)
 
     def add(
@@ -91,29 +77,30 @@ class Answers:
         note: str = "",
     ) -> None:
         """A row of plain numbers; what is not finite is left empty."""
-        numbers = [
-            None if x is None or not math.isfinite(x) else float(x)
-            for x in (value, low, high, std_error)
-        ]
-        place = at if isinstance(at, str) else float(at)
         self.rows.append(
-            dict(
-                zip(
-                    COLUMNS,
-                    (subject, answer, place, *numbers, unit, method, runs, note),
-                    strict=True,
-                )
+            Answer(
+                subject=subject,
+                answer=Kind(answer),
+                at=at if isinstance(at, str) else float(at),
+                value=value,
+                low=low,
+                high=high,
+                std_error=std_error,
+                unit=unit,
+                method=method,
+                runs=runs,
+                note=note,
             )
         )
 
-    def get(self, subject: str, answer: str, at: float | str = "") -> Row | None:
+    def get(self, subject: str, answer: str, at: float | str = "") -> Answer | None:
         """The row of an answer, None where there is none."""
-        return next((row for row in self.where(subject, answer) if row["at"] == at), None)
+        return next((row for row in self.where(subject, answer) if row.at == at), None)
 
-    def where(self, subject: str, answer: str) -> list[Row]:
+    def where(self, subject: str, answer: str) -> list[Answer]:
         """All rows of an answer, in the order of their places."""
         for row in self.rows[self.seen :]:
-            self.places.setdefault((row["subject"], row["answer"]), []).append(row)
+            self.places.setdefault((row.subject, row.answer), []).append(row)
         self.seen = len(self.rows)
         return self.places.get((subject, answer), [])
 
@@ -122,25 +109,13 @@ class Answers:
         return frame_of(self.rows)
 
 
-def frame_of(rows: list[Row]) -> pd.DataFrame:
+def frame_of(rows: Sequence[Answer]) -> pd.DataFrame:
     """Rows as a table with the columns in their order."""
     import pandas as pd
 
-    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    table = pd.DataFrame(
+        [{**vars(row), "answer": row.answer.value} for row in rows], columns=list(COLUMNS)
+    )
     numbers = ["value", "low", "high", "std_error"]
     table[numbers] = table[numbers].astype(float)
     return table
-
-
-def as_json(value: object) -> Any:
-    """A value as JSON holds it: NaN and infinity never appear, arrays and mappings are plain."""
-    if isinstance(value, Mapping):
-        return {str(key): as_json(own) for key, own in value.items()}
-    if hasattr(value, "tolist"):
-        return as_json(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [as_json(own) for own in value]
-    if isinstance(value, bool) or value is None or isinstance(value, (str, int)):
-        return value
-    number = float(value)  # type: ignore[arg-type]
-    return number if math.isfinite(number) else None

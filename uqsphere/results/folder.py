@@ -7,24 +7,20 @@ from __future__ import annotations
 import contextlib
 import datetime
 import hashlib
-import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from filelock import FileLock, Timeout
 
 from uqsphere.errors import AccessError, FolderError
+from uqsphere.results.types import Results
 
 SUMS: Final = "SHA256SUMS"
 RESULTS: Final = "results.json"
-#: what a results.json holds beside its version
-PARTS: Final = frozenset(
-    {"study", "inputs", "answers", "verdicts", "checks", "accuracy", "versions"}
-)
 #: files that a run may have written; another folder is not written into
 OWN: Final = frozenset(
     {
@@ -137,7 +133,7 @@ def clear(folder: Path) -> None:
             shutil.rmtree(path)
 
 
-def read_results(folder: Path) -> dict[str, Any]:
+def read_results(folder: Path) -> Results:
     """The results.json of a folder.
 
     Raises FolderError where there is none, or it is damaged or of another schema; AccessError where
@@ -152,20 +148,14 @@ def read_results(folder: Path) -> dict[str, Any]:
         if path.stat().st_size > LARGEST:
             raise FolderError(f"{path} is larger than any run writes")
         content = path.read_bytes()
-        results = json.loads(content)
     except OSError as error:
         raise AccessError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise FolderError(f"{path} is damaged ({type(error).__name__}): {_AGAIN}") from None
-    if (
-        not isinstance(results, dict)
-        or results.get("schema_version") != 2
-        or not results.keys() >= PARTS
-    ):
-        raise FolderError(f"{path} is of another version: {_AGAIN}")
     if hashlib.sha256(content).hexdigest() != _sums(folder).get(RESULTS):
         raise FolderError(f"{path} is not as it was written: {_AGAIN}")
-    return results
+    try:
+        return Results.model_validate_json(content)
+    except ValueError:
+        raise FolderError(f"{path} is of another version: {_AGAIN}") from None
 
 
 def damaged_files(folder: Path) -> list[str]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.results.answers import frame_of
 from uqsphere.results.folder import read_results
+from uqsphere.results.types import LimitVerdict, Results
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,23 +29,23 @@ class Run:
     live : what only a run of this process has: expansions and pairs, by quantity
     """
 
-    results: dict[str, Any]
+    results: Results
     folder: Path | None = None
     table: pd.DataFrame | None = field(default=None, repr=False)
     live: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
-        study, accuracy = self.results["study"], self.results["accuracy"]
+        study, accuracy = self.results.study, self.results.accuracy
         return (
-            f"<Run {study['title']!r}: {len(self.results['answers'])} answers of "
-            f"{accuracy['runs']:,} model runs>"
+            f"<Run {study.title!r}: {len(self.results.answers)} answers of "
+            f"{accuracy.runs:,} model runs>"
         )
 
     @cached_property
     def answers(self) -> pd.DataFrame:
         """The long table of answers, SI units: subject, answer, at, value, low, high, std_error,
         unit, method, runs, note."""
-        return frame_of(self.results["answers"])
+        return frame_of(self.results.answers)
 
     @cached_property
     def samples(self) -> pd.DataFrame:
@@ -60,9 +61,9 @@ class Run:
         return pd.read_csv(path)
 
     @property
-    def verdicts(self) -> dict[str, Any]:
+    def verdicts(self) -> dict[str, LimitVerdict]:
         """The verdict on every limit, with its reasons."""
-        return dict(self.results["verdicts"])
+        return dict(self.results.verdicts)
 
     def sobol(self, quantity: str) -> pd.DataFrame:
         """First-order and total Sobol' indices of a quantity by input, with their 95 % intervals
@@ -152,10 +153,10 @@ class Run:
         """Plots on matplotlib axes: `density`, `sobol`, `fragility`, `convergence`."""
         from uqsphere.report.figures import Plots
 
-        return Plots(self.results)
+        return Plots(self.results.model_dump(mode="json"))
 
     def _subject(self, limit: str) -> str:
-        subjects = dict.fromkeys(row["subject"] for row in self.results["answers"])
+        subjects = dict.fromkeys(row.subject for row in self.results.answers)
         for subject in (limit, f"limits.{limit}", f"modes.{limit}"):
             if subject in subjects:
                 return subject
@@ -167,7 +168,7 @@ class Run:
     def _of(self, subject: str) -> pd.DataFrame:
         table = self.answers[self.answers["subject"] == subject]
         if table.empty:
-            known = ", ".join(self.results["study"]["quantities"])
+            known = ", ".join(self.results.study.quantities)
             raise UsageError(f"the run has no answer on {subject!r} (quantities: {known})")
         return table
 

@@ -106,6 +106,7 @@ def _several(least: int = 1, most: int = 200) -> Any:
 
 
 #: a value, with its unit where it has one, or a distribution
+Aim = Literal["survive", "break"]
 Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 _Part = Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -243,9 +244,7 @@ class LimitTable(Table):
         'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the '
         "true one"
     )
-    aim: Literal["survive", "break"] = keyed(
-        "the quantity must stay below the strength, or exceed it", "survive"
-    )
+    aim: Aim = keyed("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
     model_factor: Num = keyed(
         "factor on the quantity for what the model leaves out; may scatter", 1.0

@@ -23,7 +23,7 @@ from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG
-from uqsphere.study.document import Analysis, Document, Gauge, Margins, ModelChoice
+from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, ModelChoice
 from uqsphere.study.values import Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
 from uqsphere.uq.families import Family
@@ -49,7 +49,7 @@ class Limit:
     name: str
     quantity: str
     strength: Law | float
-    aim: str = "survive"
+    aim: Aim = "survive"
     model_factor: Law | float = 1.0
     target: float | None = None
     criterion: str | None = None
