@@ -17,7 +17,7 @@ from uqsphere.mechanics.rigs import RIGS
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import MOST_MANY, density, many_values
-from uqsphere.propagation.failure_modes import FailureMode, breaks_by, means_fracture
+from uqsphere.propagation.failure_modes import AssumedMode, breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.indices import method_of
 from uqsphere.propagation.limits import state_of
@@ -205,7 +205,7 @@ def _limit(limit: Limit) -> LimitEntry:
     )
 
 
-def _assumed(mode: FailureMode) -> LimitEntry:
+def _assumed(mode: AssumedMode) -> LimitEntry:
     library = {"assumed": True, "source": mode.source, "source_checked": mode.seen}
     return _limit(mode.limit).model_copy(update=library)
 
