@@ -161,7 +161,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     listing = add("list", _list, "materials, quantities, criteria or distributions")
     listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
-    add("schema", _schema, "the JSON schema of a study file, for editors")
+    schema = add("schema", _schema, "the JSON schema of a study file, for editors, or of results")
+    schema.add_argument("what", nargs="?", choices=("study", "results"), default="study")
     bench = add("bench", _bench, "speed against error: the integrator against others")
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
     if find_spec("uqsphere.labs") is not None:
@@ -393,9 +394,15 @@ def _list(given: argparse.Namespace) -> None:
 
 
 def _schema(given: argparse.Namespace) -> None:
-    from uqsphere.study import json_schema
+    if given.what == "results":
+        from uqsphere.results.types import Results
 
-    print(json.dumps(json_schema(), ensure_ascii=False))
+        schema = Results.model_json_schema(mode="serialization")
+    else:
+        from uqsphere.study import json_schema
+
+        schema = json_schema()
+    print(json.dumps(schema, ensure_ascii=False))
 
 
 def _bench(given: argparse.Namespace) -> None:
