@@ -19,7 +19,7 @@ from uqsphere.arrays import Array
 from uqsphere.models.scene import rows_under_plastic_contact
 from uqsphere.propagation.demands import strength_of, with_test_forces
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.fragility import allowable_probability, curve_of, target_of
+from uqsphere.propagation.fragility import curve_of
 from uqsphere.propagation.free_number import demand_factor
 from uqsphere.propagation.limits import failure_given_inputs, state_of
 from uqsphere.propagation.tables import Tables
@@ -120,7 +120,7 @@ def assumptions(design: Design, tables: Tables) -> Assumptions:
             limit, "contacts yield", state_of(design, limit, plastic), '[contact] law = "plastic"'
         )
         own = _mean(limit, state_of(design, limit, head))
-        if limit.target is not None and (p < limit.target) is not (own < limit.target):
+        if limit.has_target and (p < limit.target) is not (own < limit.target):
             _margin_under_plastic_contact(design, tables, limit, answers)
     return Assumptions(answers=answers, tests=ranges, plastic=plastic)
 
@@ -152,7 +152,7 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
     laws = _possible_strengths(design, limit, MARGIN_LAWS)
     if margins is None or laws is None:
         return
-    wanted = allowable_probability(design, limit)
+    wanted = limit.allowable
     values = [curve_of(design, tables, limit, law, (wanted,)).values[wanted].value for law in laws]
     known = np.array([value for value in values if value is not None])
     # where a law has none in the range, it lies beyond an end of it, which is no number to promise
@@ -172,10 +172,7 @@ def _margin_by_tests(design: Design, tables: Tables, limit: Limit, answers: Answ
         )
         return
     low, high = (float(x) for x in np.quantile(known, [0.025, 0.975]))
-    note = (
-        "95 % range over the strengths that the tests allow, at the target "
-        f"{target_of(design, limit):g}"
-    )
+    note = f"95 % range over the strengths that the tests allow, at the target {limit.target:g}"
     answers.row(
         design.subject(limit),
         "margin",
@@ -255,7 +252,7 @@ def _margin_under_plastic_contact(
         if moved is None or moved.failed.any():
             return
         line[value] = moved
-    wanted = allowable_probability(design, limit)
+    wanted = limit.allowable
     margin = curve_of(design, replace(tables, line=line), limit, None, (wanted,)).values[wanted]
     answers.add(
         design.subject(limit),

@@ -10,7 +10,7 @@ from uqsphere.materials import Material, Property, library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, FailureMode, failure_place
 from uqsphere.quantities import lookup
-from uqsphere.study import Limit, Study
+from uqsphere.study import Limit, Study, default_target
 from uqsphere.uq import Law, make_law
 
 
@@ -76,11 +76,14 @@ def failure_modes_of(study: Study) -> FailureModes:
         elif strength.range is None:
             not_judged[mode.name] = "no strength: the library's strength is of no known volume"
         else:
-            assumed.append(_assumed(mode, rock, strength, diameter))
+            target = default_target(study.limits, study.margins, "survive")
+            assumed.append(_assumed(mode, rock, strength, diameter, target))
     return FailureModes(assumed=tuple(assumed), not_judged=not_judged)
 
 
-def _assumed(mode: FailureMode, rock: Material, strength: Property, diameter: float) -> AssumedMode:
+def _assumed(
+    mode: FailureMode, rock: Material, strength: Property, diameter: float, target: float
+) -> AssumedMode:
     """A failure mode with the library strength of a rock, for spheres of one diameter [m]."""
     assert strength.range is not None
     parameters: dict[str, float] = {}
@@ -100,6 +103,7 @@ def _assumed(mode: FailureMode, rock: Material, strength: Property, diameter: fl
         name=name,
         quantity=CRITERIA[mode.criterion].quantity or f"{mode.criterion}.{name}",
         strength=middle,
+        target=target,
         criterion=mode.criterion if parameters else None,
         parameters=parameters,
     )

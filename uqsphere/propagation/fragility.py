@@ -48,10 +48,10 @@ def fragility(design: Design, tables: Tables) -> Answers:
         for p, estimate in found.values.items():
             answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
         allowed, planned = (
-            found.values.get(allowable_probability(design, limit)),
+            found.values.get(limit.allowable),
             planned_value(design),
         )
-        if allowed is not None and allowed.value and planned and limit.target is not None:
+        if allowed is not None and allowed.value and planned and limit.has_target:
             row = [
                 None
                 if x is None or not x > 0.0
@@ -72,25 +72,6 @@ def fragility(design: Design, tables: Tables) -> Answers:
                 runs=runs,
             )
     return answers
-
-
-def allowable_probability(design: Design, limit: Limit) -> float:
-    """The probability of exceedance at which the aim is just met: the target, or 1 less the target
-    for "break".
-    """
-    target = target_of(design, limit)
-    return 1.0 - target if limit.aim == "break" else target
-
-
-def target_of(design: Design, limit: Limit) -> float:
-    """The target of a limit; an assumed mode has that of the limits beside it, and none leaves the
-    least asked for.
-    """
-    if limit.target is not None:
-        return limit.target
-    own = [one.target for one in design.limits if one.target is not None]
-    margins = design.study.margins
-    return min(own) if own else min(margins.for_probability) if margins is not None else 0.01
 
 
 def planned_value(design: Design) -> float | None:
@@ -152,9 +133,7 @@ def curve_of(
     """The curve of a limit with its margins; `strength` in place of its own."""
     margins = design.study.margins
     assert margins is not None
-    wanted = targets or tuple(
-        sorted({*margins.for_probability, allowable_probability(design, limit)})
-    )
+    wanted = targets or tuple(sorted({*margins.for_probability, limit.allowable}))
     if margins.limit is None:
         # all values at once
         exceeded = failure_given_inputs(state_of(design, limit, tables.along, strength), "survive")
@@ -178,7 +157,7 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     """The free number at the target, and half of what the curve takes from 16 to 84 %: what its
     accuracy is held to.
     """
-    wanted = allowable_probability(design, limit)
+    wanted = limit.allowable
     values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
     low, high = values[0.16].value, values[0.84].value
     return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(

@@ -328,11 +328,7 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
             require(name, f"sobol {input_name}", widest, accuracy.sobol)
     for limit in design.limits:
         estimate = failure(design, tables, limit)
-        if (
-            not estimate.value
-            or estimate.high is None
-            or estimate.high <= 0.01 * (limit.target or 1e-6)
-        ):
+        if not estimate.value or estimate.high is None or estimate.high <= limit.negligible:
             continue
         if (
             estimate.value < rare.SMALL

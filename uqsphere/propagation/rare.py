@@ -75,7 +75,7 @@ def search(design: Design, model: Model, tables: Tables, end: float) -> None:
     for limit, p in sorted(known, key=lambda pair: (-(pair[1].value or 0.0), _rank(pair[0]))):
         small = (
             p.high is not None
-            and p.high >= 0.01 * (limit.target or 1e-6)
+            and p.high >= limit.negligible
             and (p.value is None or p.value < SMALL)
         )
         if not small or (p.value and p.half_width <= accuracy * p.value):

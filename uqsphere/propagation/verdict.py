@@ -24,7 +24,7 @@ from uqsphere.propagation.checks import Check
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.failure_modes import means_fracture
-from uqsphere.propagation.fragility import allowable_probability, curve_by, planned_value, target_of
+from uqsphere.propagation.fragility import curve_by, planned_value
 from uqsphere.propagation.limits import failure, failure_given_inputs, state_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_conservative, format_probability, format_value, lookup
@@ -75,7 +75,7 @@ def _verdict(
         p = _added(
             p, together(design, tables.sample, judged) - together(design, tables.sample, [limit])
         )
-    target = limit.target
+    target = limit.target if limit.has_target else None
     reasons = (
         _reasons(design, tables, answers, assumed, checks, limit, judged, p)
         if target is not None
@@ -147,7 +147,7 @@ def _joint(
     }
     curve: list[list[float]] = []
     if answers.where(design.subject(limit), "curve"):
-        target = target_of(design, limit)
+        target = limit.target
         along = curve_by(design, tables, along_line(design, modes), (target,))
         curve, found["margin"] = along.curve, along.values[target]
     return found, curve
@@ -188,7 +188,7 @@ def _reasons(
     p: Estimate,
 ) -> list[Reason]:
     """What is taken for granted and would turn the verdict if it were otherwise."""
-    target, whole, verdict = limit.target or 0.0, p.value or 0.0, target_met(p, limit.target or 0.0)
+    target, whole, verdict = limit.target, p.value or 0.0, target_met(p, limit.target)
     found: list[Reason] = []
 
     def turned(value: float) -> bool:
@@ -326,7 +326,7 @@ def _number_to_use(
     margins = design.study.margins
     if margins is None:
         return None
-    wanted = allowable_probability(design, limit)
+    wanted = limit.allowable
     survive = limit.aim == "survive"
     planned = planned_value(design)
     candidates: list[tuple[float, Limit]] = []
@@ -432,14 +432,14 @@ def _headline(
     safe = _conservative_margin(
         answers,
         design.subject(limit),
-        allowable_probability(design, limit),
+        limit.allowable,
         survive=limit.aim == "survive",
     )
     if number is None:
         first = [f"{what}."]
         if margins is None:
             rest += ["The study asks for no value to use: it has no [margins]."] * (
-                limit.target is not None
+                limit.has_target
             )
         elif joint.get("margin") is not None and safe is not None:
             most = _rising(answers, design.subject(limit))
@@ -479,8 +479,8 @@ def _headline(
             best = format_value(number["best"], path, 3)
             at = (
                 ""
-                if limit.target
-                else f" for a probability of {format_probability(target_of(design, limit))}"
+                if limit.has_target
+                else f" for a probability of {format_probability(limit.target)}"
             )
             rest.append(
                 f"That is the conservative, {'lower' if most else 'upper'} end of its "
@@ -512,7 +512,7 @@ def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of:
         what = f"P(not broken) {format_probability(None, p.high)}"
         if broken is not None:
             what = f"Fracture probability {format_probability(broken)}"
-        if limit.target is not None:
+        if limit.has_target:
             what += f", target at least {format_probability(1.0 - limit.target)}"
         return what
     what = "Fracture" if means_fracture(limit) else "Failure"
@@ -520,7 +520,7 @@ def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of:
     if joint:
         every = joint["probability"]
         what += f" by {of}, {format_probability(every.value, every.high)} by all failure modes"
-    if limit.target is not None:
+    if limit.has_target:
         what += f"{';' if joint else ','} target at most {format_probability(limit.target)}"
     return what
 

@@ -196,6 +196,8 @@ def _limit(limit: Limit) -> LimitEntry:
         quantity=limit.quantity,
         aim=limit.aim,
         target=limit.target,
+        has_target=limit.has_target,
+        allowable=limit.allowable,
         criterion=limit.criterion,
         fracture=means_fracture(limit),
         assumed=False,

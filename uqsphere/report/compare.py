@@ -48,7 +48,8 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
         table["at"] = table["at"].map(str)
         tables.append(table.set_index(keys)[["value", "low", "high"]].add_suffix(f"_{number}"))
     merged = tables[0].join(tables[1:], how="outer").reset_index()
-    targets = {f"limits.{n}": limit.target for n, limit in runs[0].results.study.limits.items()}
+    limits = runs[0].results.study.limits
+    targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes, significant = [], []
     for _, row in merged.iterrows():
         largest, sure = 0.0, False

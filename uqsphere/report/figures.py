@@ -132,9 +132,9 @@ def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> No
                 label=f"tests of {label(subject)}",
             )
     targets = {
-        e["target"] if e["aim"] == "survive" else 1.0 - e["target"]
-        for n, e in results["study"]["limits"].items()
-        if e["target"] and limit in (None, n)
+        entry["allowable"]
+        for name, entry in results["study"]["limits"].items()
+        if entry["has_target"] and limit in (None, name)
     }
     for target in sorted(targets):
         axes.axhline(ndtri(target), color="#555555", lw=0.8, ls=":")

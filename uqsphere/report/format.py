@@ -61,19 +61,13 @@ class Mode:
 def failure_modes(results: Results) -> list[Mode]:
     """Limits of the study, failure modes beside them, and all together where there are several."""
     study, answers, modes = results["study"], results["answers"], list[Mode]()
-    targets = [verdict["target"] for verdict in results["verdicts"].values()]
     for kind in ("limits", "modes"):
         for name, entry in study[kind].items():
-            subject, margin = f"{kind}.{name}", None
-            target = next(
-                (target for target in (entry["target"], *targets) if target is not None), None
+            subject = f"{kind}.{name}"
+            rows = (row for row in of(answers, subject, "margin") if isinstance(row["at"], float))
+            margin = next(
+                (row for row in rows if abs(row["at"] - entry["allowable"]) <= 1e-9), None
             )
-            if target is not None:
-                at = target if entry["aim"] == "survive" else 1.0 - target
-                rows = (
-                    row for row in of(answers, subject, "margin") if isinstance(row["at"], float)
-                )
-                margin = next((row for row in rows if abs(row["at"] - at) <= 1e-9), None)
             modes.append(
                 Mode(
                     subject=subject,

@@ -218,7 +218,12 @@ class LimitEntry(Part):
     mode: str = Field(description="failure mode")
     quantity: str = Field(description="quantity that is held against the strength")
     aim: Aim
-    target: Finite = Field(description="largest failure probability that is accepted")
+    target: float = Field(
+        description="largest failure probability that is accepted; without one of its own the "
+        "least of the limits with the same aim"
+    )
+    has_target: bool = Field(description="whether the study gives this target")
+    allowable: float = Field(description="probability of exceedance at the target")
     criterion: str | None
     fracture: bool = Field(description="whether exceeding it means that the sphere breaks")
     assumed: bool = Field(description="whether the strength is the library's")

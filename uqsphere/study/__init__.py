@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uqsphere.study.document import Margins, json_schema, limit_of
 from uqsphere.study.load import load_study
-from uqsphere.study.study import Limit, Study, strength_name
+from uqsphere.study.study import Limit, Study, default_target, strength_name
 from uqsphere.study.values import NOTABLE
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Limit",
     "Margins",
     "Study",
+    "default_target",
     "json_schema",
     "limit_of",
     "load_study",

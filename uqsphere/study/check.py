@@ -30,7 +30,7 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
-from uqsphere.study.study import Study, strength_name
+from uqsphere.study.study import Limit, Study, default_target, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
@@ -88,7 +88,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         materials=draft.materials,
         sources=draft.sources,
         model=document.model,
-        limits=tuple(draft.limits.values()),
+        limits=tuple(_with_target(limit, draft) for limit in draft.limits.values()),
         margins=draft.margins,
         record=draft.record,
         dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
@@ -100,6 +100,12 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         gauges=(*gauges, *document.gauges),
         files=tuple(draft.files.items()),
     )
+
+
+def _with_target(limit: Limit, draft: Draft) -> Limit:
+    if limit.has_target:
+        return limit
+    return replace(limit, target=default_target(draft.limits.values(), draft.margins, limit.aim))
 
 
 # --- 1: each table by itself ----------------------------------------------------------------------

@@ -21,7 +21,7 @@ from uqsphere.mechanics.rigs import LAW, RIGS, sphere_body
 from uqsphere.quantities import INPUTS, lookup, plain_quantity
 from uqsphere.study import values
 from uqsphere.study.document import Draft, LimitTable
-from uqsphere.study.study import Limit
+from uqsphere.study.study import DEFAULT_TARGET, Limit
 from uqsphere.study.values import Number, Observations, Tested, number_of, value_of
 from uqsphere.units import UNITS
 from uqsphere.uq import Law
@@ -179,7 +179,8 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         parameters=given,
         strength=math.nan,
         aim=table.aim,
-        target=table.target,
+        target=DEFAULT_TARGET if table.target is None else table.target,
+        has_target=table.target is not None,
         fracture=table.fracture,
     )
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from pydantic import BaseModel
@@ -36,12 +36,18 @@ if TYPE_CHECKING:
     from uqsphere.uq.interop import SalibDesign
 
 
+#: failure probability that is allowed where a study says nothing at all
+DEFAULT_TARGET: Final = 0.01
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
 
     With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's
-    own.  `fracture`: whether exceeding it breaks the sphere; None leaves that to the quantity.
+    own.  `target` is the largest failure probability that is allowed; a limit without one of its
+    own (`has_target` is false, and there is no verdict) takes over what `default_target` says.
+    `fracture`: whether exceeding it breaks the sphere; None leaves that to the quantity.
     `tested`: the crushing tests behind the strength, if it has such;
     `uqsphere.propagation.demands` makes their forces comparable with those of a row.
     """
@@ -51,7 +57,8 @@ class Limit:
     strength: Law | float
     aim: Aim = "survive"
     model_factor: Law | float = 1.0
-    target: float | None = None
+    target: float = DEFAULT_TARGET
+    has_target: bool = False
     criterion: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     fracture: bool | None = None
@@ -61,6 +68,25 @@ class Limit:
     def demand(self) -> Demand:
         """What is held against the strength: a quantity, or a criterion with its parameters."""
         return self.quantity if self.criterion is None else (self.criterion, self.parameters)
+
+    @property
+    def allowable(self) -> float:
+        """The probability of exceedance at which the target is just met."""
+        return self.missed(self.target)
+
+    @property
+    def negligible(self) -> float:
+        """A failure probability below which its digits do not matter."""
+        return 0.01 * self.target if self.has_target else 1e-8
+
+    def missed(self, probability: float) -> float:
+        """The failure probability at a probability of exceedance, or the other way round: its
+        complement for a sphere that must break.
+
+        >>> Limit(name="broken", quantity="P_max", strength=1e3, aim="break").missed(0.75)
+        0.25
+        """
+        return 1.0 - probability if self.aim == "break" else probability
 
     @property
     def needs_modulus(self) -> bool:
@@ -331,6 +357,18 @@ def plain(value: Any) -> Json:
     if isinstance(value, list | tuple):
         return [plain(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -> float:
+    """The target of a limit, or of an assumed failure mode, that has none of its own.
+
+    It is the least target of the study's limits of the same aim; without these the least of
+    `margins.for_probability`, and without margins `DEFAULT_TARGET`.
+    """
+    targets = [limit.target for limit in limits if limit.has_target and limit.aim == aim]
+    if not targets and margins is not None:
+        targets = list(margins.for_probability)
+    return min(targets, default=DEFAULT_TARGET)
 
 
 def strength_name(limit: str) -> str:
