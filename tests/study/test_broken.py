@@ -411,10 +411,10 @@ CASES = [
     ),
     # analysis and margins
     one(
-        "a method of later",
+        "a measure of later",
         "quantiles = [0.05, 0.5]",
-        'methods = ["active"]',
-        "it must be 'auto', 'qmc', 'pce'",
+        'measures = ["active"]',
+        "it must be 'morris', 'delta', 'pawn' or 'hdmr'",
     ),
     one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "it must be less than 1"),
     one(

@@ -162,7 +162,7 @@ def test_defaults(load: Load) -> None:
         0.02,
         0.05,
     )
-    assert (study.limits, study.margins, study.analysis.methods) == ((), None, ("auto",))
+    assert (study.limits, study.margins, study.analysis.measures) == ((), None, ())
 
 
 def test_quantities_of_limits_are_not_asked_for(load: Load) -> None:

@@ -46,12 +46,12 @@ TRAJECTORIES, GIVEN = 64, 4096
 
 
 def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
-    """The measures of SALib that a study names in `analysis.methods`: Morris by a design of its
+    """The measures of SALib that a study names in `analysis.measures`: Morris by a design of its
     own, which a slow model is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
 
     answers, inputs = Answers(), design.joint.only(design.inputs)
-    methods = [name for name in SALIB_METHODS if name in design.study.analysis.methods]
+    methods = [name for name in SALIB_METHODS if name in design.study.analysis.measures]
     sample = tables.sample if tables.slow is None else tables.slow.rows
     order = [sample.names.index(name) for name in design.inputs]
     for method in methods if design.inputs else ():

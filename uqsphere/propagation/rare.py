@@ -47,9 +47,8 @@ class RareAnswer:
 
 
 def can_search(design: Design) -> bool:
-    """Whether something is drawn, and the study leaves the search for small probabilities."""
-    wanted = {"auto", "form", "importance", "subset"}
-    return bool(design.drawn.names) and not wanted.isdisjoint(design.study.analysis.methods)
+    """Whether something is drawn."""
+    return bool(design.drawn.names)
 
 
 def search(design: Design, model: Model, tables: Tables, end: float) -> None:

@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic import model_validator as checked
 
-from uqsphere.documents import Fault, Place, Table, one_of, path_of, shown, table_in
+from uqsphere.documents import Fault, Place, Table, path_of, shown, table_in
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
@@ -116,18 +116,7 @@ Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
-_Method = Literal[
-    "auto", "qmc", "pce", "sobol", "form", "importance", "subset", "morris", "delta", "pawn", "hdmr"
-]
-Methods = Annotated[
-    tuple[_Method, ...],
-    *_several(),
-    BeforeValidator(
-        lambda raw: [raw] if raw == "auto" else raw,
-        json_schema_input_type=Literal["auto"]
-        | Annotated[tuple[_Method, ...], Field(min_length=1)],
-    ),
-]
+Measures = Annotated[tuple[Literal["morris", "delta", "pawn", "hdmr"], ...], *_several()]
 
 
 # --- the scene ------------------------------------------------------------------------------------
@@ -376,8 +365,10 @@ class Analysis(Table):
         'at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct()
     )
     quantiles: Shares = keyed("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    methods: Methods = keyed(
-        f"`auto`, or some of {one_of(f'`{m}`' for m in get_args(_Method)[1:])}", ("auto",)
+    measures: Measures = keyed(
+        "sensitivity measures of SALib beside Sobol' indices: some of `morris`, `delta`, `pawn`, "
+        "`hdmr`",
+        (),
     )
     second_order: bool = keyed("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = keyed(
