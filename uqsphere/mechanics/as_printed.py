@@ -1,7 +1,6 @@
-"""The paper's formulas as they are printed, to be compared with the corrected ones; never used to
-compute.
+"""The paper's formulas as printed, for comparison with the corrected ones; never used to compute.
 
-W. K. Nowacki, Engng. Trans. 42(3), 263–279, 1994; what is wrong with each is in docs/errata.md.
+W. K. Nowacki, Engng. Trans. 42(3), 263–279, 1994; docs/errata.md says what is wrong with each.
 """
 
 from __future__ import annotations
@@ -14,42 +13,48 @@ import numpy as np
 
 from uqsphere.arrays import Values
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
-from uqsphere.mechanics.integrator.solve import motion, solve
+from uqsphere.mechanics.integrator.solve import Motion, motion, solve
+from uqsphere.mechanics.outputs import OUTPUTS, Answers
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
+from uqsphere.units import UNITS
 
 #: the value of (3.8); the integral it stands for diverges
 DURATION_FACTOR: Final = 6.715
 #: integral of sin^(3/2)(pi x) from 0 to 1: Gamma(5/4)/(sqrt(pi) Gamma(7/4))
-_SINE: Final = math.gamma(1.25) / (math.sqrt(math.pi) * math.gamma(1.75))
+_SINE_IMPULSE: Final = math.gamma(1.25) / (math.sqrt(math.pi) * math.gamma(1.75))
 #: end of an endless step, in t_c, by which the approach has settled to nine digits
 _SETTLED: Final = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """One quantity by the paper's printed formula, the corrected one and the full model; SI, None:
-    no value.
+class PaperValue:
+    """One quantity by the paper's printed formula, by the corrected one, and by the full model.
 
-    `corrected` is the paper's own idealisation put right: a massless sphere in infinite bars under
-    a rectangular pulse; `full` is the scene as it is: the sphere's mass, reflections, the pulse's
-    shape.
+    quantity: its key.  name: what it is called.  printed, corrected, full: values in SI, None where
+    there is none.  `corrected` is the paper's own idealisation put right: a massless sphere in
+    infinite bars under a rectangular pulse.  `full` is the scene as it is: with the sphere's mass,
+    reflections and the shape of the pulse.  unit_of: the entry of `OUTPUTS` whose unit people read.
+    note: the equation, and what is wrong with it.
     """
 
     quantity: str
-    unit: str
-    as_printed: float | None
+    name: str
+    printed: float
     corrected: float | None
     full: float | None
+    unit_of: str
     note: str
 
-    @property
-    def error(self) -> float | None:
-        """The printed value over that of the full model, less 1; None where either is missing or
-        zero.
-        """
-        if self.as_printed is None or not self.full:
-            return None
-        return self.as_printed / self.full - 1.0
+
+@dataclass(frozen=True, kw_only=True)
+class PaperLine:
+    """A `PaperValue` as people read it: numbers in `unit`, None where there is no value."""
+
+    name: str
+    printed: float
+    corrected: float | None
+    unit: str
+    note: str
 
 
 def peak_approach(speed: Values, impedance: Values, hertz_constant: Values) -> Values:
@@ -72,11 +77,9 @@ def peak_pressure(force: Values, contact_radius: Values) -> Values:
     return 1.5 * force / (math.pi * np.square(contact_radius))
 
 
-def mean_pressure(pressure: Values, share: Values) -> Values:
-    """Mean pressure over the contact [Pa] while alpha = f alpha_max, (5.9): (2/3) p_max f, not
-    f^(1/2).
-    """
-    return (2.0 / 3.0) * pressure * share
+def mean_pressure(pressure: Values, fraction: Values) -> Values:
+    """Mean contact pressure [Pa] while alpha = f alpha_max, (5.9): (2/3) p_max f, not f^(1/2)."""
+    return (2.0 / 3.0) * pressure * fraction
 
 
 def contact_duration(approach: Values, speed: Values) -> Values:
@@ -85,239 +88,244 @@ def contact_duration(approach: Values, speed: Values) -> Values:
 
 
 def approach(time: Values, peak: Values, duration: Values) -> Values:
-    """alpha(t) = alpha_max sin(pi t/t_k) [m], (3.9), from first touch to the end of contact, then
-    zero.
-    """
+    """alpha(t) = alpha_max sin(pi t/t_k) [m], (3.9), from first touch to the end of contact."""
     return np.where(time < duration, peak * np.sin(math.pi * np.minimum(time / duration, 1.0)), 0.0)
 
 
 def rise_time(duration: Values) -> Values:
-    """Time [s] from 10 % to 90 % of the largest force on P = P_max sin^(3/2)(pi t/t_k), which (3.9)
-    means.
-    """
+    """Time [s] from 10 % to 90 % of the peak of P = P_max sin^(3/2)(pi t/t_k), implied by (3.9)."""
     return duration / math.pi * (math.asin(0.9 ** (2.0 / 3.0)) - math.asin(0.1 ** (2.0 / 3.0)))
 
 
 def equivalent_duration(duration: Values) -> Values:
-    """Impulse over peak [s] of P = P_max sin^(3/2)(pi t/t_k), which (3.9) means: B(5/4, 1/2)/pi =
-    0.5564 t_k.
+    """Impulse over peak force [s] of P = P_max sin^(3/2)(pi t/t_k), implied by (3.9).
+
+    It is B(5/4, 1/2)/pi = 0.5564 t_k.
     """
-    return _SINE * duration
+    return _SINE_IMPULSE * duration
 
 
 def approach_after_pulse(
     after: Values, start: Values, impedance: Values, hertz_constant: Values
 ) -> Values:
-    """alpha = [alpha_*^(-1/2) + beta (t - t2)/(F0 rho c0)]^(-2) [m], (3.16); the divisor 2 is
-    missing.
-    """
+    """alpha = [alpha_*^(-1/2) + beta (t - t2)/(F0 rho c0)]^(-2) [m], (3.16); lacks a factor 1/2."""
     return (1.0 / np.sqrt(start) + hertz_constant * after / impedance) ** -2.0
 
 
 def linear_plateau(speed: Values, impedance: Values, stiffness: Values) -> Values:
-    """alpha -> v0/lambda_1 [m] under a step, (4.10), with lambda_1 = k/(F0 rho c0); twice the right
-    value.
-    """
+    """alpha -> v0/lambda_1 [m] under a step, (4.10), lambda_1 = k/(F0 rho c0); twice too large."""
     return speed * impedance / stiffness
 
 
-def compare(scene: Scene, row: int = 0, *, tolerance: float = 1e-8) -> list[Comparison]:
-    """What the paper prints, the corrected massless value and the full model's for one row of a
-    scene.
+def paper_line(value: PaperValue) -> PaperLine:
+    """A value as people read it, in display units; the note gives the full model's value."""
+    entry = OUTPUTS[value.unit_of]
+    unit = entry.display or entry.unit
+    factor = 1.0 / UNITS[entry.dimension].get(unit, 1.0)
+    corrected = None
+    if value.corrected is not None:
+        corrected = value.corrected * factor
+    note = value.note
+    if value.full is not None:
+        note += f"; full model: {value.full * factor:.4g} {unit}".rstrip()
+    return PaperLine(
+        name=value.name, printed=value.printed * factor, corrected=corrected, unit=unit, note=note
+    )
 
-    ValueError if the row lies outside the domain of the model.
+
+def compare_with_paper(
+    scene: Scene, row: int = 0, *, tolerance: float = 1e-8
+) -> tuple[PaperValue, ...]:
+    """The paper's printed values beside the corrected ones and the full model's, for one row.
+
+    tolerance: relative error of the integration of the full model.  Returns one `PaperValue` a
+    formula.  ValueError if the row lies outside the domain of the model.
     """
     row = range(len(scene))[row]
     if scene.status[row] != 0:
         raise ValueError(f"row {row} cannot be compared: {STATUS[int(scene.status[row])]}")
-    scene = replace(scene, columns={name: column[[row]] for name, column in scene.columns.items()})
-    return [*_peaks(scene, tolerance), *_times(scene, tolerance), *_instants(scene, tolerance)]
+    scene = scene.at(np.array([row]))
+    return _Comparison(scene, tolerance).values()
+
+
+class _Comparison:
+    """One row of a scene, computed three ways."""
+
+    def __init__(self, scene: Scene, tolerance: float) -> None:
+        scales = scene.scales
+        self.scene, self.tolerance = scene, tolerance
+        self.speed = float(scene.columns["striker.speed"][0])
+        self.impedance = float(scales.impedance[0])
+        self.beta = float(scales.hertz_constant[0])
+        self.alpha = float(peak_approach(self.speed, self.impedance, self.beta))
+        self.corrected = solve_closed(_idealised(scene))
+        self.full = solve(scene, tolerance=tolerance)
+
+    def values(self) -> tuple[PaperValue, ...]:
+        """All formulas in the order of the paper."""
+        return (*self._peaks(), *self._mean_pressures(), *self._times(), *self._approaches())
+
+    def _value(self, quantity: str, printed: float, note: str) -> PaperValue:
+        """A quantity of interest."""
+        return PaperValue(
+            quantity=quantity,
+            name=OUTPUTS[quantity].meaning.partition(":")[0],
+            printed=printed,
+            corrected=_number(self.corrected, quantity),
+            full=_number(self.full, quantity),
+            unit_of=quantity,
+            note=note,
+        )
+
+    def _peaks(self) -> list[PaperValue]:
+        scales = self.scene.scales
+        radius = float(contact_radius(self.alpha, scales.effective_radius[0]))
+        force = float(peak_force(self.alpha, radius, scales.modulus[0]))
+        self.pressure = float(peak_pressure(force, radius))
+        return [
+            self._value("alpha_max", self.alpha, "(3.6) holds for a long pulse only"),
+            self._value("a_max", radius, "(5.1) with (3.6) holds for a long pulse only"),
+            self._value("P_max", force, "(5.3) with (3.6) holds for a long pulse only"),
+            self._value("p_max", self.pressure, "(5.4) with (3.6) holds for a long pulse only"),
+            self._value("force_imbalance", 0.0, "(3.1) neglects the mass of the sphere"),
+        ]
+
+    def _mean_pressures(self) -> list[PaperValue]:
+        """At one instant p ~ f^(1/2) holds, in place of the printed p ~ f."""
+        corrected, full = _number(self.corrected, "p_max"), _number(self.full, "p_max")
+        values = []
+        for fraction, quantity, name in (
+            (1.0, "mean_pressure", "mean contact pressure at peak force"),
+            (0.5, "mean_pressure_at_half_approach", "mean contact pressure at half the approach"),
+        ):
+            right = 2.0 / 3.0 * math.sqrt(fraction)
+            note = f"(5.9) is proportional to f, here {fraction:g}, in place of its square root"
+            values.append(
+                PaperValue(
+                    quantity=quantity,
+                    name=name,
+                    printed=float(mean_pressure(self.pressure, fraction)),
+                    corrected=None if corrected is None else right * corrected,
+                    full=None if full is None else right * full,
+                    unit_of="p_mean",
+                    note=note,
+                )
+            )
+        return values
+
+    def _times(self) -> list[PaperValue]:
+        duration = float(contact_duration(self.alpha, self.speed))
+        loss = "(3.8) is the value of an integral that diverges; a massless sphere in infinite bars"
+        loss += " never loses contact"
+        if _number(self.full, "time_to_first_loss") is None:
+            end = 1e6 * self.full.record[0]
+            loss += f"; not over within the evaluation window of {end:.4g} us"
+        return [
+            self._value(
+                "contact_duration",
+                float(equivalent_duration(duration)),
+                "from (3.9), a sine of the duration (3.8); the approach rises monotonically",
+            ),
+            self._value("time_to_first_loss", duration, loss),
+            self._value(
+                "rise_time",
+                float(rise_time(duration)),
+                "from (3.9), a sine of the duration (3.8); the approach rises monotonically",
+            ),
+        ]
+
+    def _approaches(self) -> list[PaperValue]:
+        """Approaches at single instants, and the plateau of the linear contact."""
+        time = float(self.scene.scales.time[0])
+        theta = float(self.scene.scales.pulse_number[0])
+        course = motion(self.scene, 0, tolerance=self.tolerance)
+        duration = contact_duration(self.alpha, self.speed)
+        values = [
+            PaperValue(
+                quantity="approach_at_t_c",
+                name=f"approach at t_c = {time * 1e6:.4g} us",
+                printed=float(approach(time, self.alpha, duration)),
+                corrected=self.alpha * float(massless_approach(1.0, theta)),
+                full=_approach_at(course, time),
+                unit_of="alpha_max",
+                note="(3.9) is a sine; the approach follows theory (11)",
+            )
+        ]
+        if math.isfinite(theta):
+            start = self.alpha * float(massless_approach(theta, theta))
+            after = (theta + 1.0) * time
+            printed = approach_after_pulse(time, start, self.impedance, self.beta)
+            values.append(
+                PaperValue(
+                    quantity="approach_after_pulse",
+                    name=f"approach at t_i + t_c = {after * 1e6:.4g} us",
+                    printed=float(printed),
+                    corrected=self.alpha * float(massless_approach(theta + 1.0, theta)),
+                    full=_approach_at(course, after),
+                    unit_of="alpha_max",
+                    note="(3.16) lacks a factor 1/2, so that the approach falls twice as fast",
+                )
+            )
+        stiffness = self.beta * math.sqrt(self.alpha)
+        values.append(
+            PaperValue(
+                quantity="linear_plateau",
+                name="approach after an endless step, linear contact",
+                printed=float(linear_plateau(self.speed, self.impedance, stiffness)),
+                corrected=0.5 * self.speed * self.impedance / stiffness,
+                full=_settled(self.scene, self.tolerance),
+                unit_of="alpha_max",
+                note="(4.10) lacks a factor 1/2; stiffness: secant of Hertz at alpha_max",
+            )
+        )
+        return values
+
+
+def _number(answers: Answers, quantity: str) -> float | None:
+    """A quantity of the only row, None if the evaluation window ended before it was decided."""
+    if quantity in answers.censored and answers.censored[quantity][0]:
+        return None
+    return float(answers.values[quantity][0])
+
+
+def _approach_at(course: Motion, time: float) -> float | None:
+    """Mean approach [m] of both contacts at a time [s], None after the end of the motion."""
+    if time > course.end:
+        return None
+    return float(course.states_at(np.array([time]))[0, :2].mean())
 
 
 def _idealised(scene: Scene) -> Scene:
-    """The scene in infinite bars under a rectangular pulse of the same length, or under the same
-    step.
-    """
+    """The scene in infinite bars under a rectangular pulse of its length, or under its step."""
+    if scene.shape == "step":
+        return _in_infinite_bars(scene, "step", scene.horizon or float(scene.record_end[0]))
+    return _in_infinite_bars(scene, "rectangular", None)
+
+
+def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:
+    """The scene with an ideal pulse in infinite bars, for a striker of the bars' material."""
     columns = {
         name: column
         for name, column in scene.columns.items()
         if not name.startswith("pulse.") and name not in STRIKER_COLUMNS
     }
-    if scene.shape == "step":
-        horizon = scene.horizon or float(scene.record_end[0])
-        return replace(
-            scene, columns=columns, infinite=True, first_loading_only=False, horizon=horizon
-        )
-    columns["pulse.duration"] = scene.scales.duration
+    if shape != "step":
+        columns["pulse.duration"] = scene.scales.duration
     return replace(
         scene,
         columns=columns,
-        shape="rectangular",
+        shape=shape,
         infinite=True,
         first_loading_only=False,
-        horizon=None,
+        whole_record=False,
+        horizon=horizon,
+        record=None,
     )
-
-
-def _scalars(scene: Scene) -> tuple[float, float, float, float]:
-    """v0, Z, beta and the printed alpha_max of the only row."""
-    scales = scene.scales
-    speed = float(scene.columns["striker.speed"][0])
-    impedance, beta = float(scales.impedance[0]), float(scales.hertz_constant[0])
-    return speed, impedance, beta, float(peak_approach(speed, impedance, beta))
-
-
-def _peaks(scene: Scene, tolerance: float) -> list[Comparison]:
-    """Approach, contact radius, force, pressures, energy."""
-    _, _, _, alpha = _scalars(scene)
-    radius = float(contact_radius(alpha, scene.scales.effective_radius[0]))
-    force = float(peak_force(alpha, radius, scene.scales.modulus[0]))
-    pressure = float(peak_pressure(force, radius))
-    corrected, full = (
-        solve_closed(_idealised(scene)).values,
-        solve(scene, tolerance=tolerance).values,
-    )
-    printed: list[tuple[str, str, float | None, str]] = [
-        ("p_max", "Pa", pressure, "(5.4) with (3.6), (5.1) and (5.3): the limit of a long pulse"),
-        ("P_max", "N", force, "(5.3), equal to (3.7) times the section: the limit of a long pulse"),
-        ("alpha_max", "m", alpha, "(3.6): the limit of a long pulse"),
-        ("a_max", "m", radius, "(5.1)"),
-        ("energy", "J", None, "not in the paper"),
-        ("force_imbalance", "", 0.0, "(3.1): none without mass"),
-    ]
-    rows = [
-        Comparison(
-            quantity=name,
-            unit=unit,
-            as_printed=value,
-            corrected=float(corrected[name][0]),
-            full=float(full[name][0]),
-            note=note,
-        )
-        for name, unit, value, note in printed
-    ]
-    # one instant of the right law, p ~ f^(1/2), against the printed p ~ f: the models differ by
-    # p_max alone
-    for share, name in ((1.0, "mean_pressure"), (0.5, "mean_pressure_at_half_approach")):
-        right = 2.0 / 3.0 * math.sqrt(share)
-        rows.append(
-            Comparison(
-                quantity=name,
-                unit="Pa",
-                as_printed=float(mean_pressure(pressure, share)),
-                corrected=right * float(corrected["p_max"][0]),
-                full=right * float(full["p_max"][0]),
-                note=f"(5.9) at f = {share:g}; the correct law goes with the square root of f",
-            )
-        )
-    return rows
-
-
-def _times(scene: Scene, tolerance: float) -> list[Comparison]:
-    """Contact duration, time to the first loss, rise."""
-    speed, _, _, alpha = _scalars(scene)
-    duration = float(contact_duration(alpha, speed))
-    corrected, full = solve_closed(_idealised(scene)), solve(scene, tolerance=tolerance)
-    printed = [
-        (
-            "contact_duration",
-            float(equivalent_duration(duration)),
-            "impulse over peak of sin^(3/2) by (3.9)",
-        ),
-        (
-            "time_to_first_loss",
-            duration,
-            "(3.8); the massless sphere in infinite bars never loses contact",
-        ),
-        ("rise_time", float(rise_time(duration)), "10 % to 90 % of sin^(3/2) by (3.9)"),
-    ]
-    rows = []
-    for name, value, note in printed:
-        seen = [
-            None
-            if name in answers.censored and answers.censored[name][0]
-            else float(answers.values[name][0])
-            for answers in (corrected, full)
-        ]
-        late = f"; not over within the record of {full.record[0]:.4g} s" if seen[1] is None else ""
-        rows.append(
-            Comparison(
-                quantity=name,
-                unit="s",
-                as_printed=value,
-                corrected=seen[0],
-                full=seen[1],
-                note=note + late,
-            )
-        )
-    return rows
-
-
-def _instants(scene: Scene, tolerance: float) -> list[Comparison]:
-    """Approaches at single instants, half of what the bar ends have come closer; and the linear
-    plateau.
-    """
-    speed, impedance, beta, alpha = _scalars(scene)
-    time, theta = float(scene.scales.time[0]), float(scene.scales.pulse_number[0])
-    found = motion(scene, 0, tolerance=tolerance)
-
-    def full(s: float) -> float | None:
-        if s > found.end:
-            return None
-        return float(found.states_at(np.array([s * time]))[0, :2].mean())
-
-    rows = [
-        Comparison(
-            quantity="approach_at_t_c",
-            unit="m",
-            as_printed=float(approach(time, alpha, contact_duration(alpha, speed))),
-            corrected=alpha * float(massless_approach(1.0, theta)),
-            full=full(1.0),
-            note=f"(3.9) at t_c = {time * 1e6:.4g} us; the loading is no sine but theory (11)",
-        )
-    ]
-    if math.isfinite(theta):
-        start = alpha * float(massless_approach(theta, theta))
-        rows.append(
-            Comparison(
-                quantity="approach_after_pulse",
-                unit="m",
-                as_printed=float(approach_after_pulse(time, start, impedance, beta)),
-                corrected=alpha * float(massless_approach(theta + 1.0, theta)),
-                full=full(theta + 1.0),
-                note=(
-                    f"(3.16) at t_i + t_c = {(theta + 1.0) * time * 1e6:.4g} us, from the "
-                    "corrected alpha_*"
-                ),
-            )
-        )
-    stiffness = beta * math.sqrt(alpha)
-    rows.append(
-        Comparison(
-            quantity="linear_plateau",
-            unit="m",
-            as_printed=float(linear_plateau(speed, impedance, stiffness)),
-            corrected=0.5 * speed * impedance / stiffness,
-            full=_settled(scene, tolerance),
-            note="(4.10) with the secant stiffness; full: end of an endless step in infinite bars",
-        )
-    )
-    return rows
 
 
 def _settled(scene: Scene, tolerance: float) -> float:
-    """Approach [m] to which the full model settles under an endless step in infinite bars."""
-    columns = {
-        name: column for name, column in scene.columns.items() if not name.startswith("pulse.")
-    }
-    horizon = _SETTLED * max(1.0, float(scene.scales.mass_number[0])) * float(scene.scales.time[0])
-    endless = replace(
-        scene,
-        columns=columns,
-        shape="step",
-        infinite=True,
-        first_loading_only=False,
-        horizon=horizon,
-    )
-    found = motion(endless, 0, tolerance=tolerance)
-    return float(found.states_at(np.array([horizon]))[0, :2].mean())
+    """Approach [m] of the full model at the end of an endless step in infinite bars."""
+    scales = scene.scales
+    horizon = _SETTLED * max(1.0, float(scales.mass_number[0])) * float(scales.time[0])
+    course = motion(_in_infinite_bars(scene, "step", horizon), 0, tolerance=tolerance)
+    return float(course.states_at(np.array([horizon]))[0, :2].mean())

@@ -19,6 +19,7 @@ from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
+    from uqsphere.mechanics.as_printed import PaperLine
     from uqsphere.mechanics.fracture import Fractures
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
@@ -71,6 +72,17 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         hardness_at_onset=options.get("contact.hardness") == "onset",
         record=study.record,
     )
+
+
+def paper_lines(study: Study) -> tuple[PaperLine, ...]:
+    """The paper's printed values beside the corrected ones, every number at its mean; none for a
+    study without `compare_with_paper`.
+    """
+    if not study.model.compare_with_paper:
+        return ()
+    from uqsphere.mechanics.as_printed import compare_with_paper, paper_line
+
+    return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {}, 1)))
 
 
 def scene_at(study: Study, names: Sequence[str], rows: Array) -> Scene:

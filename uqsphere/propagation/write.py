@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,6 +14,7 @@ import numpy as np
 
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
+from uqsphere.models.scene import paper_lines
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import MOST_MANY, density, many_values
@@ -33,6 +34,7 @@ from uqsphere.results.types import (
     InputEntry,
     LimitEntry,
     LimitVerdict,
+    PaperRow,
     QuantityEntry,
     Reached,
     Results,
@@ -102,6 +104,7 @@ def results_of(
         answers=answers.rows,
         verdicts=verdicts,
         checks=[check.entry() for check in checks],
+        paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
             required={
                 "mean": required.mean,

@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.model import announce_compilation
-from uqsphere.models.scene import evaluate_scene, scene_of
+from uqsphere.models.scene import evaluate_scene, paper_lines, scene_of
 from uqsphere.quantities import format_value, lookup
 from uqsphere.report.figures import COLOURS, svg
 from uqsphere.results.folder import write_files
@@ -25,6 +25,7 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from uqsphere.mechanics.as_printed import PaperLine
     from uqsphere.mechanics.history import History
 
 
@@ -136,9 +137,19 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
         ]
     return [
         *rows,
-        ("end of the record", _when(found.record_end)),
+        *(_paper_text(row) for row in paper_lines(study)),
+        ("end of the evaluation window", _when(found.record_end)),
         ("end of this history", _when(found.horizon)),
     ]
+
+
+def _paper_text(row: PaperLine) -> tuple[str, str]:
+    """A formula of the paper as printed, beside the corrected one."""
+    corrected = "no value"
+    if row.corrected is not None:
+        corrected = f"{row.corrected:.4g} {row.unit}".rstrip()
+    printed = f"{row.printed:.4g} {row.unit}".rstrip()
+    return f"paper: {row.name}", f"printed {printed}, corrected {corrected} ({row.note})"
 
 
 def _when(time: float | None) -> str:

@@ -45,6 +45,8 @@ def summary(results: Results, width: int = 79) -> str:
             "",
             *_table(("Sobol' index, total", *results_names(results)), indices[:ROWS], width),
         ]
+    if paper := _paper(results):
+        lines += ["", *_table(("formula of the paper", "printed", "corrected"), paper, width)]
     accuracy = results["accuracy"]
     error = accuracy["reached"][-1]["error"] if accuracy["reached"] else None
     tail = f"{accuracy['runs']:,} model runs, {accuracy['seconds']:.3g} s"
@@ -101,6 +103,17 @@ def _indices(results: Results) -> list[tuple[str, ...]]:
         if any(cell is not None and cell["value"] is not None for cell in cells):
             texts = ["–" if c is None or c["value"] is None else f"{c['value']:.3f}" for c in cells]
             rows.append((meaning(row["at"], results["inputs"]), *texts))
+    return rows
+
+
+def _paper(results: Results) -> list[tuple[str, ...]]:
+    """The paper's printed values beside the corrected ones."""
+    rows: list[tuple[str, ...]] = []
+    for row in results.get("paper", ()):
+        cells = [f"{row['printed']:.4g} {row['unit']}", "–"]
+        if row["corrected"] is not None:
+            cells[1] = f"{row['corrected']:.4g} {row['unit']}"
+        rows.append((row["name"], *(cell.rstrip() for cell in cells)))
     return rows
 
 

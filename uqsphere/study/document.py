@@ -216,7 +216,7 @@ class ModelChoice(Table):
         "latest end of the record; without it eight round trips of the longer bar"
     )
     compare_with_paper: bool = keyed(
-        "adds the paper's printed massless formulas and the corrected ones", False
+        "print the paper's formulas as printed beside the corrected ones", False
     )
 
 
