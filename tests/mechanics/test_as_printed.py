@@ -155,27 +155,24 @@ def test_a_row_without_meaning_is_refused():
         as_printed.compare_with_paper(replace(SCENE, columns=columns))
 
 
-def test_a_study_prints_the_comparison_in_its_run_and_its_history():
+def test_a_study_prints_the_comparison_in_its_run_and_its_history(tmp_path, capsys):
     import uqsphere
-    from uqsphere.report import summary
+    from uqsphere.cli import main
     from uqsphere.report.history import history_rows
 
-    overrides = ("analysis.budget.evaluations=512",)
-    study = uqsphere.load_study("studies/as_printed.toml", overrides)
-    results = uqsphere.run(study).results
-    rows = {row["name"]: row for row in results["paper"]}
+    command = ["run", "studies/as_printed.toml", "--set", "analysis.budget.evaluations=512"]
+    main([*command, "--out", str(tmp_path / "with")])
+    terminal = capsys.readouterr().out
+    rows = {row.name: row for row in uqsphere.open_run(tmp_path / "with").results.paper}
     peak = rows["peak contact pressure"]
-    assert set(peak) == {"name", "printed", "corrected", "unit", "note"}
-    assert peak["unit"] == "GPa"
-    assert peak["printed"] > peak["corrected"] > 0.0
-    terminal = summary(results)
-    assert "formula of the paper" in terminal
-    assert f"{peak['printed']:.4g} GPa" in terminal
+    assert peak.unit == "GPa"
+    assert peak.printed > peak.corrected > 0.0
+    assert f"{peak.printed:.4g} GPa" in terminal
+    assert f"{peak.corrected:.4g} GPa" in terminal
+    study = uqsphere.load_study("studies/as_printed.toml")
     texts = dict(history_rows(study, uqsphere.history(study)))
-    assert f"printed {peak['printed']:.4g} GPa" in texts["paper: peak contact pressure"]
+    assert f"printed {peak.printed:.4g} GPa" in texts["paper: peak contact pressure"]
 
-    without = (*overrides, "model.compare_with_paper=false")
-    plain = uqsphere.load_study("studies/as_printed.toml", without)
-    results = uqsphere.run(plain).results
-    assert results["paper"] == []
-    assert "formula of the paper" not in summary(results)
+    main([*command, "--set", "model.compare_with_paper=false", "--out", str(tmp_path / "without")])
+    assert f"{peak.printed:.4g} GPa" not in capsys.readouterr().out
+    assert uqsphere.open_run(tmp_path / "without").results.paper == []
