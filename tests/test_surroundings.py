@@ -77,7 +77,7 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
     "a full disk later": (
         f"{DONE}; ulimit -f 4; {RUN} && exit 1; {UQ} verify s-results",
         0,
-        "as it was written",
+        "all checksums match",
         WHOLE,
     ),
     "no place": (f"{RUN} --out /proc/x", 6, "/proc/x", None),

@@ -1,5 +1,5 @@
-"""The command line: one function a command.  stdout has the answer only, progress and notes go to
-stderr.
+"""The command line: one function a command.  Only the answer goes to stdout; progress and notes go
+to stderr.
 """
 
 from __future__ import annotations
@@ -14,14 +14,32 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NoReturn
 
 from uqsphere.errors import UqsphereError, UsageError
 
-#: exit codes beside those of errors: a target whose verdict is not met, and an interruption
+#: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
-#: labs: products beside the product, with commands of their own
-LABS = ("shpb", "comminution")
+#: every exit code, as `uqsphere --help` lists them
+EXIT_CODES: Final = {
+    0: "done; with a target: every decision is met",
+    1: "internal error",
+    2: "invalid study, input file or command",
+    3: "done, but a decision with a target is not met, undecided or not established",
+    4: "the model failed in too many runs",
+    5: "results directory in use, damaged, or of another study",
+    6: "a file could not be read or written",
+    130: "interrupted (143: terminated)",
+}
+#: labs: companion tools with commands of their own, and a first command for each of their templates
+LABS: Final = {
+    "shpb": "lab: records of Hopkinson bars, contact laws, test plans",
+    "comminution": "lab: single-particle tests, feeds under impact",
+}
+LAB_TEMPLATES: Final = {
+    "lab_gauge_records": "uqsphere shpb records",
+    "lab_limestone_feed": "uqsphere comminution feed",
+}
 
 
 def program() -> None:
@@ -36,7 +54,7 @@ def program() -> None:
         code = main(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:
-        # whoever read has gone: nothing more can be told
+        # the reader has gone: no output is possible
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     sys.exit(code)
@@ -44,15 +62,19 @@ def program() -> None:
 
 def main(argv: Sequence[str]) -> int:
     """Run a command; returns its exit code."""
-    if argv and argv[0] in LABS and find_spec("uqsphere.labs") is not None:
+    if argv and argv[0] in LABS and _labs_installed():
         command = import_module(f"uqsphere.labs.{argv[0]}.cli").main
         return _guarded(lambda: int(command(list(argv[1:]))))
     parser = _parser()
-    given = parser.parse_args(argv)
-    if not getattr(given, "command", None):
+    options, unknown = parser.parse_known_args(argv)
+    if not getattr(options, "command", None):
         parser.print_help()
         return 2
-    return _guarded(lambda: given.command(given) or 0)
+    if unknown:
+        command = f"uqsphere {argv[0]}"
+        print(f"{command}: unknown option {unknown[0]}; see {command} --help", file=sys.stderr)
+        return 2
+    return _guarded(lambda: options.command(options) or 0)
 
 
 def _guarded(command: Callable[[], int]) -> int:
@@ -67,9 +89,7 @@ def _guarded(command: Callable[[], int]) -> int:
     except BrokenPipeError:
         raise
     except MemoryError:
-        print(
-            "out of memory: fewer rows, fewer processes (-j 1) or a smaller study", file=sys.stderr
-        )
+        print("out of memory: use -j 1, or lower analysis.budget.evaluations", file=sys.stderr)
         return 6
     except OSError as error:
         print(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "), file=sys.stderr)
@@ -79,97 +99,152 @@ def _guarded(command: Callable[[], int]) -> int:
             raise
         print(
             f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; "
-            "UQSPHERE_DEBUG=1 shows "
-            "where it happened.",
+            "UQSPHERE_DEBUG=1 shows where it happened.",
             file=sys.stderr,
         )
         return 1
 
 
+def _labs_installed() -> bool:
+    return find_spec("uqsphere.labs") is not None
+
+
+# --- the parser -----------------------------------------------------------------------------------
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose error names the command that was probably meant."""
+
+    def error(self, message: str) -> NoReturn:
+        word, _, choices = message.partition(": invalid choice: ")[2].partition(" (choose from ")
+        if choices:
+            from uqsphere.documents import suggestion
+
+            names = choices.rstrip(")").replace("'", "").split(", ")
+            what = "command" if self.prog == "uqsphere" else "choice"
+            hint = suggestion(word.strip("'"), names)
+            message = f"unknown {what} {word}{hint} (known: {', '.join(names)})"
+        super().error(message)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    codes = "\n".join(f"  {code:<4}{text}" for code, text in EXIT_CODES.items())
+    parser = _Parser(
         prog="uqsphere",
-        description="Fracture risk and uncertainty of brittle spheres under impact.",
-        epilog="Start with: uqsphere new granite -o rock.toml; uqsphere run rock.toml",
+        description="Fracture risk and uncertainty quantification of brittle spheres under impact.",
+        epilog="start with:\n  uqsphere new granite -o rock.toml\n  uqsphere run rock.toml\n\n"
+        f"exit codes:\n{codes}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--version", action=_Version, nargs=0, help="versions of uqsphere and of what it stands on"
+        "--version", action=_Version, nargs=0, help="versions of uqsphere and its dependencies"
     )
-    commands = parser.add_subparsers(metavar="COMMAND")
+    commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
 
     def add(
-        name: str, command: Callable[[argparse.Namespace], int | None], text: str
+        name: str, command: Callable[[argparse.Namespace], int | None], text: str, *examples: str
     ) -> argparse.ArgumentParser:
-        one = commands.add_parser(name, help=text, description=text[:1].upper() + text[1:] + ".")
-        one.set_defaults(command=command)
-        return one
+        heading = "example" if len(examples) == 1 else "examples"
+        added = commands.add_parser(
+            name,
+            help=text,
+            description=f"{text[:1].upper()}{text[1:]}.",
+            epilog="\n".join(
+                [f"{heading}:", *(f"  uqsphere {name} {e}".rstrip() for e in examples)]
+            ),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        added.set_defaults(command=command)
+        return added
 
-    new = add("new", _new, "a commented study to start from")
-    new.add_argument(
-        "template",
-        nargs="?",
-        metavar="TEMPLATE",
-        help="one of the shipped studies; without it they are listed",
+    new = add(
+        "new", _new, "write a commented study to start from", "", "granite", "ishigami -o mine.toml"
     )
-    new.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it")
+    new.add_argument(
+        "template", nargs="?", metavar="TEMPLATE", help="a shipped study (default: list them)"
+    )
+    new.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write")
     check = add(
         "check",
         _check,
-        "validate a study; inputs and strengths as understood, and about how long a run takes",
+        "validate a study; print inputs and strengths as read, and the expected cost of a run",
+        "rock.toml",
+        "rock.toml --set sphere.radius='12 mm'",
+        "- < rock.toml",
     )
     _with_study(check)
-    run = add("run", _run, "run a study, and write its results and its page")
+    run = add(
+        "run",
+        _run,
+        "run a study; write its results and its report",
+        "rock.toml",
+        "rock.toml --out slower --set striker.speed.mean='0.4 m/s'",
+        "ishigami.toml --model ishigami.py:ishigami -j 4",
+    )
     _with_study(run)
-    run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (FILE-results)")
+    _with_model(run)
     run.add_argument(
-        "-j", "--processes", type=_count, metavar="N", help="threads, or processes of a black box"
+        "--out", type=Path, metavar="DIR", help="results directory (default: FILE-results)"
     )
     run.add_argument(
-        "--budget", metavar="TIME", help="time budget in place of the study's, such as 10min"
+        "--fresh",
+        action="store_true",
+        help="discard earlier results and stored model runs in the directory",
     )
     run.add_argument(
-        "--model",
-        metavar="FILE.py:FUNCTION",
-        help="the model of a black-box study; this runs its code",
+        "--json", action="store_true", help="print results.json instead of the summary"
     )
-    run.add_argument("--fresh", action="store_true", help="replace what is in the folder")
-    run.add_argument(
-        "--json", action="store_true", help="print results.json in place of the summary"
-    )
-    report = add("report", _report, "write the page of a result folder again, from what is stored")
+    report = add("report", _report, "write the report again from stored results", "rock-results")
     report.add_argument("folder", type=Path, metavar="DIR")
     compare = add(
         "compare",
         _compare,
-        "runs side by side: what was set otherwise, which answers moved, by how much",
+        "compare runs: decisions first, then settings that differ and answers that changed",
+        "rock-results slower",
+        "rock-results slower --csv changes.csv",
     )
     compare.add_argument("folders", type=Path, nargs="+", metavar="DIR")
-    compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers")
+    compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers to a file")
     history = add(
-        "history", _history, "one scene over time: forces, pressures, gauges, x-t diagram"
+        "history",
+        _history,
+        "one impact over time, every number at its mean: forces, pressures, gauges, x-t diagram",
+        "rock.toml",
+        "rock.toml --out rock-history",
     )
     _with_study(history)
-    history.add_argument("--out", type=Path, metavar="DIR", help="folder for table and figures")
-    history.add_argument("--json", action="store_true", help="print the rows as JSON")
-    verify = add("verify", _verify, "whether a result folder is whole")
+    history.add_argument(
+        "--out", type=Path, metavar="DIR", help="directory for the table and the figures"
+    )
+    verify = add(
+        "verify",
+        _verify,
+        "check a results directory against its checksums",
+        "rock-results",
+        "rock-results --again",
+    )
     verify.add_argument("folder", type=Path, metavar="DIR")
     verify.add_argument(
-        "--again", action="store_true", help="run the study again and compare the answers"
+        "--again", action="store_true", help="repeat the run and compare its answers"
     )
-    verify.add_argument(
-        "--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study"
+    verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="user model (black box)")
+    listing = add(
+        "list", _list, "list materials, quantities, criteria or distributions", "materials"
     )
-    listing = add("list", _list, "materials, quantities, criteria or distributions")
     listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
-    schema = add("schema", _schema, "the JSON schema of a study file, for editors, or of results")
+    schema = add(
+        "schema",
+        _schema,
+        "print the JSON schema of a study file, for editors, or of results",
+        "> study.json",
+        "results > results.json",
+    )
     schema.add_argument("what", nargs="?", choices=("study", "results"), default="study")
-    bench = add("bench", _bench, "speed against error: the integrator against others")
+    bench = add("bench", _bench, "time the integrator against others at equal error", "--rows 256")
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
-    if find_spec("uqsphere.labs") is not None:
-        commands.add_parser(
-            "shpb", help="lab: records of Hopkinson bars, contact laws, plans of tests"
-        )
-        commands.add_parser("comminution", help="lab: tests of single particles, feeds under blows")
+    if _labs_installed():
+        for name, text in LABS.items():
+            commands.add_parser(name, help=text)
     return parser
 
 
@@ -182,136 +257,107 @@ class _Version(argparse.Action):
 
 
 def _with_study(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE")
+    parser.add_argument("file", type=Path, metavar="FILE", help="study file; - reads stdin")
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="PATH=VALUE",
         dest="overrides",
-        help="a value in place of the study's, such as sphere.radius='12 mm'; may be given again",
+        help="override a study value, for example sphere.radius='12 mm' (repeatable)",
+    )
+
+
+def _with_model(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-j",
+        "--processes",
+        type=_count,
+        metavar="N",
+        help="number of threads, or of worker processes for a user model",
+    )
+    parser.add_argument(
+        "--budget", metavar="TIME", help="time budget instead of the study's, for example 10min"
+    )
+    parser.add_argument(
+        "--model",
+        metavar="FILE.py:FUNCTION",
+        help="user model of a black-box study; its code is executed",
     )
 
 
 def _count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 1 on is required")
+        raise argparse.ArgumentTypeError(f"{text!r} must be a positive integer")
     return int(text)
 
 
-def _loaded(given: argparse.Namespace) -> Any:
+# --- what commands share --------------------------------------------------------------------------
+
+
+def _loaded(options: argparse.Namespace, more: Sequence[str] = ()) -> Any:
+    """The study of a command; its warnings go to stderr."""
     from uqsphere.study import load_study
 
-    study = load_study(given.file, given.overrides)
+    overrides = [*options.overrides, *more]
+    if str(options.file) == "-":
+        study = load_study("stdin", overrides, text=_standard_input())
+    else:
+        study = load_study(options.file, overrides)
     for warning in study.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return study
 
 
-# --- commands -------------------------------------------------------------------------------------
+def _standard_input() -> str:
+    try:
+        return sys.stdin.read()
+    except UnicodeDecodeError:
+        raise UsageError("stdin: the study must be UTF-8 text") from None
 
 
-def _new(given: argparse.Namespace) -> None:
-    from uqsphere.study import shipped_studies
-
-    shipped = shipped_studies()
-    folder = next(iter(shipped.values())).parent
-    shipped |= {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
-    if given.template is None:
-        print("\n".join(shipped))
-        return
-    if given.template not in shipped:
-        raise UsageError(f"there is no template {given.template!r} (known: {', '.join(shipped)})")
-    source = shipped[given.template]
-    target = given.output or Path(source.name)
-    if not target.parent.is_dir():
-        raise UsageError(
-            f"{target.parent} is no folder: make it first, or choose another place with -o"
-        )
-    text = source.read_text(encoding="utf-8")
-    named = (
-        path
-        for path in sorted(source.parent.iterdir())
-        if path.suffix in (".csv", ".py") and path.name in text
-    )
-    for path in (source, *named):
-        place = target if path is source else target.parent / path.name
-        if place.exists():
-            raise UsageError(f"{place} is there already: choose another name with -o")
-        place.write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
-        print(f"wrote {place}")
-    print(f"next: uqsphere check {target}")
+def _folder(options: argparse.Namespace, what: str) -> Path:
+    """The directory of a command's results: the one requested, or one named after the study."""
+    if options.out is not None:
+        return Path(options.out)
+    stem = "study" if str(options.file) == "-" else options.file.stem
+    return Path(f"{stem}-{what}")
 
 
-def _check(given: argparse.Namespace) -> None:
-    from uqsphere.models.scene import check_scene
-    from uqsphere.report.study import cost, described
-
-    study = _loaded(given)
-    if study.black_box or study.rig:
-        check_scene(study)
-    print(described(study), flush=True)  # what follows loads the integrator, and times it
-    print(f"\n{cost(study)}")
-
-
-def _run(given: argparse.Namespace) -> int:
-    from uqsphere.propagation import run
-    from uqsphere.propagation.progress import watched
+def _budget(options: argparse.Namespace) -> float | None:
+    """The time budget [s] of the command line; None without one."""
     from uqsphere.units import parse_value
 
-    study, seconds = _loaded(given), None
-    if given.budget is not None:
-        try:
-            seconds = parse_value(given.budget, "time", "min")
-        except ValueError as error:
-            raise UsageError(f"--budget: {error}") from None
-        if seconds <= 0.0:
-            raise UsageError(
-                f"--budget: {given.budget!r} is no time to compute: 10min, for example"
-            )
-    folder = given.out or Path(f"{given.file.stem}-results")
-    with _interruptible() as stop, watched(lines=True) as progress:
-        found = run(
-            study,
-            given.model,
-            out=folder,
-            threads=given.processes,
-            seconds=seconds,
-            progress=progress,
-            stop=stop,
-            fresh=given.fresh,
-        )
-    if given.json:
-        print(found.results.to_json(), end="")
-    else:
-        from shutil import get_terminal_size
+    if options.budget is None:
+        return None
+    try:
+        seconds = parse_value(options.budget, "time", "min")
+    except ValueError as error:
+        raise UsageError(f"--budget: {error}") from None
+    if seconds <= 0.0:
+        raise UsageError(f"--budget must be a positive time such as 10min, not {options.budget!r}")
+    return seconds
 
-        from uqsphere.report import summary
 
-        print(
-            summary(
-                found.results.model_dump(mode="json"),
-                max(min(get_terminal_size().columns - 1, 99), 20),
-            )
-        )
-        print(f"report: {folder / 'report.html'}")
-    if found.results.accuracy.stopped == "interrupted":
-        return INTERRUPTED
-    open_targets = [
-        v for v in found.verdicts.values() if v.target is not None and v.verdict != "met"
-    ]
-    return NOT_MET if open_targets else 0
+def _width() -> int:
+    """Columns of the terminal that a summary may use."""
+    from shutil import get_terminal_size
+
+    return max(min(get_terminal_size().columns - 1, 99), 20)
 
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Whether the user has pressed Ctrl-C: once ends with what is there, twice at once."""
+    """Whether the user has pressed Ctrl-C: once keeps what is complete, twice aborts."""
     pressed: list[int] = []
 
     def press(*_: object) -> None:
         pressed.append(1)
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        print("\nending with what is there; Ctrl-C again ends at once", file=sys.stderr)
+        print(
+            "\nStopping; completed model runs are kept. Press Ctrl-C again to abort.",
+            file=sys.stderr,
+        )
 
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, press)
@@ -321,64 +367,154 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _report(given: argparse.Namespace) -> None:
+# --- commands -------------------------------------------------------------------------------------
+
+
+def _new(options: argparse.Namespace) -> None:
+    from uqsphere.documents import suggestion
+    from uqsphere.study import shipped_studies
+
+    shipped = shipped_studies()
+    folder = next(iter(shipped.values())).parent
+    shipped |= {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
+    if options.template is None:
+        print("\n".join(shipped))
+        return
+    if options.template not in shipped:
+        hint = suggestion(options.template, shipped)
+        known = ", ".join(shipped)
+        raise UsageError(f"unknown template {options.template!r}{hint} (known: {known})")
+    source = shipped[options.template]
+    target = options.output or Path(source.name)
+    if not target.parent.is_dir():
+        raise UsageError(
+            f"{target.parent} is not a directory: create it, or choose another path with -o"
+        )
+    files = {target: source.read_bytes()}
+    for path in sorted(source.parent.iterdir()):
+        if path.suffix in (".csv", ".py") and path.name.encode() in files[target]:
+            files[target.parent / path.name] = path.read_bytes()
+    for place, content in files.items():
+        if place.exists() and not (place.is_file() and place.read_bytes() == content):
+            raise UsageError(
+                f"{place} exists with other content: rename it, or choose another directory "
+                "with -o; nothing was written"
+            )
+    for place, content in files.items():
+        if place.exists():
+            print(f"{place} is already there")
+        else:
+            place.write_bytes(content)
+            print(f"wrote {place}")
+    print(f"next: {_next_command(options.template, target)}")
+
+
+def _next_command(template: str, target: Path) -> str:
+    """A command that works on a file that `new` has written."""
+    if template in LAB_TEMPLATES:
+        return f"{LAB_TEMPLATES[template]} {target}"
+    return f"uqsphere check {target}"
+
+
+def _check(options: argparse.Namespace) -> None:
+    from uqsphere.models.scene import check_scene
+    from uqsphere.report.study import cost, described
+
+    study = _loaded(options)
+    if study.black_box or study.rig:
+        check_scene(study)
+    print(described(study), flush=True)  # what follows loads the integrator, and times it
+    print(f"\n{cost(study)}")
+
+
+def _run(options: argparse.Namespace) -> int:
+    from uqsphere.propagation import run
+    from uqsphere.propagation.progress import watched
+
+    study, seconds, folder = _loaded(options), _budget(options), _folder(options, "results")
+    with _interruptible() as stop, watched(lines=True) as progress:
+        finished = run(
+            study,
+            options.model,
+            out=folder,
+            threads=options.processes,
+            seconds=seconds,
+            progress=progress,
+            stop=stop,
+            fresh=options.fresh,
+        )
+    if options.json:
+        print(finished.results.to_json(), end="")
+    else:
+        from uqsphere.report import summary
+
+        print(summary(finished.results.model_dump(mode="json"), _width()))
+        print(f"report: {folder / 'report.html'}")
+    if finished.results.accuracy.stopped == "interrupted":
+        return INTERRUPTED
+    open_targets = [
+        verdict
+        for verdict in finished.verdicts.values()
+        if verdict.target is not None and verdict.verdict != "met"
+    ]
+    return NOT_MET if open_targets else 0
+
+
+def _report(options: argparse.Namespace) -> None:
     from uqsphere.report import write_page
 
-    print(f"wrote {write_page(given.folder)}")
+    print(f"wrote {write_page(options.folder)}")
 
 
-def _compare(given: argparse.Namespace) -> None:
+def _compare(options: argparse.Namespace) -> None:
     from uqsphere.report.compare import compare, comparison_text
     from uqsphere.results import open_run
 
-    runs = [open_run(folder) for folder in given.folders]
-    names = [str(folder) for folder in given.folders]
+    runs = [open_run(folder) for folder in options.folders]
+    names = [str(folder) for folder in options.folders]
     print(comparison_text(runs, names))
-    if given.csv is not None:
-        compare(runs, names).to_csv(given.csv, index=False)
-        print(f"wrote {given.csv}")
+    if options.csv is not None:
+        compare(runs, names).to_csv(options.csv, index=False)
+        print(f"wrote {options.csv}")
 
 
-def _history(given: argparse.Namespace) -> None:
+def _history(options: argparse.Namespace) -> None:
     from uqsphere.report.history import history, history_rows, write_history
     from uqsphere.results.folder import locked
 
-    study = _loaded(given)
-    found = history(study)
-    rows = history_rows(study, found)
-    if given.json:
-        print(json.dumps({"title": study.title, "rows": dict(rows)}, indent=1, ensure_ascii=False))
-    else:
-        width = min(max(len(text) for text, _ in rows), 88)
-        print(f"{study.title}: one scene, every number at its mean")
-        print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
-    if given.out is not None:
-        with locked(given.out):
-            for name in write_history(study, found, given.out):
-                print(f"wrote {given.out / name}")
+    study = _loaded(options)
+    course = history(study)
+    rows = history_rows(study, course)
+    width = min(max(len(text) for text, _ in rows), 88)
+    print(f"{study.title}: one impact, every number at its mean")
+    print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
+    if options.out is not None:
+        with locked(options.out):
+            for name in write_history(study, course, options.out):
+                print(f"wrote {options.out / name}")
 
 
-def _verify(given: argparse.Namespace) -> None:
+def _verify(options: argparse.Namespace) -> None:
     from uqsphere.errors import FolderError
     from uqsphere.results import open_run
     from uqsphere.results.folder import damaged_files
 
-    wrong = damaged_files(given.folder)
+    wrong = damaged_files(options.folder)
     if wrong:
-        raise FolderError(f"{given.folder}: damaged or missing: {', '.join(wrong[:8])}")
-    print(f"{given.folder}: every file is as it was written")
-    if not given.again:
+        raise FolderError(f"{options.folder}: damaged or missing: {', '.join(wrong[:8])}")
+    print(f"{options.folder}: all checksums match")
+    if not options.again:
         return
     from uqsphere.propagation import run
     from uqsphere.report.compare import comparison_text
     from uqsphere.study import load_study
 
-    before = open_run(given.folder)
-    text = (given.folder / "study.toml").read_text(encoding="utf-8")
+    before = open_run(options.folder)
+    text = (options.folder / "study.toml").read_text(encoding="utf-8")
     study = load_study(
-        given.folder / "files" / "study.toml", before.results.study.overrides, text=text
+        options.folder / "files" / "study.toml", before.results.study.overrides, text=text
     )
-    after = run(study, given.model)
+    after = run(study, options.model)
     if after.results.answers != before.results.answers:
         raise FolderError(
             "run again, the answers differ:\n"
@@ -387,14 +523,14 @@ def _verify(given: argparse.Namespace) -> None:
     print(f"run again: all {len(before.results.answers)} answers are the same")
 
 
-def _list(given: argparse.Namespace) -> None:
+def _list(options: argparse.Namespace) -> None:
     from uqsphere.report.study import listing
 
-    print(listing(given.what))
+    print(listing(options.what))
 
 
-def _schema(given: argparse.Namespace) -> None:
-    if given.what == "results":
+def _schema(options: argparse.Namespace) -> None:
+    if options.what == "results":
         from uqsphere.results.types import Results
 
         schema = Results.model_json_schema(mode="serialization")
@@ -405,7 +541,7 @@ def _schema(given: argparse.Namespace) -> None:
     print(json.dumps(schema, ensure_ascii=False))
 
 
-def _bench(given: argparse.Namespace) -> None:
+def _bench(options: argparse.Namespace) -> None:
     from uqsphere.bench import bench_text
 
-    print(bench_text(rows=given.rows))
+    print(bench_text(rows=options.rows))

@@ -1,0 +1,89 @@
+"""The command line: what commands say, write and return."""
+
+import io
+import shlex
+from pathlib import Path
+
+import pytest
+
+from uqsphere.cli import EXIT_CODES, LABS, main
+
+STUDIES = Path(__file__).parents[1] / "studies"
+COMMANDS = "new check run report compare history verify list schema bench".split()
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_new_writes_nothing_where_one_of_its_files_has_other_content(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("limestone_tests.csv").write_text("force [N]\n1\n")
+    assert main(["new", "limestone_rotor"]) == 2
+    assert "limestone_tests.csv exists with other content" in capsys.readouterr().err
+    assert [path.name for path in Path().iterdir()] == ["limestone_tests.csv"]
+
+
+def test_new_accepts_an_identical_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "limestone_chute"]) == 0
+    assert main(["new", "limestone_rotor"]) == 0
+    assert "limestone_tests.csv is already there" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("template", ["lab_gauge_records", "lab_limestone_feed", "ishigami"])
+def test_new_names_a_next_command_that_works(
+    template: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", template]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert main(shlex.split(last.removeprefix("next: uqsphere "))) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["new", "granit"], "did you mean 'granite'"),
+        (["rnu", "x.toml"], "did you mean 'run'"),
+        (["list", "material"], "did you mean 'materials'"),
+        (["check", "x.toml", "--out", "y"], "unknown option --out; see uqsphere check --help"),
+    ],
+)
+def test_a_slip_of_the_pen_gets_a_hint(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = main(words)
+    except SystemExit as end:
+        code = int(end.code or 0)
+    assert code == 2
+    assert hint in capsys.readouterr().err
+
+
+def test_a_study_is_read_from_standard_input(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (STUDIES / "ishigami.toml").read_text("utf-8")
+    monkeypatch.setattr("sys.stdin", io.StringIO(text))
+    assert main(["check", "-"]) == 0
+    assert "the study is valid" in capsys.readouterr().out
+    monkeypatch.setattr("sys.stdin", io.StringIO(text.replace("[inputs]", "[inputs")))
+    assert main(["check", "-"]) == 2
+    assert capsys.readouterr().err.startswith("stdin:")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_has_an_example(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    assert f"  uqsphere {command}" in capsys.readouterr().out.partition("example")[2]
+
+
+def test_help_lists_every_command_and_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    text = capsys.readouterr().out
+    assert all(f"  {name}" in text for name in (*COMMANDS, *LABS))
+    assert all(f"  {code:<4}{meaning}" in text for code, meaning in EXIT_CODES.items())
