@@ -1,25 +1,36 @@
-"""A study as it was understood, and the lists of what there is: what `check` and `list` print."""
+"""A study as it was read, and the lists of what there is: what `check` and `list` print."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from uqsphere.quantities import display_unit, format_value, lookup
 from uqsphere.report.format import short
-from uqsphere.study import Study
+from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
 
+#: probabilities of the ends of the range that is printed of a random number
+ENDS = np.array([0.05, 0.95])
+#: model runs of a trial run, and what its analyses, figures and report take beside model runs [s]
+TRIAL_RUNS, REPORT_SECONDS = 1400, 2.0
+
 
 def described(study: Study) -> str:
-    """Inputs with their scatter and source, strengths with their tests, and dependences."""
+    """Inputs with their distribution and source, strengths with their tests, and dependences."""
     parts = [f"{study.title}: the study is valid", "", _inputs(study)]
     if study.limits:
         parts += ["", _strengths(study)]
     if study.dependence:
-        parts += ["", "\n".join(f"dependence: {', '.join(tie.of)}" for tie in study.dependence)]
+        parts.append("")
+    for tie in study.dependence:
+        kind, value = (
+            ("Spearman", tie.spearman) if tie.kendall is None else ("Kendall", tie.kendall)
+        )
+        parts.append(f"dependence: {', '.join(tie.of)}: {kind}'s rank correlation {value:g}")
     return "\n".join(parts)
 
 
@@ -27,162 +38,153 @@ def _inputs(study: Study) -> str:
     rows = [("input", "mean", "sd", "5-95 % range", "distribution", "source")]
     numbers: dict[str, float | Law] = {**study.fixed, **study.random}
     for name, value in numbers.items():
-        source = study.sources.get(name)
-        text = (
-            "study"
-            if source is None
-            else source.source
-            if source.seen
-            else f"{source.source} (source not checked)"
-        )
+        source = _source(study, name)
         if isinstance(value, Law):
-            low, high = (float(x) for x in value.ppf(np.array([0.05, 0.95])))
-            mean, sd = value.mean(), value.sd()
-            rows.append(
-                (
-                    name,
-                    "-" if mean is None else format_value(mean, name),
-                    "-" if sd is None else format_value(sd, name, 3),
-                    f"{format_value(low, name)} to {format_value(high, name)}",
-                    value.family.name.replace("_", " "),
-                    text,
-                )
-            )
+            family = value.family.name.replace("_", " ")
+            mean, sd = _or_dash(value.mean(), name), _or_dash(value.sd(), name, 3)
+            rows.append((name, mean, sd, _range(value, name), family, source))
         else:
-            rows.append((name, format_value(value, name), "-", "-", "fixed", text))
+            rows.append((name, format_value(value, name), "-", "-", "fixed", source))
     return table(rows)
+
+
+def _source(study: Study, name: str) -> str:
+    source = study.sources.get(name)
+    if source is None:
+        return "study"
+    return source.source if source.seen else f"{source.source} (source not checked)"
+
+
+def _or_dash(value: float | None, name: str, digits: int = 4) -> str:
+    return "-" if value is None else format_value(value, name, digits)
+
+
+def _range(law: Law, name: str) -> str:
+    low, high = (format_value(float(end), name) for end in law.ppf(ENDS))
+    return f"{low} to {high}"
 
 
 def _strengths(study: Study) -> str:
-    rows = [
-        (
-            "strength",
-            "tests",
-            "range of the tests",
-            "distribution",
-            "mean",
-            "5-95 % range",
-            "held against",
-        )
-    ]
+    head = ("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range")
+    rows = [(*head, "demand")]
     for limit in study.limits:
-        law, name = limit.strength, limit.quantity
-        against = short(lookup(name).meaning)
-        if not isinstance(law, Law):
+        law, name, demand = limit.strength, limit.quantity, short(lookup(limit.quantity).meaning)
+        if isinstance(law, Law):
+            tests = str(count_tests(law)) if is_fitted(law) else "-"
+            middle, shape = _or_dash(law.mean(), name), _shape(law)
             rows.append(
-                (limit.name, "-", "-", "fixed", format_value(float(law), name), "-", against)
+                (limit.name, tests, _tested(limit, law), shape, middle, _range(law, name), demand)
             )
-            continue
-        span = " to ".join(format_value(float(x), name) for x in law.ppf(np.array([0.05, 0.95])))
-        tests = str(count_tests(law)) if is_fitted(law) else "-"
-        ends = (
-            f"{format_value(min(law.data), name)} to {format_value(max(law.data), name)}"
-            if law.data
-            else "-"
-        )
-        if limit.tested is not None and limit.tested.forces:
-            forces, sizes = limit.tested.forces, limit.tested.diameters
-            ends = " to ".join(format_value(end, "P_max") for end in (min(forces), max(forces)))
-            ends += f" on {1e3 * min(sizes):.3g} to {1e3 * max(sizes):.3g} mm"
-        mean = law.mean()
-        text = law.family.name.replace("_", " ")
-        for key, said in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
-            if key in law.parameters:
-                text += f", {said} {law.parameters[key]:.3g}"
-                if law.data:
-                    tested = series_behind(law)
-                    low, high = fit_strength(
-                        tested, STRENGTHS[law.family.name], draws=1000
-                    ).shape_interval
-                    text += f" ({low:.3g} to {high:.3g})"
-        rows.append(
-            (
-                limit.name,
-                tests,
-                ends,
-                text,
-                "-" if mean is None else format_value(mean, name),
-                span,
-                against,
-            )
-        )
+        else:
+            strength = format_value(float(law), name)
+            rows.append((limit.name, "-", "-", "fixed", strength, "-", demand))
     return table(rows)
 
 
+def _tested(limit: Limit, law: Law) -> str:
+    """The range of the tests behind a strength: forces on sizes, or values."""
+    if limit.tested is not None and limit.tested.forces:
+        forces, sizes = limit.tested.forces, limit.tested.diameters
+        ends = " to ".join(format_value(end, "P_max") for end in (min(forces), max(forces)))
+        return f"{ends} on {1e3 * min(sizes):.3g} to {1e3 * max(sizes):.3g} mm"
+    if law.data:
+        return " to ".join(
+            format_value(end, limit.quantity) for end in (min(law.data), max(law.data))
+        )
+    return "-"
+
+
+def _shape(law: Law) -> str:
+    """Family and shape of a strength, with the shape's interval where it was fitted."""
+    text = law.family.name.replace("_", " ")
+    for key, word in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
+        if key in law.parameters:
+            text += f", {word} {law.parameters[key]:.3g}"
+            if law.data:
+                fit = fit_strength(series_behind(law), STRENGTHS[law.family.name], draws=1000)
+                low, high = fit.shape_interval
+                text += f" ({low:.3g} to {high:.3g})"
+    return text
+
+
 def cost(study: Study) -> str:
-    """About how long the first size of a run takes: 64 rows are timed, and multiplied."""
-    from uqsphere.models.model import Model
-    from uqsphere.propagation.design import Design
+    """The expected cost of a whole run, from a short trial run; of a user model, its bounds."""
+    from uqsphere.propagation import run
     from uqsphere.propagation.grow import first_rows
 
-    first, price = first_rows(study), study.analysis.cost
+    first, budget = first_rows(study), study.analysis.budget
+    start = f"A run starts with {first:,} model runs and doubles the sample until it is accurate"
     if study.black_box:
-        long = "" if price is None else f", {first * price:,.0f} s by analysis.cost"
-        return (
-            f"a run begins with {first:,} model runs{long}; one too slow for its budget has one "
-            "design of fewer runs"
-        )
+        each, most = study.analysis.cost, f"at most {budget.evaluations:,}"
+        if each is not None:
+            seconds = min(each * budget.evaluations, budget.time)
+            most += f" in {seconds:,.0f} s (analysis.cost, analysis.budget)"
+        return f"{start}: {most}. A slow model gets one design of fewer runs."
+    few = study.analysis.model_copy(
+        update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
+    )
+    each = _seconds_per_run(study)  # compiles the integrator, once
+    accuracy = run(replace(study, analysis=few)).results["accuracy"]
+    runs, error = accuracy["reached"][-1]["runs"], accuracy["reached"][-1]["error"] or 0.0
+    # the error falls with the runs n about as n^(-3/4)
+    needed = min(max(first, runs * error ** (4.0 / 3.0)), budget.evaluations)
+    seconds = accuracy["seconds"] + needed * each + REPORT_SECONDS
+    total, took = (float(f"{number:.2g}") for number in (needed, seconds))
+    return f"{start}: about {total:,.0f} in total, {took:,g} s with analysis and report."
+
+
+def _seconds_per_run(study: Study) -> float:
+    from uqsphere.models.model import Model
+    from uqsphere.propagation.design import Design
+
     design = Design.of(study)
     with Model(design.judged, threads=1) as model:
         names = design.inputs
-        rows = (
-            design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names))
-            if names
-            else np.zeros((1, 0))
-        )
+        rows = np.zeros((1, 0))
+        if names:
+            rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names))
         model.evaluate(names, rows, design.columns)
-        each = model.seconds_per_row or 0.0
-    took = max(first * each, 0.1)
-    return (
-        f"a run begins with {first:,} model runs, about {took:.1f} s, and doubles them until "
-        "accurate"
-    )
+        return model.seconds_per_row or 0.0
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows as columns of text, the first row underlined; the last column is not padded."""
     widths = [max(len(str(row[k])) for row in rows) for k in range(len(rows[0]))]
-    lines = [
-        "  ".join(str(c).ljust(w) for c, w in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    lines = [_line(row, widths) for row in rows]
     return "\n".join([lines[0], "-" * min(len(lines[0]), 79), *lines[1:]])
+
+
+def _line(row: Sequence[str], widths: Sequence[int]) -> str:
+    return "  ".join(str(cell).ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
 
 
 def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
-        from uqsphere.materials import library
-
-        lines = []
-        for kind, entries in library().items():
-            for name, material in entries.items():
-                lines.append(f"{name} ({kind}): {material.title}")
-                lines += [
-                    f"    {key} {entry.text}  [{entry.source}]"
-                    for key, entry in material.properties.items()
-                ]
-        return "\n".join(lines)
+        return _materials()
     if what == "quantities":
         from uqsphere.mechanics.outputs import OUTPUTS
 
-        return table(
-            [
-                ("quantity", "unit", "meaning"),
-                *((n, display_unit(n)[0], q.meaning) for n, q in OUTPUTS.items()),
-            ]
-        )
+        rows = [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
+        return table([("quantity", "unit", "meaning"), *rows])
     if what == "criteria":
         from uqsphere.mechanics.criteria import CRITERIA
 
-        return table(
-            [("criterion", "meaning"), *((name, c.meaning) for name, c in CRITERIA.items())]
-        )
+        meanings = [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
+        return table([("criterion", "meaning"), *meanings])
     from uqsphere.uq.families import FAMILIES
 
-    return table(
-        [
-            ("distribution", "keys"),
-            *((name, ", ".join(getattr(f, "keys", ()))) for name, f in FAMILIES.items()),
-        ]
-    )
+    keys = [(name, ", ".join(getattr(family, "keys", ()))) for name, family in FAMILIES.items()]
+    return table([("distribution", "keys"), *keys])
+
+
+def _materials() -> str:
+    from uqsphere.materials import library
+
+    lines = []
+    for kind, entries in library().items():
+        for name, material in entries.items():
+            lines.append(f"{name} ({kind}): {material.title}")
+            for key, entry in material.properties.items():
+                lines.append(f"    {key} {entry.text}  [{entry.source}]")
+    return "\n".join(lines)
