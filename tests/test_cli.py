@@ -9,7 +9,18 @@ import pytest
 from uqsphere.cli import EXIT_CODES, LABS, main
 
 STUDIES = Path(__file__).parents[1] / "studies"
-COMMANDS = "new check run report compare history verify list schema bench".split()
+COMMANDS = [
+    "new",
+    "check",
+    "run",
+    "report",
+    "compare",
+    "history",
+    "verify",
+    "list",
+    "schema",
+    "bench",
+]
 
 
 @pytest.fixture(autouse=True)

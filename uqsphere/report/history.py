@@ -86,9 +86,9 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
     from uqsphere.mechanics.history import equilibrium
     from uqsphere.mechanics.outputs import OUTPUTS, absent_in
 
-    rows = [("mu, scaled mass of the sphere", f"{found.mass_number:.4g}")]
+    rows = [("mu, dimensionless sphere mass M/(Z t_c)", f"{found.mass_number:.4g}")]
     if RIGS[study.rig].by_wave and math.isfinite(found.pulse_number):
-        rows.append(("theta, scaled length of the pulse", f"{found.pulse_number:.4g}"))
+        rows.append(("theta, dimensionless pulse duration t_i/t_c", f"{found.pulse_number:.4g}"))
     scene = scene_of(study, {}, 1)
     names = [name for name in OUTPUTS if not absent_in(scene, name)]
     answers = evaluate_scene(study, (), np.zeros((1, 0)), names)
@@ -102,7 +102,7 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
             )
     rows += [
         (
-            f"contact {'lost' if change.kind == 'lost' else 'made again'} at face {change.face}",
+            f"contact {'lost' if change.kind == 'lost' else 're-established'} at face {change.face}",
             _when(change.time),
         )
         for change in found.changes[:6]
@@ -118,7 +118,12 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
             )
         )
     if RIGS[study.rig].by_wave:
-        rows.append(("forces first within 5 % of their mean", _when(equilibrium(found))))
+        rows.append(
+            (
+                "time to force equilibrium (forces within 5 % of their mean)",
+                _when(equilibrium(found)),
+            )
+        )
         for bar in BARS:
             tension = first_tension(found.motion, bar)
             text = (
@@ -139,7 +144,7 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
         *rows,
         *(_paper_text(row) for row in paper_lines(study)),
         ("end of the evaluation window", _when(found.record_end)),
-        ("end of this history", _when(found.horizon)),
+        ("end of the time series", _when(found.horizon)),
     ]
 
 
@@ -204,7 +209,13 @@ def _draw_pressures(axes: Axes, found: History) -> None:
 
 
 def _mark_record(axes: Axes, found: History) -> None:
-    axes.axvline(1e6 * found.record_end, color="#555555", lw=0.8, ls=":", label="end of the record")
+    axes.axvline(
+        1e6 * found.record_end,
+        color="#555555",
+        lw=0.8,
+        ls=":",
+        label="end of the evaluation window",
+    )
     axes.legend(fontsize=8)
 
 

@@ -124,11 +124,11 @@ def cost(study: Study) -> str:
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
     )
     each = _seconds_per_run(study)  # compiles the integrator, once
-    accuracy = run(replace(study, analysis=few)).results["accuracy"]
-    runs, error = accuracy["reached"][-1]["runs"], accuracy["reached"][-1]["error"] or 0.0
+    accuracy = run(replace(study, analysis=few)).results.accuracy
+    runs, error = accuracy.reached[-1].runs, accuracy.reached[-1].error or 0.0
     # the error falls with the runs n about as n^(-3/4)
     needed = min(max(first, runs * error ** (4.0 / 3.0)), budget.evaluations)
-    seconds = accuracy["seconds"] + needed * each + REPORT_SECONDS
+    seconds = accuracy.seconds + needed * each + REPORT_SECONDS
     total, took = (float(f"{number:.2g}") for number in (needed, seconds))
     return f"{start}: about {total:,.0f} in total, {took:,g} s with analysis and report."
 
