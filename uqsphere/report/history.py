@@ -100,13 +100,9 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
                     f"{'more than ' if late else ''}{format_value(float(number), name, 5)}",
                 )
             )
-    rows += [
-        (
-            f"contact {'lost' if change.kind == 'lost' else 're-established'} at face {change.face}",
-            _when(change.time),
-        )
-        for change in found.changes[:6]
-    ]
+    for change in found.changes[:6]:
+        event = "lost" if change.kind == "lost" else "re-established"
+        rows.append((f"contact {event} at face {change.face}", _when(change.time)))
     if len(found.changes) > 6:
         rows.append(("further changes of contact", str(len(found.changes) - 6)))
     if found.later_peak is not None:
