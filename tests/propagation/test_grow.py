@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import uqsphere
 from uqsphere.models.model import Model
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.grow import paired
 from uqsphere.propagation.tables import Tables, evaluate
-from uqsphere.study import load_study
+from uqsphere.study import Study, load_study
 
 grow = sys.modules["uqsphere.propagation.grow"]
 STUDY = """
@@ -32,12 +34,14 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(
     study = load_study(text=STUDY)
     design = Design.of(study)
     with Model(design.study, lambda x: {"y": x["a"] * np.exp(x["b"])}) as model:
-        before = Tables(sample=grow._sampled(design, model, None, 8192))
+        before = Tables(sample=evaluate(design, model, design.points(8192)))
         at_once = evaluate(design, model, design.points(16_384))
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")
         whole = sum(getattr(at_once, name).nbytes for name in rows)
         tracemalloc.start()
-        sample = grow._sampled(design, model, before, 16_384)
+        room = before.sample.with_room(16_384)
+        before = replace(before, sample=room.head(8192))
+        sample = grow._sampled(design, model, before, room)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 1.15 * whole
@@ -50,3 +54,54 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(
             paired(design, model, 300, ["y"], pairs)["y"]
             == paired(design, model, 300, ["y"], {})["y"]
         ).all()
+
+
+def oscillator(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Force reserve of the secondary spring of a two-degree-of-freedom oscillator under white
+    noise (A. Der Kiureghian and M. De Stefano, J. Eng. Mech. 117, 1991, 2904).
+    """
+    primary, secondary = np.sqrt(x["kp"] / x["mp"]), np.sqrt(x["ks"] / x["ms"])
+    frequency, damping = 0.5 * (primary + secondary), 0.5 * (x["zp"] + x["zs"])
+    ratio, detuning = x["ms"] / x["mp"], (primary - secondary) / frequency
+    coupled = x["zp"] * x["zs"] * (4.0 * damping**2 + detuning**2) + ratio * damping**2
+    square = np.pi * x["s0"] / (4.0 * x["zs"] * secondary**3) * damping * x["zs"] / coupled
+    square *= x["zp"] * primary**3 + x["zs"] * secondary**3
+    square *= primary / (4.0 * damping * frequency**4)
+    return {"reserve": x["fs"] - 3.0 * x["ks"] * np.sqrt(square)}
+
+
+COVS = {
+    "mp": (1.5, 0.1),
+    "ms": (0.01, 0.1),
+    "kp": (1.0, 0.2),
+    "ks": (0.01, 0.2),
+    "zp": (0.05, 0.4),
+    "zs": (0.02, 0.5),
+    "s0": (100.0, 0.1),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "truth"), [(15.0, 4.776e-3), (21.5, 4.42e-5), (27.5, 3.80e-7)])
+def test_a_probability_that_is_asked_for_by_name_comes_before_indices(
+    force: float, truth: float
+) -> None:
+    laws = {**COVS, "fs": (force, 0.1)}
+    for seed in range(3):
+        study = Study(
+            inputs={
+                name: {"dist": "lognormal", "mean": mean, "cov": cov}
+                for name, (mean, cov) in laws.items()
+            },
+            outputs="reserve",
+            limits={"yield": {"quantity": "reserve", "aim": "break", "strength": 0.0}},
+            analysis={"accuracy": {"probability": 0.02}, "budget": {"evaluations": 30_000}},
+            seed=seed,
+        )
+        run = uqsphere.run(study, oscillator)
+        answers = run.answers
+        failure = answers[answers["answer"] == "failure_probability"].iloc[0]
+        assert failure["value"] == pytest.approx(truth, rel=0.03)
+        assert failure["low"] < 1.01 * truth
+        assert failure["high"] > truth / 1.01
+        assert run.results["accuracy"]["runs"] <= 30_000

@@ -42,11 +42,9 @@ def distributions(design: Design, tables: Tables) -> Answers:
 
 def described(design: Design, tables: Tables, name: str) -> Description:
     """The description of a quantity; an accurate expansion is its control variate."""
-    of, found = tables.descriptions.get(name, (None, None))
-    if of is not tables.sample or found is None:  # the loop and the analyses ask for the same ones
-        found = _described(design, tables, name)
-        tables.descriptions[name] = tables.sample, found
-    return found
+    if name in tables.descriptions:  # the loop and the analyses ask for the same ones
+        return tables.descriptions[name]
+    return _described(design, tables, name)
 
 
 def _described(design: Design, tables: Tables, name: str) -> Description:

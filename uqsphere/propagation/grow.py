@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -30,7 +31,7 @@ from uqsphere.propagation.limits import failure
 from uqsphere.propagation.progress import Progress, share_done
 from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
 from uqsphere.study import Study
-from uqsphere.uq import Sample
+from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.indices import Blocks, base_points
 
 #: points of a replicate at first
@@ -43,61 +44,106 @@ MOST: Final = 1 << 17
 PART: Final = 1 << 18
 
 
+@dataclass(frozen=True, kw_only=True)
+class Allowance:
+    """What a run may spend.
+
+    runs : model runs in all
+    began, end : when the run began, and when it must end, on the monotonic clock [s]
+    """
+
+    runs: int
+    began: float
+    end: float
+
+    def rows(self, model: Model) -> float:
+        """Model runs that are left, by the budget and, at the pace so far, by the time."""
+        now, evaluated = time.monotonic(), max(model.evaluations, 1)
+        in_time = (self.end - now) * evaluated / max(now - self.began, 1e-9)
+        return min(self.runs - model.evaluations - model.reused, in_time)
+
+
 def grow(
     design: Design, model: Model, *, seconds: float, progress: Progress | None = None
 ) -> Tables:
     """The tables of a study, as large as its accuracies need.
 
+    What the study asks for by name comes first: a failure probability that sampling would not
+    reach is searched for as soon as the sample shows it, and indices take what is left.
+
     Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures,
         ModelError.
     """
-    end, budget = time.monotonic() + seconds, design.study.analysis.budget.evaluations
+    began = time.monotonic()
+    allowance = Allowance(
+        runs=design.study.analysis.budget.evaluations, began=began, end=began + seconds
+    )
     history: list[dict[tuple[str, str], float]] = []
     tables, count = None, first_count(design.study)
     while True:
         started = time.monotonic()
+        if tables is not None and count > tables.sample.count:
+            # the rows so far become the head of longer arrays: no second copy of them is kept
+            room = tables.sample.with_room(count)
+            tables = replace(tables, sample=room.head(tables.sample.count))
+        else:
+            room = None
         try:
-            tables = _grown(design, model, tables, count)
+            tables = _grown(design, model, tables, room, allowance)
         except Interrupted:
             if tables is None:
                 raise KeyboardInterrupt from None
-            tables.stopped = "interrupted"
+            return replace(tables, stopped="interrupted")
+        if tables.stopped:
             return tables
         took = time.monotonic() - started
-        errors = accuracies(design, tables)
-        tables.inaccurate = [error for error in errors if error.reached > error.required]
-        history.append({(error.subject, error.answer): error.reached for error in errors})
-        worst = max((error.reached / error.required for error in errors), default=0.0)
-        tables.reached.append((model.evaluations + model.reused, worst))
+        history.append({(error.subject, error.answer): error.reached for error in tables.errors})
+        runs, worst = model.evaluations + model.reused, tables.worst
+        tables = replace(tables, reached=(*tables.reached, (runs, worst)))
         if progress is not None:
             text = f"{count:,} points in {REPLICATES} randomisations, error / tolerance {worst:.2g}"
-            progress(model.evaluations + model.reused, share_done(worst), text)
+            progress(runs, share_done(worst), text)
+        stopped: Stop = ""
         if not tables.inaccurate or not design.drawn.names:
-            tables.stopped = "accurate"
-        elif all(_is_stuck(history, error) for error in tables.inaccurate):
-            tables.stopped = "no gain"
-        elif (
-            count >= MOST
-            or model.evaluations + model.reused + _rows(design, tables, count) > budget
-        ):
-            tables.stopped = "budget"
-        elif time.monotonic() + took > end:
-            tables.stopped = "time"
-        if tables.stopped:
-            rare.search(design, model, tables, end)
-            if tables.rare:
-                tables.inaccurate = [
-                    error for error in accuracies(design, tables) if error.reached > error.required
-                ]
-            return tables
+            stopped = "accurate"
+        elif all(_is_stuck(tables, history, error) for error in tables.inaccurate):
+            stopped = "no gain"
+        elif count >= MOST or runs + _rows(tables) > allowance.runs:
+            stopped = "budget"
+        elif time.monotonic() + took > allowance.end:
+            stopped = "time"
+        if stopped:
+            return _ended(design, model, replace(tables, stopped=stopped), allowance)
         if not tables.line or any(error.answer != "margin" for error in tables.inaccurate):
             count *= 2
 
 
-def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], error: Accuracy) -> bool:
-    """Whether two doublings have left the error of an answer where it had been: no number of rows
-    would lower it.
+def _ended(design: Design, model: Model, tables: Tables, allowance: Allowance) -> Tables:
+    """The tables after a last search with what is left of the budget."""
+    tables = _searched(design, model, tables, allowance)
+    if not tables.inaccurate and tables.stopped in ("budget", "no gain"):
+        return replace(tables, stopped="accurate")
+    return tables
+
+
+def _searched(design: Design, model: Model, tables: Tables, allowance: Allowance) -> Tables:
+    """The tables with searches for the failure probabilities that sampling would not reach."""
+    searches = rare.search(design, model, tables, lambda: allowance.rows(model))
+    if searches.answers == tables.rare and not searches.interrupted:
+        return tables
+    tables = replace(tables, rare=searches.answers)
+    stopped: Stop = "interrupted" if searches.interrupted else tables.stopped
+    return replace(tables, errors=accuracies(design, tables), stopped=stopped)
+
+
+def _is_stuck(
+    tables: Tables, history: Sequence[Mapping[tuple[str, str], float]], error: Accuracy
+) -> bool:
+    """Whether more rows would not lower the error of an answer: two doublings have left it where
+    it had been, or a search answers it.
     """
+    if error.answer == "failure_probability" and error.subject.partition(".")[2] in tables.rare:
+        return True
     before = max(
         (errors.get((error.subject, error.answer), 0.0) for errors in history[:-2]),
         default=math.inf,
@@ -106,13 +152,15 @@ def _is_stuck(history: Sequence[Mapping[tuple[str, str], float]], error: Accurac
 
 
 def first_count(study: Study) -> int:
-    """Points of a replicate at first: fewer where the budget has no room for more, two of one row
-    without scatter.
+    """Points of a replicate at first, two of one row without scatter: fewer where the budget has no
+    room for more, or would leave less than half of it to the search for a small probability.
     """
     if not any(not is_strength(name) for name in study.laws()):
         return 2
-    count = FIRST
-    while count > 8 and first_rows(study, count) > study.analysis.budget.evaluations:
+    room, count = study.analysis.budget.evaluations, FIRST
+    if study.limits and room >= 2 * rare.LEAST:
+        room //= 2
+    while count > 8 and first_rows(study, count) > room:
         count //= 2
     return count
 
@@ -123,62 +171,84 @@ def first_rows(study: Study, count: int = FIRST) -> int:
     return REPLICATES * (count + (VALUES * max(count // LINE_SHARE, 2) if moving else 0))
 
 
-def _rows(design: Design, tables: Tables, count: int) -> int:
-    """Rows that the next doubling adds."""
-    return (
-        REPLICATES * count
-        + sum(s.size for s in tables.line.values())
-        + sum(p.size for p in tables.pairs.values())
-    )
+def _rows(tables: Tables) -> int:
+    """Rows that the next doubling adds to the sample and the line; pairs take what is left."""
+    return tables.sample.size + sum(sample.size for sample in tables.line.values())
 
 
-def _grown(design: Design, model: Model, before: Tables | None, count: int) -> Tables:
-    """Tables of `count` points that continue those before; a line that is accurate enough stays as
-    it is.
+def _grown(
+    design: Design,
+    model: Model,
+    before: Tables | None,
+    room: Sample | None,
+    allowance: Allowance,
+) -> Tables:
+    """Tables that continue those before, in arrays with `room` for more points; a line that is
+    accurate enough stays as it is.
     """
-    sample = _sampled(design, model, before, count)
+    sample = _sampled(design, model, before, room)
     line = along(design, model, before)
-    tables = Tables(sample=sample, line=line, reached=[] if before is None else before.reached)
+    asked = design.study.analysis.quantities if design.inputs else ()
+    needed: tuple[str, ...] = ()
+    if design.inputs:
+        needed = tuple(dict.fromkeys([*asked, *(limit.quantity for limit in design.limits)]))
+    tables = Tables(sample=sample, line=line)
     if before is not None:
-        # a margin that is accurate is not looked at again
-        missed = {error.subject for error in before.inaccurate if error.answer == "margin"}
-        tables.margins = {
-            name: margin
-            for name, margin in before.margins.items()
-            if margin[0].value is not None and f"limits.{name}" not in missed
-        }
-    names = design.study.analysis.quantities if design.inputs else ()
-    needed = (
-        tuple(dict.fromkeys([*names, *(limit.quantity for limit in design.limits)]))
-        if design.inputs
-        else ()
+        tables = replace(
+            tables, expansions=before.expansions, rare=before.rare, reached=before.reached
+        )
+    tables = replace(
+        tables,
+        expansions=expansions(design, sample, needed, tables.expansions),
+        margins=_margins(design, tables, before),
     )
-    tables.expansions = expansions(
-        design, sample, needed, {} if before is None else before.expansions
-    )
-    open_ = [name for name in names if not by_chaos_accurate(design, tables, name)]
-    tables.pairs = paired(
-        design, model, max(count // PAIRS_SHARE, 2), open_, {} if before is None else before.pairs
-    )
-    return tables
+    if before is not None:
+        tables = replace(tables, pairs=before.pairs)
+    tables = _searched(design, model, tables, allowance)
+    if tables.stopped:
+        return tables
+    inaccurate = [name for name in asked if not by_chaos_accurate(design, tables, name)]
+    most = int(max(allowance.rows(model), 0.0) // (REPLICATES * _blocks(design).count))
+    pairs = {} if before is None else before.pairs
+    known = min((pairs[name].shape[1] if name in pairs else 0 for name in inaccurate), default=0)
+    count = min(max(sample.count // PAIRS_SHARE, 2), known + most)
+    tables = replace(tables, pairs=paired(design, model, count, inaccurate, pairs))
+    names = design.study.analysis.quantities
+    tables = replace(tables, descriptions={name: described(design, tables, name) for name in names})
+    return replace(tables, errors=accuracies(design, tables))
 
 
-def _sampled(design: Design, model: Model, before: Tables | None, count: int) -> Sample:
-    """The sample of `count` points, grown in place and by parts; the tables before keep its head,
-    and no copy of it.
+def _margins(
+    design: Design, tables: Tables, before: Tables | None
+) -> Mapping[str, tuple[Estimate, float | None]]:
+    """The margins of all limits, with the scale of their accuracy; one that is accurate is not
+    looked at again.
     """
+    if not tables.line:
+        return {}
+    margins = {}
+    missed: set[str] = set()
+    if before is not None:
+        missed = {error.subject for error in before.inaccurate if error.answer == "margin"}
+    for limit in design.limits:
+        margin = None if before is None else before.margins.get(limit.name)
+        if margin is None or margin[0].value is None or f"limits.{limit.name}" in missed:
+            margin = margin_and_scale(design, tables, limit)
+        margins[limit.name] = margin
+    return margins
+
+
+def _sampled(design: Design, model: Model, before: Tables | None, room: Sample | None) -> Sample:
+    """The first sample, or that of the tables before with the rest of its room filled by parts."""
     if before is None:
-        return evaluate(design, model, design.points(count))
-    known = before.sample.count
-    if count == known:
+        return evaluate(design, model, design.points(first_count(design.study)))
+    if room is None:
         return before.sample
-    sample = before.sample.with_room(count)
-    before.sample = sample.head(known)
-    before.descriptions.clear()
     step = PART // REPLICATES
-    for start in range(known, count, step):
-        sample.fill(start, evaluate(design, model, design.points(min(step, count - start), start)))
-    return sample
+    for start in range(before.sample.count, room.count, step):
+        points = design.points(min(step, room.count - start), start)
+        room.fill(start, evaluate(design, model, points))
+    return room
 
 
 def along(design: Design, model: Model, before: Tables | None) -> Mapping[float, Sample]:
@@ -251,19 +321,18 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
 
 
 def paired(
-    design: Design, model: Model, count: int, names: list[str], before: dict[str, Array]
-) -> dict[str, Array]:
+    design: Design, model: Model, count: int, names: Sequence[str], before: Mapping[str, Array]
+) -> Mapping[str, Array]:
     """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need
-    it.
+    it; what was evaluated before is kept.
     """
-    if not names or design.joint.only(design.inputs).dependent:
+    if not names or count < 2 or design.joint.only(design.inputs).dependent:
         return {}
     known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
     size = _blocks(design).count
-    found = {name: np.empty((REPLICATES, count, size)) for name in names}
+    outputs = {name: np.empty((REPLICATES, count, size)) for name in names}
     for name in names if known else ():
-        found[name][:, :known] = before[name][:, :known]
-        before[name] = found[name][:, :known]
+        outputs[name][:, :known] = before[name]
     step = max(PART // (REPLICATES * size), 1)
     for start in range(known, count, step):
         rows = pair_rows(design, min(step, count - start), start)
@@ -273,8 +342,8 @@ def paired(
             *rows.shape[:3], len(names)
         )
         for k, name in enumerate(names):
-            found[name][:, start : start + step] = values[..., k]
-    return found
+            outputs[name][:, start : start + step] = values[..., k]
+    return outputs
 
 
 def _blocks(design: Design) -> Blocks:
@@ -300,15 +369,15 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     return np.stack(mixed)
 
 
-def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
+def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
     """The accuracy of every answer that the study has a requirement for."""
-    accuracy = design.study.analysis.accuracy
-    found = []
+    required = design.study.analysis.accuracy
+    errors: list[Accuracy] = []
 
-    def require(subject: str, answer: str, reached: float, required: float) -> None:
-        if math.isfinite(required):
-            found.append(
-                Accuracy(subject=subject, answer=answer, required=required, reached=reached)
+    def require(subject: str, answer: str, reached: float, tolerance: float) -> None:
+        if math.isfinite(tolerance):
+            errors.append(
+                Accuracy(subject=subject, answer=answer, required=tolerance, reached=reached)
             )
 
     for name in design.study.analysis.quantities:
@@ -317,33 +386,25 @@ def accuracies(design: Design, tables: Tables) -> list[Accuracy]:
         if description.mean.value is None or not scale > 0.0:
             continue
         least = 1e-13 * abs(description.mean.value) / scale
-        require(name, "mean", description.mean.half_width / scale - least, accuracy.mean)
+        require(name, "mean", description.mean.half_width / scale - least, required.mean)
         for p, estimate in description.quantiles.items():
             if estimate.value is not None:
-                require(
-                    name, f"quantile {p:g}", estimate.half_width / scale - least, accuracy.quantile
-                )
+                reached = estimate.half_width / scale - least
+                require(name, f"quantile {p:g}", reached, required.quantile)
         for input_name, row in of_quantity(design, tables, name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
-            require(name, f"sobol {input_name}", widest, accuracy.sobol)
+            require(name, f"sobol {input_name}", widest, required.sobol)
     for limit in design.limits:
         estimate = failure(design, tables, limit)
-        if not estimate.value or estimate.high is None or estimate.high <= limit.negligible:
+        if rare.is_negligible(estimate, limit) or not estimate.value:
             continue
-        if (
-            estimate.value < rare.SMALL
-            and limit.name not in tables.rare
-            and rare.can_search(design)
-        ):
-            continue  # left to the search for rare events
-        relative = estimate.half_width / estimate.value
-        require(f"limits.{limit.name}", "failure_probability", relative, accuracy.probability)
+        if limit.name not in tables.rare and rare.is_left_to_search(design, estimate):
+            continue
+        reached = estimate.half_width / estimate.value
+        require(f"limits.{limit.name}", "failure_probability", reached, required.probability)
     for limit in design.limits if tables.line else ():
-        if limit.name not in tables.margins:
-            tables.margins[limit.name] = margin_and_scale(design, tables, limit)
         margin, width = tables.margins[limit.name]
         if margin.value is not None and width is not None:
-            require(
-                f"limits.{limit.name}", "margin", margin.half_width / width, accuracy.probability
-            )
-    return found
+            reached = margin.half_width / width
+            require(f"limits.{limit.name}", "margin", reached, required.probability)
+    return tuple(errors)

@@ -28,6 +28,8 @@ def limits(design: Design, tables: Tables) -> Answers:
     for limit in design.judged.limits:
         subject, runs = design.subject(limit), tables.sample.size
         failed = failure(design, tables, limit)
+        if limit.name in tables.rare:
+            runs += tables.rare[limit.name].estimate.evaluations
         exceeded = failed if limit.aim == "survive" else complement(failed)
         answers.add(subject, "exceedance_probability", "", exceeded, unit="1", runs=runs)
         answers.add(subject, "failure_probability", "", failed, unit="1", runs=runs)

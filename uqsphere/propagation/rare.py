@@ -8,10 +8,10 @@ seen serves those that are rarer, and is searched anew only where too little of 
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -51,55 +51,101 @@ def can_search(design: Design) -> bool:
     return bool(design.drawn.names)
 
 
-def search(design: Design, model: Model, tables: Tables, end: float) -> None:
-    """Search for the failure probabilities that are too small for the sample, into `tables.rare`,
-    until time is up.
+def is_negligible(estimate: Estimate, limit: Limit) -> bool:
+    """Whether a failure probability is certainly so far below its target that nobody needs it."""
+    return estimate.high is None or estimate.high < limit.negligible
+
+
+def is_left_to_search(design: Design, estimate: Estimate) -> bool:
+    """Whether a search reaches a small failure probability with fewer runs than sampling."""
+    small = estimate.value is None or estimate.value < SMALL
+    required = design.study.analysis.accuracy.probability
+    return small and can_search(design) and rows_by_sampling(estimate, required) > MOST
+
+
+def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
+    """Rows that sampling would need for a relative half-width, where the error falls as n^(-1/2);
+    inf where the sample shows no probability.
+    """
+    if not estimate.value:
+        return math.inf
+    return estimate.evaluations * (estimate.half_width / (accuracy * estimate.value)) ** 2
+
+
+class Searches(NamedTuple):
+    """Searches by limit, and whether the user ended one."""
+
+    answers: Mapping[str, RareAnswer]
+    interrupted: bool
+
+
+def search(
+    design: Design, model: Model, tables: Tables, rows_left: Callable[[], float]
+) -> Searches:
+    """Search for the failure probabilities that sampling would not reach, with `rows_left` model
+    runs: all of them where the study asks for the accuracy of probabilities by name, else half.
 
     The likelier of two limits comes first: its draws may serve the other.
     """
-    from uqsphere.propagation.limits import failure
 
     def answered(points: Sample) -> Sample:
         return evaluate(design, model, points)
 
-    accuracy, shared = (
-        design.study.analysis.accuracy.probability,
-        dict[tuple[str, str], list[Draws]](),
-    )
-    known = (
-        [(limit, failure(design, tables, limit)) for limit in design.limits]
-        if can_search(design)
-        else []
-    )
-    for limit, p in sorted(known, key=lambda pair: (-(pair[1].value or 0.0), _rank(pair[0]))):
-        small = (
-            p.high is not None
-            and p.high >= limit.negligible
-            and (p.value is None or p.value < SMALL)
-        )
-        if not small or (p.value and p.half_width <= accuracy * p.value):
-            continue
-        left = design.study.analysis.budget.evaluations - model.evaluations
-        if time.monotonic() > end or left < LEAST:
-            return
-        problem = _problem(design, limit, answered, min(left, MOST))
-        draws = (
-            shared.setdefault((limit.quantity, limit.aim), []) if problem.limit is not None else []
-        )
+    required = design.study.analysis.accuracy
+    by_name = "probability" in required.model_fields_set or bool(tables.stopped)
+    answers = dict(tables.rare)
+    shared = dict[tuple[str, str], list[Draws]]()
+    waiting = _waiting(design, tables, rows_left())
+    for place, limit in enumerate(waiting):
+        allowed = rows_left() * (1.0 if by_name else 0.5) / (len(waiting) - place)
+        if allowed < LEAST:
+            break
+        problem = _problem(design, limit, answered, min(allowed, MOST))
+        draws: list[Draws] = []
+        if problem.limit is not None:
+            draws = shared.setdefault((limit.quantity, limit.aim), [])
         try:
             found = failure_probability(
-                problem, seed=design.study.seed, accuracy=accuracy, known=draws
+                problem, seed=design.study.seed, accuracy=required.probability, known=draws
             )
         except Interrupted:
-            tables.stopped = "interrupted"
-            return
+            return Searches(answers, interrupted=True)
         except ModelError:
             continue
         if found.draws is not None and found.sure:
             # those of the last search, and the last that were drawn nearby since
             draws[not found.searched :] = [found.draws]
         point = _physical(design, limit, answered, found.points)
-        tables.rare[limit.name] = RareAnswer(estimate=found.estimate, design_point=point)
+        answers[limit.name] = RareAnswer(estimate=found.estimate, design_point=point)
+    return Searches(answers, interrupted=False)
+
+
+def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
+    """The limits whose failure probability a search may answer better than more rows, the
+    likeliest first; a limit that was searched waits where twice the runs of its search are left.
+    """
+    from uqsphere.propagation.limits import failure
+
+    if not can_search(design):
+        return []
+    required = design.study.analysis.accuracy.probability
+    waiting = []
+    for limit in design.limits:
+        estimate = failure(design, tables, limit)
+        if is_negligible(estimate, limit):
+            continue
+        if estimate.value and estimate.half_width <= required * estimate.value:
+            continue
+        if limit.name in tables.rare:
+            spent = tables.rare[limit.name].estimate.evaluations
+            waits = bool(tables.stopped) and 2 * spent < min(rows_left, MOST)
+        else:
+            out_of_reach = rows_by_sampling(estimate, required) > rows_left + tables.sample.size
+            waits = is_left_to_search(design, estimate) or out_of_reach
+        if waits:
+            waiting.append((limit, estimate.value or 0.0))
+    waiting.sort(key=lambda pair: (-pair[1], _rank(pair[0])))
+    return [limit for limit, _ in waiting]
 
 
 def _rank(limit: Limit) -> float:

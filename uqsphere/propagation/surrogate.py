@@ -185,6 +185,7 @@ def tables_of(
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
+    from uqsphere.propagation.fragility import margin_and_scale
     from uqsphere.propagation.grow import accuracies
 
     analysis, began = design.study.analysis, time.monotonic()
@@ -242,13 +243,15 @@ def tables_of(
         except Interrupted:
             stopped = "interrupted"
     tables = Tables(sample=sample, line=line, stopped=stopped or "budget", slow=slow)
-    errors = accuracies(design, tables)
-    tables.inaccurate = [error for error in errors if error.reached > error.required]
-    worst = max((error.reached / error.required for error in errors), default=0.0)
-    tables.reached = [(model.evaluations + model.reused, worst)]
+    margins = {}
+    for limit in design.limits if line else ():
+        margins[limit.name] = margin_and_scale(design, tables, limit)
+    tables = replace(tables, margins=margins)
+    tables = replace(tables, errors=accuracies(design, tables))
+    reached = ((model.evaluations + model.reused, tables.worst),)
     if not tables.inaccurate:
-        tables.stopped = stopped or "accurate"
-    return tables
+        stopped = stopped or "accurate"
+    return replace(tables, reached=reached, stopped=stopped or "budget")
 
 
 def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:

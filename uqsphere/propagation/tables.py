@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -39,32 +39,44 @@ class Accuracy:
     reached: float
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Tables:
-    """What was evaluated, and how accurate it is.
+    """What was evaluated, and how accurate it is.  Tables that grow are new tables.
 
     sample : (R, n) points with all columns
     line : the same at values of the free number; empty where it moves no row, or there is none
     pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
     expansions : polynomial chaos by quantity
     rare : searches for small probabilities by limit
-    descriptions : of quantities, each with the sample that it describes
-    reached : (model runs, largest half-width over what was required) at each size
+    margins : of limits, each with the scale of its accuracy
+    descriptions : of the quantities that the study asks for
+    errors : of all answers that have a requirement
+    reached : (model runs, largest error over its requirement) at each size
+    stopped : why the tables do not grow any more; empty while they do
     slow : the rows of a slow model, whose tables are predicted
-    margins : of limits, with the scale of their accuracy, where that was looked at
     """
 
     sample: Sample
     line: Mapping[float, Sample] = field(default_factory=dict)
-    pairs: dict[str, Array] = field(default_factory=dict)
-    expansions: dict[str, Expansion] = field(default_factory=dict)
-    rare: dict[str, RareAnswer] = field(default_factory=dict)
-    descriptions: dict[str, tuple[Sample, Description]] = field(default_factory=dict)
-    reached: list[tuple[int, float]] = field(default_factory=list)
-    inaccurate: list[Accuracy] = field(default_factory=list)
+    pairs: Mapping[str, Array] = field(default_factory=dict)
+    expansions: Mapping[str, Expansion] = field(default_factory=dict)
+    rare: Mapping[str, RareAnswer] = field(default_factory=dict)
+    margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
+    descriptions: Mapping[str, Description] = field(default_factory=dict)
+    errors: Sequence[Accuracy] = ()
+    reached: Sequence[tuple[int, float]] = ()
     stopped: Stop = ""
     slow: Slow | None = None
-    margins: dict[str, tuple[Estimate, float | None]] = field(default_factory=dict)
+
+    @property
+    def inaccurate(self) -> list[Accuracy]:
+        """The answers that are less accurate than required."""
+        return [error for error in self.errors if error.reached > error.required]
+
+    @property
+    def worst(self) -> float:
+        """The largest error over its requirement; 0 where nothing is required."""
+        return max((error.reached / error.required for error in self.errors), default=0.0)
 
     @cached_property
     def along(self) -> Sample:
