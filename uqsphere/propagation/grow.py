@@ -106,10 +106,10 @@ def grow(
         stopped: Stop = ""
         if not tables.inaccurate or not design.drawn.names:
             stopped = "accurate"
-        elif all(_is_stuck(tables, history, error) for error in tables.inaccurate):
-            stopped = "no gain"
         elif count >= MOST or runs + _rows(tables) > allowance.runs:
             stopped = "budget"
+        elif all(_is_stuck(tables, history, error) for error in tables.inaccurate):
+            stopped = "no gain"
         elif time.monotonic() + took > allowance.end:
             stopped = "time"
         if stopped:
