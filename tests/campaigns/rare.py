@@ -585,7 +585,7 @@ def by_run(entry: Problem, seed: int, budget: int) -> Answer:
         low=float(row["low"]),
         high=float(row["high"]) or 1.0,
         sure=bool(row["value"]),
-        runs=run.results["accuracy"]["runs"],
+        runs=run.results.accuracy.runs,
     )
 
 

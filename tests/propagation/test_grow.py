@@ -104,4 +104,4 @@ def test_a_probability_that_is_asked_for_by_name_comes_before_indices(
         assert failure["value"] == pytest.approx(truth, rel=0.03)
         assert failure["low"] < 1.01 * truth
         assert failure["high"] > truth / 1.01
-        assert run.results["accuracy"]["runs"] <= 30_000
+        assert run.results.accuracy.runs <= 30_000

@@ -30,6 +30,7 @@ from uqsphere.propagation.indices import by_chaos_accurate, of_quantity
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.progress import Progress, share_done
 from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
+from uqsphere.results.types import Stop
 from uqsphere.study import Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.indices import Blocks, base_points
