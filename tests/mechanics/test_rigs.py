@@ -18,7 +18,7 @@ from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.outputs import OUTPUTS, Answers, absent_in, path_of
-from uqsphere.mechanics.rigs import closing_speed
+from uqsphere.mechanics.rigs import closing_speed, loss_to_waves
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_validity
 from uqsphere.models.scene import solve_scene
@@ -90,9 +90,12 @@ def test_converged_scenes(name: str) -> None:
     assert found["loaded_time"] == pytest.approx(wanted["record"], rel=1e-9)
     assert found["impact_energy"] == pytest.approx(wanted["kinetic_start"], rel=1e-12)
     weight = wanted["speed_A_end"]
-    assert found["rebound_speed"] == pytest.approx(
-        -(wanted["sphere_speed_end"] if weight is None else weight), rel=1e-9
-    )
+    rebound = -(wanted["sphere_speed_end"] if weight is None else weight)
+    if weight is None and given.partners[1].kind == "thick":
+        # the code behind these numbers has no waves in a half-space, (R14)
+        waves = loss_to_waves(given)[0] * given.closing_speed[0] ** 2
+        rebound = math.sqrt(rebound**2 - waves)
+    assert found["rebound_speed"] == pytest.approx(rebound, rel=1e-9)
     if given.partners[0] is not None:
         assert found["force_imbalance"] == pytest.approx(wanted["force_imbalance"], rel=1e-9)
     if given.partners[1] is not None and given.partners[1].kind == "bar":
@@ -192,7 +195,10 @@ def test_lengths_scale() -> None:
 
 
 def test_limits_of_partners() -> None:
-    thick = solved(struck(3.6), *TOLD).values
+    # without a density a thick target radiates nothing
+    numbers = {**LIMESTONE, **of("target"), "rig.speed": 3.6}
+    numbers.pop("target.density")
+    thick = solved(scene("impact", numbers), *TOLD).values
     for kind, numbers in {
         "plate": {"thickness": 50.0},
         "mass": {"mass": 1e5},

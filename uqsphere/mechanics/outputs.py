@@ -321,7 +321,10 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="e",
             dimension="number",
             lower=-math.inf,
-            meaning="speed at parting over speed at impact; of a weight its own",
+            meaning=(
+                "coefficient of restitution: of a drop weight, its own rebound speed over its "
+                "impact speed"
+            ),
             needs=("parting_speed",),
         ),
         Quantity(
@@ -612,31 +615,45 @@ def _energy_of_sphere(
     )
 
 
-def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
-    """Columns of bodies that meet: energy offered, speeds after, energy carried off by waves."""
+def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
+    """Columns of an impact: its energy, speeds after it, energy radiated as waves."""
     if not scene.setup.by_impact:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
     # P_c alpha_c = m V_c², (R5)
-    offered = partial(_half, scales)
-    found: dict[str, Known] = {"offered": offered}
-    if "end_speed" in tracked:
-        back = tracked["end_speed"] if behind is None else tracked["end_speed_a"]
-        found["leaving"] = lambda: -back
-        found["parting_speed"] = lambda: tracked["end_speed_b"] - back if behind is None else -back
+    impact_energy = partial(_half, scales)
+    columns: dict[str, Known] = {"offered": impact_energy}
+    radiated = _radiated_fraction(scene, tracked)
+    if "end_speed" in tracked and behind is None:
+        back, parting = -tracked["end_speed"], tracked["end_speed_b"] - tracked["end_speed"]
+        if radiated is not None:
+            parting = np.sqrt(np.maximum(np.square(parting) - radiated, 0.0))
+            back = parting
+        columns |= {"leaving": back, "parting_speed": parting}
+    elif "end_speed_a" in tracked:
+        columns |= dict.fromkeys(("leaving", "parting_speed"), -tracked["end_speed_a"])
 
     def carried() -> Values:
-        total = 0.0 * scales.force
+        if radiated is not None:
+            return radiated * impact_energy()
+        total = np.zeros(len(scene))
         for partner, name in ((behind, "a"), (ahead, "b")):
             if partner is not None and _carrying([partner]) and f"carried_{name}" in tracked:
-                total = (
-                    total
-                    + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
-                )
-        loss = loss_to_waves(scene)
-        return total if loss is None else total + loss * offered()
+                unit = scales.force**2 * scales.time / partner.impedance
+                total = total + unit * tracked[f"carried_{name}"]
+        return total
 
-    return found | {"carried_off": carried}
+    return columns | {"carried_off": carried}
+
+
+def _radiated_fraction(scene: Scene, tracked: Mapping[str, Array]) -> Array | None:
+    """Fraction of the impact energy that a thick target radiates, (R14), at most what the contact
+    leaves; None where it is not known.
+    """
+    loss = loss_to_waves(scene)
+    if loss is None or "end_speed" not in tracked:
+        return loss
+    return np.asarray(np.minimum(loss, np.square(tracked["end_speed"])))
 
 
 def _carrying(partners: Iterable[Partner]) -> bool:
@@ -768,7 +785,7 @@ def answers_from(
     numbers which are not there.
     """
     with np.errstate(all="ignore"):
-        made = {**_of_faces(scene, tracked), **_of_blow(scene, tracked)}
+        made = {**_of_faces(scene, tracked), **_of_impact(scene, tracked)}
     columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5, **made})
     if quantities is None:
         quantities = (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)

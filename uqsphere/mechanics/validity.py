@@ -306,15 +306,6 @@ def _gravity(scene: Scene, answers: Answers) -> Array | str:
     return np.asarray(weight * GRAVITY / answers.values["P_max"])
 
 
-def _restitution_of_waves(scene: Scene, answers: Answers, good: Flags) -> str:
-    loss = loss_to_waves(scene)
-    return (
-        ""
-        if loss is None
-        else f"; waves by themselves leave a restitution of {np.sqrt(1.0 - loss[good].max()):.3g}"
-    )
-
-
 def _rod_rise(scene: Scene, answers: Answers) -> Array | str | None:
     found = []
     for partner, diameter in _bars_of(scene):
@@ -646,11 +637,8 @@ RULES: Final[tuple[Rule, ...]] = (
         information=0.02,
         warning=0.05,
         applies=lambda rig: rig.contacts == 1,
-        further=_restitution_of_waves,
-        words=(
-            "the target carries off {worst} of the energy as waves (limit {limit}); forces leave "
-            "that out"
-        ),
+        words="{worst} of the impact energy is radiated into the target (limit {limit}). The "
+        "restitution includes this loss; the computed forces and durations neglect it",
     ),
     Rule(
         name="one_dimensional_rod",
