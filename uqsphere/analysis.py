@@ -182,12 +182,12 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
     {"shapley": ...}.
 
     By an expansion whose residuals correct them.  What n rows cannot show, an event rarer than 3/n,
-    is in no interval: the method of every estimate says so.  Raises UsageError where the expansion
-    leaves more than 5 % of the variance.
+    is in no interval: the method of every estimate says so.  Raises UsageError for tied inputs
+    whose expansion leaves more than 25 % of the variance.
     """
     found = chaos(x, y, inputs, seed=seed)
     assert found.response is not None
-    if not found.response.usable:
+    if found.joint.dependent and not found.response.usable:
         raise UsageError(
             f"no indices from these rows: {found.response.reason}; give more rows, or call the "
             "model"

@@ -24,11 +24,12 @@ from scipy.special import ndtr, ndtri
 from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos import germ_points
+from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.indices import Blocks, base_points, sampled_indices
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.response import cross_fit, describe_corrected, index_shares, unseen
+from uqsphere.uq.response import cross_fit, unseen
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
 #: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with
@@ -373,12 +374,12 @@ def response(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
         ]
     )
     table = made.table(germ_points(ndtri(many), model.germs).reshape(16, 1024, -1))
-    found = describe_corrected(table, made.outputs, made.levels, tuple(model.quantiles))
+    found = Corrected(response=made, table=table).describe(tuple(model.quantiles))
     yield hit(model.name, "mean", n, found.mean, model.mean, model.sd)
     yield hit(model.name, "sd", n, found.sd, model.sd, model.sd)
     for p, truth in model.quantiles.items():
         yield hit(model.name, "quantile", n, found.quantiles[p], truth, model.sd)
-    for order, row in index_shares(made).items():
+    for order, row in indices_of(made).items():
         for estimate, truth in zip(row, getattr(model, order), strict=True):
             if truth > 1e-9:
                 yield hit(model.name, f"{order} index", n, estimate, truth, 1.0)

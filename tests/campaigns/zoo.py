@@ -684,24 +684,27 @@ def cell(model: ZooModel, truths: Mapping[str, Truth], size: int, seed: int) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         run = uqsphere.run(study, lambda x: {"y": model.function(x)})
-    rows = {(row["subject"], row["answer"], row["at"]): row for row in run.results["answers"]}
+    rows = {(row.subject, row.answer.value, row.at): row for row in run.results.answers}
     hits = []
 
     def hold(kind: str, place: tuple[str, str, Any], truth: Truth, scale: float) -> None:
         row = rows.get(place)
-        if row is None or (row["low"] is None and row["high"] is None):
+        if row is None or (row.low is None and row.high is None):
             hits.append(Hit(model.name, size, kind, None, None, math.inf))
             return
         slack = ALLOWED * truth.error + 1e-9 * abs(truth.value)
-        outer = row.get("low_unseen", row["low"]), row.get("high_unseen", row["high"])
+        outer = row.low_unseen, row.high_unseen
         held = [
             (low is None or low - slack <= truth.value)
             and (high is None or truth.value <= high + slack)
-            for low, high in ((row["low"], row["high"]), outer)
+            for low, high in ((row.low, row.high), outer)
         ]
         width = math.inf
-        if row["low"] is not None and row["high"] is not None:
-            width = 0.5 * (row["high"] - row["low"]) / scale
+        if row.low is not None and row.high is not None:
+            width = 0.5 * (row.high - row.low) / scale
+        if not held[0]:
+            text = f"{kind} {place[2]} {row.value} ({row.low} to {row.high}), {truth.value:.6g}"
+            tell(f"  {model.name}, {size} runs, seed {seed}: {text}")
         hits.append(Hit(model.name, size, kind, held[0], held[1], width))
 
     sd = truths["sd"].value

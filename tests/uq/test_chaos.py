@@ -12,12 +12,16 @@ from scipy.special import ndtri
 
 from tests.campaigns.chaos import MODELS, checked, design, relative_error
 from tests.campaigns.intervals import coverage_models, far_event_model
+from tests.campaigns.zoo import MODELS as ZOO
+from tests.campaigns.zoo import all_truths
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
 from uqsphere.uq.chaos.basis import grown, hyperbolic_indices, nested
+from uqsphere.uq.corrected import Corrected, indices_of
+from uqsphere.uq.estimate import distances
 from uqsphere.uq.interop import load_chaospy
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.response import cross_fit, describe_corrected, half_width, index_shares, unseen
+from uqsphere.uq.response import Response, cross_fit, unseen
 
 LAWS = {
     "normal": make_law("normal", {"mean": 1.0, "sd": 2.0}),
@@ -97,7 +101,7 @@ def test_a_product_of_lognormals_is_exact_with_its_moments_and_indices() -> None
     )
     assert found.mean == pytest.approx(math.exp(0.5 * whole), rel=1e-9)
     assert found.sd == pytest.approx(math.exp(0.5 * whole) * math.sqrt(math.expm1(whole)), rel=1e-9)
-    for row in index_shares(cross_fit(points, x.prod(axis=1), germs_of(laws))[0]).values():
+    for row in indices_of(cross_fit(points, x.prod(axis=1), germs_of(laws))[0]).values():
         assert max(e.half_width for e in row) < 1e-3
 
 
@@ -233,9 +237,20 @@ def test_half_widths_know_a_lone_row_from_many() -> None:
     even = np.tile([1.0, -1.0], 50)
     lone = np.zeros(100)
     lone[0] = 10.0
-    assert half_width(even) == pytest.approx(1.98 / math.sqrt(100.0), rel=0.02)
-    assert half_width(lone) > 2.0 * half_width(even) * lone.std() / even.std()
-    assert half_width(np.zeros(1)) == math.inf
+    assert distances(even) == pytest.approx([1.98 / math.sqrt(100.0)] * 2, rel=0.02)
+    down, up = distances(lone)
+    assert up > down > 2.0 * distances(even)[0] * lone.std() / even.std()
+    assert distances(np.zeros(1)) == (math.inf, math.inf)
+
+
+def corrected(response: Response, seed: int) -> Corrected:
+    """The answers of a response with a table of 16 times 512 points."""
+    d = len(response.germs)
+    many = [
+        sobol_points(dimension=d, count=512, seed=seed, task="many", replicate=r) for r in range(16)
+    ]
+    points = germ_points(ndtri(np.concatenate(many)), response.germs).reshape(16, 512, -1)
+    return Corrected(response=response, table=response.table(points))
 
 
 @pytest.mark.parametrize("model", coverage_models(), ids=lambda model: model.name)
@@ -246,23 +261,14 @@ def test_few_rows_answer_with_intervals_that_hold(model) -> None:
         response = cross_fit(germ_points(ndtri(u), model.germs), model.function(u), model.germs)[0]
         if not response.usable:
             continue
-        many = np.concatenate(
-            [
-                sobol_points(
-                    dimension=model.dimension, count=512, seed=seed, task="many", replicate=r
-                )
-                for r in range(16)
-            ]
-        )
-        table = response.table(germ_points(ndtri(many), model.germs).reshape(16, 512, -1))
-        found = describe_corrected(table, response.outputs, response.levels, tuple(model.quantiles))
+        found = corrected(response, seed).describe(tuple(model.quantiles))
         assert unseen(n) in found.mean.method
         pairs = [
             (found.mean, model.mean),
             (found.sd, model.sd),
             *((found.quantiles[p], q) for p, q in model.quantiles.items()),
         ]
-        shares = index_shares(response)
+        shares = indices_of(response)
         pairs += [
             (e, t)
             for order in ("first", "total")
@@ -284,8 +290,75 @@ def test_a_far_event_that_no_row_shows_is_said_and_not_held() -> None:
             response = cross_fit(
                 germ_points(ndtri(u), model.germs), model.function(u), model.germs
             )[0]
-            found = index_shares(response)["first"][0]
+            found = indices_of(response)["first"][0]
             says += 1
     assert response.usable
     assert "rarer than about 0.023 (3 in 128 runs) is not in it" in found.method
     assert found.high < model.first[0] or found.low > model.first[0]
+    # a probability has ends that allow for it
+    answers = corrected(response, 0)
+    beyond = answers.probability(
+        rows=(response.outputs > 30.0) * 1.0,
+        left_out=(response.levels > 30.0) * 1.0,
+        table=lambda residual: (answers.table + residual > 30.0) * 1.0,
+    )
+    assert beyond.high < 0.0023 < beyond.high_unseen
+    assert beyond.low_unseen == 0.0
+
+
+def zoo_response(name: str, runs: int, seed: int) -> Response:
+    """The response of a model of the zoo to the design of a slow run."""
+    study = ZOO[name].study(seed)
+    joint = study.inputs()
+    points = sobol_points(
+        dimension=len(joint.names), count=runs, seed=seed, task="slow", replicate=0
+    )
+    germs = germs_of(joint.laws)
+    return cross_fit(germ_points(ndtri(points), germs), ZOO[name].rows(points), germs)[0]
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5, 7])
+def test_an_expansion_that_runs_away_does_not_take_the_variance(seed: int) -> None:
+    # one fold had 90 times the standard deviation of the rows, and 0.189 was stated as 0.0002
+    response = zoo_response("kink", 256, seed)
+    found = indices_of(response)["first"][1]
+    assert found.low - 0.01 <= 0.18904 <= found.high + 0.01
+    assert found.high - found.low < 0.2
+    sds = [response.known[k].sd for k in response.trusted]
+    assert max(sds) < 1.5 * response.outputs.std()
+
+
+def test_a_plateau_keeps_its_quantiles() -> None:
+    # the median was read off residuals that were spread over the whole table
+    held = []
+    for seed in range(1, 6):
+        answers = corrected(zoo_response("epidemic", 256, seed), seed)
+        median = answers.quantile(0.5)
+        held.append(median.low <= 0.016787 <= median.high)
+    assert sum(held) >= 4
+
+
+def test_a_probability_is_not_exact_where_no_row_changes_sides() -> None:
+    # 0.10136 (0.10069 to 0.10204) from 64 runs for 0.1
+    widths, held = [], []
+    threshold = all_truths()["spill"]["strength 0.1"].value
+    for seed in range(1, 5):
+        response = zoo_response("spill", 64, seed)
+        answers = corrected(response, seed)
+        found = answers.probability(
+            rows=(response.outputs > threshold) * 1.0,
+            left_out=(response.levels > threshold) * 1.0,
+            table=lambda residual, a=answers: (a.table + residual > threshold) * 1.0,
+        )
+        widths.append(found.half_width)
+        held.append(found.low <= 0.1 <= found.high)
+    assert min(widths) > 0.005
+    assert all(held)
+
+
+def test_a_variance_without_an_end_has_no_interval_of_zero_width() -> None:
+    answers = corrected(zoo_response("heavy", 256, 1), 1)
+    sd = answers.sd()
+    assert sd.high is None
+    assert "heavy tail" in sd.reason
+    assert sd.low < 69.6

@@ -83,11 +83,12 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     ):
         return exact(found.value)
     if tables.slow is not None:
-        rows, left = (
-            failure_given_inputs(state_of(design, limit, part), limit.aim)[:1]
-            for part in (tables.slow.rows, tables.slow.left_out)
+        return surrogate.failure(
+            tables.slow,
+            column_of(limit),
+            found,
+            lambda part: failure_given_inputs(state_of(design, limit, part), limit.aim),
         )
-        return surrogate.failure(tables.slow, found, rows, left)
     if (
         found.value is not None
         and 0.0 < found.value < 1e-3

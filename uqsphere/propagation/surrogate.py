@@ -28,16 +28,9 @@ from uqsphere.propagation.tables import Tables, check_failures, evaluate
 from uqsphere.results.types import Stop
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
+from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.response import (
-    METHOD,
-    Response,
-    cross_fit,
-    describe_corrected,
-    half_width,
-    index_shares,
-    unseen,
-)
+from uqsphere.uq.response import Response, cross_fit, unseen
 from uqsphere.uq.surrogate import columns_of, each_once
 
 if TYPE_CHECKING:
@@ -53,23 +46,32 @@ ROUGH: Final = "runs of the model"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slow:
-    """The rows of a slow model.
+    """The rows of a slow model, and the expansions that are fitted to them.
 
+    Attributes
+    ----------
     rows : (1, N) as evaluated
-    left_out : the same with the values of the expansions that were fitted without them
-    responses : the expansions by quantity; a quantity without one is answered by its rows
+    responses : the expansions by quantity; none where a row has no plain values
+    predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
+        a column are too rough
     dropped : share of the rows that failed and were left out
     """
 
     rows: Sample
-    left_out: Sample
     responses: Mapping[str, Response]
+    predicted: Sample | None = None
     dropped: float = 0.0
 
     @property
     def count(self) -> int:
         """Rows that every answer rests on."""
         return self.rows.size
+
+    def corrected(self, name: str) -> Corrected | None:
+        """The predictions of a quantity, corrected by its rows; None where it has none."""
+        if self.predicted is None:
+            return None
+        return Corrected(response=self.responses[name], table=self.predicted.answer(name))
 
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
@@ -255,31 +257,24 @@ def tables_of(
 
 
 def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
-    """The expansions of all columns, and a table of their values; a column that stays rough keeps
-    its rows.
+    """The expansions of all columns, and the table of their values: of the rows themselves, in
+    blocks that stand for replicates, where a column is too rough for its expansions.
     """
     dropped = 0.0
     if design.study.analysis.policy == "drop" and rows.failed.any():
         dropped, rows = float(rows.failed.mean()), rows.where(~rows.failed[0])
+    responses: dict[str, Response] = {}
     if np.isfinite(rows.answers).all() and not rows.censored.any() and rows.count >= LEAST_ROWS:
         germs = germs_of(design.joint.only(design.inputs).laws)
-        responses = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
-        if all(response.usable for response in responses):
-            left_out = rows.with_answers(
-                rows.quantities, np.stack([one.levels for one in responses], axis=1)[None]
-            )
-            slow = Slow(
-                rows=rows,
-                left_out=left_out,
-                dropped=dropped,
-                responses=dict(zip(rows.quantities, responses, strict=True)),
-            )
-            table = design.points(POINTS)
-            points = points_of(design, table.scores)
-            values = np.stack([response.table(points) for response in responses], axis=2)
-            return slow, table.with_answers(rows.quantities, values)
-    # one table for all columns: where one is rough the rows answer for all, in blocks that stand
-    # for replicates
+        fitted = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
+        responses = dict(zip(rows.quantities, fitted, strict=True))
+    slow = Slow(rows=rows, dropped=dropped, responses=responses)
+    if responses and all(response.usable for response in responses.values()):
+        table = design.points(POINTS)
+        points = points_of(design, table.scores)
+        values = [response.table(points) for response in responses.values()]
+        predicted = table.with_answers(rows.quantities, np.stack(values, axis=2))
+        return replace(slow, predicted=predicted), _scattered(slow, predicted)
     count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
     each = rows.count // count
     blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
@@ -287,7 +282,15 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
     cut: dict[str, Any] = {
         name: np.concatenate([getattr(block, name) for block in blocks]) for name in parts
     }
-    return Slow(rows=rows, left_out=rows, responses={}, dropped=dropped), replace(rows, **cut)
+    return slow, replace(rows, **cut)
+
+
+def _scattered(slow: Slow, predicted: Sample) -> Sample:
+    """A table of predictions with residuals of the rows on them."""
+    columns = [
+        response.scattered(predicted.answer(name)) for name, response in slow.responses.items()
+    ]
+    return predicted.with_answers(predicted.quantities, np.stack(columns, axis=2))
 
 
 def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
@@ -320,9 +323,8 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     for value in grid(margins, VALUES):
         germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
         at = np.concatenate([inputs, germ], axis=2)
-        found[value] = table.with_answers(
-            rows.quantities, np.stack([one.table(at) for one in responses], axis=2)
-        )
+        columns = [response.scattered(response.table(at)) for response in responses]
+        found[value] = table.with_answers(rows.quantities, np.stack(columns, axis=2))
     return found
 
 
@@ -330,50 +332,49 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
 
 
 def described(design: Design, slow: Slow, sample: Sample, name: str) -> Description:
-    """The description of a quantity: of the table, corrected by what the expansions leave of the
-    rows.
-    """
+    """The description of a quantity: by its expansions, corrected by the rows, or of the rows."""
     analysis = design.study.analysis
-    if name not in slow.responses:
-        return describe(
-            sample.answer(name),
-            censored=sample.late(name),
-            failed=sample.lost(name),
-            on_failure="bound" if analysis.policy == "bound" else "drop",
-            quantiles=analysis.quantiles,
-            method=f"{slow.count} {ROUGH}; {unseen(slow.count)}",
-        )
-    response = slow.responses[name]
-    return describe_corrected(
-        sample.answer(name), response.outputs, response.levels, analysis.quantiles
+    corrected = slow.corrected(name)
+    if corrected is not None:
+        return corrected.describe(analysis.quantiles)
+    return describe(
+        sample.answer(name),
+        censored=sample.late(name),
+        failed=sample.lost(name),
+        on_failure="bound" if analysis.policy == "bound" else "drop",
+        quantiles=analysis.quantiles,
+        method=f"{slow.count} {ROUGH}; {unseen(slow.count)}",
     )
 
 
-def failure(slow: Slow, table: Estimate, rows: Array, left: Array) -> Estimate:
-    """A failure probability of the table, corrected by the failure probabilities (1, N) of the
-    rows.
+def failure(
+    slow: Slow, column: str, table: Estimate, chance: Callable[[Sample], Array]
+) -> Estimate:
+    """A failure probability, corrected by the rows.
+
+    Parameters
+    ----------
+    column : what the limit is held against
+    table : the probability of the table with residuals, which answers where there are no expansions
+    chance : the failure probability (R, n) given the inputs and outputs of a sample
     """
-    if table.value is None or not slow.responses:
-        return (
-            replace(table, high=max(table.high or 0.0, 3.0 / slow.count))
-            if table.high is not None
-            else table
-        )
-    off = (rows - left).ravel()
-    value = table.value + float(off.mean())
-    half = math.hypot(half_width(off), table.half_width)
-    low, high = max(table.value - half, 0.0), min(table.value + half, 1.0)
-    if high * slow.count < 3.0 and (rows.sum() < 1e-3 or not 0.0 < value < 1.0):
-        none = absent(f"too small for {slow.count} runs: {unseen(slow.count)}", METHOD, slow.count)
-        return replace(none, low=0.0, high=min(max(high, 3.0 / slow.count), 1.0))
-    value = min(max(table.value, 0.0), 1.0)
-    return Estimate(
-        value=value,
-        low=min(low, value),
-        high=max(high, value),
-        std_error=0.5 * half,
-        method=f"{METHOD}; {unseen(slow.count)}",
-        evaluations=slow.count,
+    corrected, predicted = slow.corrected(column), slow.predicted
+    if corrected is None or predicted is None:
+        if table.high is None:
+            return table
+        return replace(table, high=max(table.high, 3.0 / slow.count))
+    place = predicted.quantities.index(column)
+
+    def moved(sample: Sample, values: Array) -> Array:
+        answers = sample.answers.copy()
+        answers[:, :, place] = values
+        return chance(sample.with_answers(sample.quantities, answers))
+
+    levels = slow.responses[column].levels[None]
+    return corrected.probability(
+        rows=chance(slow.rows)[0],
+        left_out=moved(slow.rows, levels)[0],
+        table=lambda residual: moved(predicted, predicted.answers[:, :, place] + residual),
     )
 
 
@@ -397,7 +398,7 @@ def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, .
             f"{slow.count} runs of a rough model show no indices{lost}", ROUGH, slow.count
         )
         return dict.fromkeys(design.inputs, (nothing, nothing))
-    found = index_shares(response)
+    found = indices_of(response)
     if slow.dropped:
         found = {
             order: [of_answered(e, 1.0 - slow.dropped, "rows") for e in row]

@@ -47,18 +47,23 @@ class Answers:
         runs: int,
     ) -> None:
         """An estimate; one without a value leaves its reason as the note."""
-        self.row(
-            subject,
-            answer,
-            at,
-            estimate.value,
-            estimate.low,
-            estimate.high,
-            estimate.std_error,
-            unit=unit,
-            method=estimate.method,
-            runs=runs,
-            note=estimate.reason or "",
+        low_unseen, high_unseen = estimate.outer
+        self.rows.append(
+            Answer(
+                subject=subject,
+                answer=Kind(answer),
+                at=at if isinstance(at, str) else float(at),
+                value=estimate.value,
+                low=estimate.low,
+                high=estimate.high,
+                low_unseen=low_unseen,
+                high_unseen=high_unseen,
+                std_error=estimate.std_error,
+                unit=unit,
+                method=estimate.method,
+                runs=runs,
+                note=estimate.reason or "",
+            )
         )
 
     def row(
@@ -85,6 +90,8 @@ class Answers:
                 value=value,
                 low=low,
                 high=high,
+                low_unseen=low,
+                high_unseen=high,
                 std_error=std_error,
                 unit=unit,
                 method=method,
@@ -116,6 +123,6 @@ def frame_of(rows: Sequence[Answer]) -> pd.DataFrame:
     table = pd.DataFrame(
         [{**vars(row), "answer": row.answer.value} for row in rows], columns=list(COLUMNS)
     )
-    numbers = ["value", "low", "high", "std_error"]
+    numbers = ["value", "low", "high", "low_unseen", "high_unseen", "std_error"]
     table[numbers] = table[numbers].astype(float)
     return table

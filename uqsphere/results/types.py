@@ -165,6 +165,12 @@ class Answer(Part):
     value: Finite = Field(default=None, description="the estimate; none where there is no answer")
     low: Finite = Field(default=None, description="lower end of the 95 % interval")
     high: Finite = Field(default=None, description="upper end of the 95 % interval")
+    low_unseen: Finite = Field(
+        default=None, description="lower end that also allows for what no model run shows"
+    )
+    high_unseen: Finite = Field(
+        default=None, description="upper end that also allows for what no model run shows"
+    )
     std_error: Finite = Field(
         default=None, description="standard error, where the interval rests on one"
     )

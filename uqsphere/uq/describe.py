@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import (
     CELL,
     Estimate,
@@ -64,11 +64,31 @@ def hill(outputs: Array) -> float:
     """
     kept = outputs[np.isfinite(outputs)]
     away = np.sort(np.abs(kept - np.median(kept)))[::-1] if kept.size else kept
-    count = min(max(kept.size // 32, 8), 512)
+    count = _tail_count(kept.size)
     if away.size <= count or away[count] <= 0.0:
         return math.inf
     mean = float(np.mean(np.log(away[:count] / away[count])))
     return 1.0 / mean if mean > 0.0 else math.inf
+
+
+def _tail_count(size: int) -> int:
+    """Values that Hill's estimate is from."""
+    return min(max(size // 32, 8), 512)
+
+
+def heavy_tail(outputs: Array, *, certain: bool = False) -> str:
+    """Why the variance of outputs of any shape may be infinite, by their tail; empty if it is not.
+
+    It may be where Hill's order is below 2, and is (`certain`) where the 95 % upper bound of the
+    order, a gamma variable over as many values as it is estimated from, is below 2 as well.
+    """
+    order, bound = hill(outputs.ravel()), 1.0
+    if certain:
+        count = _tail_count(outputs.size)
+        bound = float(special.chdtri(2 * count, 0.05)) / (2 * count)
+    if order * bound >= 2.0:
+        return ""
+    return f"heavy tail (order {order:.1f} by Hill's estimate): the variance may be infinite"
 
 
 def describe(
@@ -165,6 +185,9 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         )
         read = sample_reader(np.sort(samples[kept]))
         return mean, absent(reason, method, evaluations), 0.5 * (read(0.84) - read(0.16))
+    reason = heavy_tail(samples[kept])
+    if reason and sd.value is not None:
+        sd = replace(sd, high=None, reason=reason)
     return mean, sd, deviation
 
 

@@ -1,47 +1,54 @@
-"""A response that stands for the model at many points, corrected by rows of the model itself.
+"""Expansions that stand for a model at many points, cross-fitted to few rows of it.
 
-For any statistic that is a mean of f, with S a response that costs little and Y the model,
+The rows are split into `FOLDS` folds.  Expansion k is fitted without fold k, so that every row is
+compared with an expansion that has not seen it.  `uqsphere.uq.corrected` makes answers of them.
 
-    E[f(Y)] = E_many[f(S)] + E_rows[f(Y) - f(S)]
-
-holds for every S that has not seen the rows of the correction.  Few rows serve both ends by
-cross-fitting: they are dealt into `FOLDS` folds, a response is fitted without each fold, and a row
-is compared with the response that was fitted without it.  The interval of the correction is
-
-    half = t_v rms(c)/sqrt(n),        v = 2/(1/n_eff - 1/n) <= n - 1,        n_eff = (sum c²)²/sum
-    c⁴
-
-with c what each of n rows moves the answer by (its influence), about the mean.  The degrees of
-freedom are Satterthwaite's: those at which the variance of n values with the kurtosis that these
-show is known.
-
-An event that none of n rows shows, rarer than about 3/n, is in no interval (`unseen`): every answer
-says so.
+No residual sees the variance that an expansion makes where no row lies: the exponential of a
+polynomial, or a polynomial of high degree in an unbounded input, can run away in the tails.  A fold
+is therefore compared with the rows and with the other folds (`_Allowed`).  One that is contradicted
+is held beyond the reach of its rows: with e its cross-validation error and h(x) the leverage of a
+point, its prediction is drawn to the mean of its rows by 1/(1 + e h(x)).  Where this does not help,
+the fold is rejected together with its rows.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy.special import stdtrit
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import Chaos, GermLike, fit_chaos, integrals, predict, projections
+from uqsphere.uq.chaos import (
+    Chaos,
+    GermLike,
+    Integrals,
+    fit_chaos,
+    germ_points,
+    integrals,
+    predict,
+    rows_of,
+)
 from uqsphere.uq.chaos.fit import mean_and_sd
 from uqsphere.uq.chaos.select import Order, folds_of
-from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import Estimate, absent, around, quantile, sample_reader, student
+from uqsphere.uq.estimate import distances
+from uqsphere.uq.points import sobol_points
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"
-#: largest share of the variance that a response may leave and still be used: above, rows by
-#: themselves know as much
-MOST: Final = 0.05
-#: folds that rows are dealt into: seven eighths of them fit each time, twice 8 are the replicates
-#: of a table
+#: folds that rows are split into: seven eighths of them fit each time, and twice 8 are the
+#: replicates of a table
 FOLDS: Final = 8
+#: largest share of the variance that expansions may leave and still stand for the distribution of
+#: the output.  Of a bivariate normal pair with half of the variance left, a prediction lies on the
+#: other side of a quantile as often as its output; a quarter leaves room for other pairs.
+MOST: Final = 0.25
+#: level at which a fold is rejected, and points of the law at which its variance is looked at
+REJECTED: Final = 0.99
+LOOKED: Final = 1024
 
 
 def unseen(runs: int) -> str:
@@ -53,24 +60,43 @@ def unseen(runs: int) -> str:
     return f"an event rarer than about {3.0 / runs:.2g} (3 in {runs} runs) is not in it"
 
 
-def half_width(influence: Array) -> float:
-    """Half-width of the 95 % interval of a mean of n rows, from what each row (n,) moves it by.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fold:
+    """The expansion that was fitted without one fold of the rows.
 
-    >>> lone = np.zeros(100); lone[0] = 1.0
-    >>> round(half_width(lone), 3)
-    0.042
+    fit : the expansion
+    triangle : inverse (P, P) of the triangle of its rows; None for one that is not held
+    centre : mean of the polynomial over its rows
     """
-    n = len(influence)
-    if n < 2:
-        return math.inf
-    off = influence - influence.mean()
-    unit = float(np.abs(off).max())
-    if unit == 0.0:
-        return 0.0
-    squares = (off / unit) ** 2
-    second, fourth = float(squares.sum()), float((squares**2).sum())
-    freedom = min(max(2.0 / max(fourth / second**2 - 1.0 / n, 1e-12), 1.0), n - 1.0)
-    return student(freedom + 1.0) * unit * math.sqrt(second / (n - 1) / n)
+
+    fit: Chaos
+    triangle: Array | None = None
+    centre: float = 0.0
+
+    def held(self, points: Array) -> Fold:
+        """The same, held beyond the reach of the points (n, d) that it was fitted to."""
+        if self.fit.constant:
+            return self
+        rows = rows_of(self.fit.germs, points, self.fit.multi_indices)
+        triangle = np.linalg.pinv(np.linalg.qr(rows.T, mode="r"))
+        centre = float((self.fit.coefficients @ rows).mean())
+        return replace(self, triangle=np.asarray(triangle, dtype=float), centre=centre)
+
+    def values(self, points: Array) -> Array:
+        """Values (m,) at germ points (m, d)."""
+        fit = self.fit
+        if self.triangle is None:
+            return predict(fit, points)
+        values = np.empty(len(points))
+        for start in range(0, len(points), 4096):
+            basis = rows_of(fit.germs, points[start : start + 4096], fit.multi_indices)
+            leverage = np.square(self.triangle.T @ basis).sum(axis=0)
+            weight = 1.0 / (1.0 + fit.cross_validation_error * leverage)
+            polynomial = fit.coefficients @ basis
+            values[start : start + 4096] = self.centre + weight * (polynomial - self.centre)
+        if fit.log:
+            return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)))
+        return values
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,20 +106,22 @@ class Response:
 
     Attributes
     ----------
-    fits : one expansion for each fold, fitted to the others
-    folds : (n,) the fold of every row
-    points, outputs : (n, d) germ points and (n,) answers of the rows
-    levels, residuals : (n,) what the response without a row says of it, and what that lacks
-    error : share of the variance that is left, of the rows
+    folds : one expansion for each fold, fitted to the others
+    fold : (n,) the fold of every row
+    points, outputs : (n, d) germ points and (n,) outputs of the rows
+    levels, residuals : (n,) what the expansion without a row predicts for it, and what that lacks
+    used : folds whose predictions count, some of them held
+    trusted : folds whose coefficients count
+    error : share of the variance that is left, of the rows of the used folds
     """
 
-    fits: tuple[Chaos, ...]
-    folds: Order
+    folds: tuple[Fold, ...]
+    fold: Order
     points: Array
     outputs: Array
     levels: Array
-    residuals: Array
-    error: float
+    used: tuple[int, ...]
+    trusted: tuple[int, ...]
 
     @property
     def count(self) -> int:
@@ -101,186 +129,210 @@ class Response:
         return len(self.outputs)
 
     @property
+    def residuals(self) -> Array:
+        """What the predictions lack (n,)."""
+        return self.outputs - self.levels
+
+    @property
+    def fits(self) -> tuple[Chaos, ...]:
+        """The expansions of the folds that are trusted, else of all."""
+        trusted = self.trusted or range(len(self.folds))
+        return tuple(self.folds[k].fit for k in trusted)
+
+    @property
     def germs(self) -> tuple[GermLike, ...]:
         """What its points are given in."""
-        return self.fits[0].germs
+        return self.folds[0].fit.germs
 
     @property
     def constant(self) -> bool:
         """Whether no fold has more than a constant."""
-        return all(fit.constant for fit in self.fits)
+        return all(fold.fit.constant for fold in self.folds)
+
+    @cached_property
+    def rows(self) -> Order:
+        """The rows (m,) of the folds that are used."""
+        return np.flatnonzero(np.isin(self.fold, self.used))
+
+    @cached_property
+    def error(self) -> float:
+        """Share of the variance that is left; 1 where no expansion can be used."""
+        mean, sd = mean_and_sd(self.outputs)
+        if sd <= 1e-14 * abs(mean):
+            return 0.0
+        if not self.rows.size:
+            return 1.0
+        return min(float(np.mean((self.residuals[self.rows] / sd) ** 2)), 1.0)
+
+    @cached_property
+    def known(self) -> tuple[Integrals, ...]:
+        """Moments and indices of the expansion of every fold."""
+        return tuple(integrals(fold.fit) for fold in self.folds)
 
     @property
     def usable(self) -> bool:
-        """Whether the error is small enough for the response to speak for the model."""
+        """Whether the expansions stand for the distribution of the output."""
         return self.error <= MOST
 
     @property
     def reason(self) -> str:
         """Why it may, or may not, be used."""
-        largest = max(self.fits, key=lambda fit: fit.coefficients.size)
-        terms = (
-            f"{largest.coefficients.size} terms of degree {largest.degree} from {self.count} runs"
-        )
+        largest = max((fold.fit for fold in self.folds), key=lambda fit: fit.coefficients.size)
+        terms = f"{largest.coefficients.size} terms of degree {largest.degree}"
+        terms += f" from {self.count} runs"
         if self.usable:
             return f"it leaves {self.error:.2g} of the variance ({terms}); {unseen(self.count)}"
         return (
-            f"refused: it leaves {self.error:.2g} of the variance unexplained, more than "
+            f"rejected: it leaves {self.error:.2g} of the variance unexplained, more than "
             f"{MOST:g} ({terms})"
         )
 
-    def table(self, points: Array) -> Array:
-        """Values (R, m) of an output at germ points (R, m, d) of its law, each with a residual of a
-        row.
+    def owners(self, replicates: int) -> list[int]:
+        """The fold that predicts each replicate of a table: those that are used take turns."""
+        return [self.used[r % len(self.used)] for r in range(replicates)]
 
-        The folds take turns: each replicate has the response of one, and their differences are in
-        its spread.
+    def table(self, points: Array) -> Array:
+        """Predictions (R, m) at germ points (R, m, d) of the law."""
+        owners = self.owners(len(points))
+        return np.stack([self.folds[k].values(p) for k, p in zip(owners, points, strict=True)])
+
+    def scattered(self, table: Array) -> Array:
+        """A table (R, m) with a residual of a row on every prediction.
+
+        Replicates of one fold share the rows that it has not seen: so their spread is that of the
+        rows, as if each replicate were a sample of the model.
         """
         rng = np.random.default_rng(0)
-        values = [predict(self.fits[r % len(self.fits)], own) for r, own in enumerate(points)]
-        return np.stack([own + rng.choice(self.residuals, own.shape) for own in values])
+        owners = self.owners(len(table))
+        scattered = table.copy()
+        for k in set(owners):
+            replicates = [r for r, owner in enumerate(owners) if owner == k]
+            rows = np.flatnonzero(self.fold == k)
+            for place, r in enumerate(replicates):
+                own = rows[place :: len(replicates)]
+                scattered[r] += rng.choice(self.residuals[own], table.shape[1])
+        return scattered
 
 
 def cross_fit(
-    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False
+    points: Array,
+    outputs: Array,
+    germs: Sequence[GermLike],
+    *,
+    plain: bool = False,
+    independent: bool = True,
 ) -> list[Response]:
-    """Responses of every column of outputs (n, q) at the same germ points (n, d); ValueError for
-    fewer than 8 rows.
+    """Responses of every column of outputs (n, q) at the same germ points (n, d).
 
-    `plain`: expansions of the outputs themselves, in the germs as given.
+    Parameters
+    ----------
+    points : (n, d) of the germs' bases, n >= 8
+    outputs : (n, q) or (n,)
+    plain : expand the outputs themselves, never their logarithms
+    independent : whether the germs of the points are independent, as those of a run are; else the
+        variance of an expansion is not known, and no fold is rejected
+
+    Raises ValueError for fewer than 8 rows.
     """
-    outputs = np.asarray(outputs, dtype=float)
+    points, outputs = np.asarray(points), np.asarray(outputs, dtype=float)
     outputs = outputs[:, None] if outputs.ndim == 1 else outputs
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting takes at least 8 rows, found {n}")
-    folds, made = folds_of(n, FOLDS), []
+    fold = folds_of(n, FOLDS)
+    responses = []
     for y in outputs.T:
-        fits = tuple(
-            fit_chaos(points[folds != k], y[folds != k], germs, plain=plain) for k in range(FOLDS)
+        fits, levels = [], np.empty(n)
+        for k in range(FOLDS):
+            left_out = fold == k
+            fits.append(fit_chaos(points[~left_out], y[~left_out], germs, plain=plain))
+            levels[left_out] = predict(fits[k], points[left_out])
+        response = Response(
+            folds=tuple(Fold(fit=fit) for fit in fits),
+            fold=fold,
+            points=points,
+            outputs=y,
+            levels=levels,
+            used=tuple(range(FOLDS)),
+            trusted=tuple(range(FOLDS)),
         )
-        levels = np.empty(n)
-        for k, fit in enumerate(fits):
-            levels[folds == k] = predict(fit, points[folds == k])
-        mean, sd = mean_and_sd(y)
-        error = (
-            0.0 if sd <= 1e-14 * abs(mean) else min(float(np.mean(((y - levels) / sd) ** 2)), 1.0)
-        )
-        made.append(
-            Response(
-                fits=fits,
-                folds=folds,
-                points=np.asarray(points),
-                outputs=y,
-                levels=levels,
-                residuals=y - levels,
-                error=error,
-            )
-        )
-    return made
+        responses.append(_bounded(response) if independent else response)
+    return responses
 
 
-# --- the output and its parts ---------------------------------------------------------------------
+# --- folds that run away --------------------------------------------------------------------------
 
 
-def describe_corrected(
-    table: Array, rows: Array, levels: Array, quantiles: Sequence[float]
-) -> Description:
-    """The description of an output on a table (R, m) of `Response.table`, corrected by n rows and
-    their levels.
-
-    A row's influence on the mean is its residual, on the standard deviation s about the mean c
-    ((Y - c)² - (S - c)²)/(2 s), on the distribution function at t 1(Y <= t) - 1(S <= t), over a
-    range of values.
-    """
-    n, scale = len(rows), float(table.std())
-    note = f"{METHOD}; {unseen(n)}"
-    base = describe(table, quantiles=quantiles, method=note)
-    # residuals are dealt out at random: what they add to the scatter of the mean is taken off again
-    mean = float(table.mean())
-    own, left = (rows - mean) ** 2, (levels - mean) ** 2
-    variance = scale**2 + float((own - left).mean()) - float(np.var(rows - levels))
-    sd = math.sqrt(variance) if variance > 0.0 else scale
-    halves = half_width(rows - levels), 0.5 * half_width(own - left) / sd if sd > 0.0 else 0.0
-    found = []
-    for estimate, value, half in zip((base.mean, base.sd), (mean, sd), halves, strict=True):
-        whole = math.hypot(half, estimate.half_width if math.isfinite(estimate.half_width) else 0.0)
-        found.append(around(value, whole, 0.5 * whole, note, n))
-    read = sample_reader(np.sort(table, axis=None))
-    return Description(
-        mean=found[0],
-        sd=found[1],
-        censored_share=base.censored_share,
-        scale=sd,
-        quantiles={p: _quantile(p, e, read, rows, levels, note) for p, e in base.quantiles.items()},
+def _bounded(response: Response) -> Response:
+    """The response with folds held, or rejected, that the rows or the other folds contradict."""
+    whole = float(response.outputs.var())
+    if response.constant or not whole > 0.0:
+        return response
+    variances = np.array([known.sd**2 for known in response.known])
+    missing = np.array([fold.fit.cross_validation_error * whole for fold in response.folds])
+    allowed = _Allowed.by(response, variances)
+    sound = [k for k in range(FOLDS) if allowed.permits(k, variances[k], missing[k])]
+    if len(sound) == FOLDS:
+        return response
+    d = len(response.germs)
+    uniforms = sobol_points(dimension=d, count=LOOKED, seed=0, task="polynomial chaos", replicate=0)
+    law = germ_points(special.ndtri(uniforms), response.germs)
+    folds, levels, used = list(response.folds), response.levels.copy(), list(sound)
+    for k in sorted({*range(FOLDS)} - {*sound}):
+        left_out = response.fold == k
+        folds[k] = folds[k].held(response.points[~left_out])
+        levels[left_out] = folds[k].values(response.points[left_out])
+        if allowed.permits(k, float(folds[k].values(law).var()), missing[k]):
+            used.append(k)
+    if len(used) <= FOLDS // 2:
+        used, sound = [], []
+    return replace(
+        response,
+        folds=tuple(folds),
+        levels=levels,
+        used=tuple(sorted(used)),
+        trusted=tuple(sound) if len(sound) > FOLDS // 2 else (),
     )
 
 
-def _quantile(
-    p: float, base: Estimate, read: Callable[[float], float], rows: Array, levels: Array, note: str
-) -> Estimate:
-    """A quantile of the table, whose interval has room for what the rows say of its probability."""
-    n, side = len(rows), 0.5 * min(p, 1.0 - p, 0.1)
-    if min(p, 1.0 - p) * n < 1.0:
-        return absent(f"{n} runs show nothing of the {p:g} quantile: {unseen(n)}", METHOD, n)
-    at, width = read(p), 0.5 * (read(p + side) - read(p - side)) or 1e-300
-    half = half_width(special.ndtr((at - rows) / width) - special.ndtr((at - levels) / width))
-    found = quantile(read, p, half / student(n), n, note, n)
-    return found if base.value is None else found.holding(base)
+@dataclass(frozen=True, kw_only=True)
+class _Allowed:
+    """The variances that the expansion of a fold may have.
 
-
-def index_shares(response: Response) -> dict[str, list[Estimate]]:
-    """First and total indices {"first": [...], "total": [...]} of the model, one for each input.
-
-    With P the part of S that belongs to a set of inputs, r = Y - S and m the mean, an index is N/V,
-
-        N = E_many[P²] + 2 E_rows[r P] + |P r|²,    V = Var_many(S) + E_rows[(Y - m)² - (S - m)²]
-
-    and a row's influence on it (2 r P - N/V ((Y - m)² - (S - m)²))/V.  Folds whose responses differ
-    count besides.  The part of r itself is between none and all of the share e that the response
-    leaves, which the interval holds; the value takes r to be made up as S is, N/V/(1 - e).
+    low, high : 99 % interval of the variance from the rows alone
+    median : (K,) of the variances of the other folds
+    room : (K,) how far from it a fold may lie: the 99 % interval of their correction by the rows,
+        and their own scatter (median absolute deviation)
     """
-    n, d = response.count, len(response.germs)
-    if response.constant:
-        nothing = [
-            absent(
-                "the output does not vary with the inputs, or the expansion is a constant",
-                METHOD,
-                n,
-            )
-        ] * d
-        return {"first": nothing, "total": list(nothing)}
-    folds = [integrals(fit) for fit in response.fits]
-    unit = max(one.sd for one in folds)
-    centre = float(np.mean([one.mean / unit for one in folds]))
-    residuals, levels = response.residuals / unit, response.levels / unit - centre
-    changed = 2.0 * residuals * levels + residuals**2
-    variances = np.array([(one.sd / unit) ** 2 for one in folds])
-    whole = max(float(variances.mean() + changed.mean()), 1e-300)
-    parts = np.zeros((2, d, n))
-    for k, fit in enumerate(response.fits):
-        there = response.folds == k
-        parts[:, :, there] = np.array(projections(fit, response.points[there])) / unit
-    note = f"{METHOD}; {unseen(n)}"
-    found: dict[str, list[Estimate]] = {}
-    for row, order in enumerate(("first", "total")):
-        tops = np.array([getattr(one, order) for one in folds]) * variances[:, None]  # (K, d)
-        moved = 2.0 * residuals * parts[row]
-        values = (tops.mean(axis=0) + moved.mean(axis=1)) / whole
-        # replicates differ in what seven eighths of the rows left open, which the folds have in
-        # common
-        between_folds = student(FOLDS) * np.std(tops / whole, axis=0, ddof=1) / math.sqrt(FOLDS)
-        found[order] = []
-        for j, value in enumerate(np.clip(values, 0.0, 1.0).tolist()):
-            half = math.hypot(
-                half_width((moved[j] - values[j] * changed) / whole), float(between_folds[j])
-            )
-            half += max(one.error for one in folds) + 1e-15
-            best = min(value / max(1.0 - response.error, 1e-300), 1.0)
-            estimate = Estimate(
-                value=best, low=best, high=best, std_error=0.0, evaluations=n, method=note
-            )
-            found[order].append(
-                estimate.spanning(max(0.0, value - half), min(1.0, value + half + response.error))
-            )
-    return found
+
+    low: float
+    high: float
+    median: Array
+    room: Array
+
+    @classmethod
+    def by(cls, response: Response, variances: Array) -> _Allowed:
+        y, folds = response.outputs, range(len(variances))
+        squares = (y - y.mean()) ** 2
+        down, up = distances(squares, REJECTED)
+        influence = squares - (response.levels - y.mean()) ** 2
+        t = float(stdtrit(len(variances) - 2, 0.5 + 0.5 * REJECTED))
+        median, room = np.empty(len(variances)), np.empty(len(variances))
+        for k in folds:
+            others = np.delete(variances, k)
+            median[k] = np.median(others)
+            scatter = 1.4826 * float(np.median(np.abs(others - median[k])))
+            room[k] = max(distances(influence[response.fold != k], REJECTED)) + t * scatter
+        variance = float(squares.mean())
+        return cls(low=variance - down, high=variance + up, median=median, room=room)
+
+    def permits(self, k: int, variance: float, missing: float) -> bool:
+        """Whether fold k may have this variance, where it leaves `missing` of that of the rows.
+
+        The standard deviations of an output and of an expansion of it differ by no more than that
+        of what the expansion leaves.
+        """
+        if not math.isfinite(variance) or variance > self.high or variance + missing < self.low:
+            return False
+        own = missing + 2.0 * math.sqrt(missing * max(variance, float(self.median[k])))
+        return bool(abs(variance - self.median[k]) <= self.room[k] + own)

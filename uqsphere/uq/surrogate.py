@@ -37,10 +37,11 @@ from uqsphere.uq.chaos import (
     predict,
     rows_of,
 )
+from uqsphere.uq.corrected import indices_of
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.response import Response, cross_fit, index_shares
+from uqsphere.uq.response import Response, cross_fit
 from uqsphere.uq.shapley import dependent_shares
 
 if TYPE_CHECKING:
@@ -300,7 +301,7 @@ class Expansion:
                 "this expansion has no rows of its own: its indices are in the answers of the run"
             )
         tied = self.joint.dependent
-        found = dependent_shares(self.response, self.joint) if tied else index_shares(self.response)
+        found = dependent_shares(self.response, self.joint) if tied else indices_of(self.response)
         return {order: dict(zip(self.names, row, strict=True)) for order, row in found.items()}
 
     def to_frame(self) -> DataFrame:
@@ -330,5 +331,5 @@ def fit_expansion(
         return Expansion(
             joint=joint,
             fit=fit_chaos(points, y, germs, plain=plain),
-            response=cross_fit(points, y, germs, plain=plain)[0],
+            response=cross_fit(points, y, germs, plain=plain, independent=not joint.dependent)[0],
         )

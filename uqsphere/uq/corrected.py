@@ -1,0 +1,366 @@
+"""Answers of a slow model from its rows and the expansions that are cross-fitted to them.
+
+For every function g of the output, with f_k the expansion without fold k,
+
+    E[g(y)] = mean over k of E_table[g(f_k)] + E_rows[g(y) - g(f)]                             (1)
+
+holds whatever the expansions are, since none has seen the row that it is compared with (the
+difference estimator; cross-prediction-powered inference, Zrnic and Candes, PNAS 121, 2024).  Value
+and interval of every answer come from (1): from what each row moves the answer by (its influence),
+and from the points and the folds of the table.
+
+    mean         y - f
+    sd           ((y - m)^2 - (f - m)^2)/(2 s)
+    P(y <= t)    1(y <= t) - 1(f <= t)
+    quantile     where the interval of P(y <= t) crosses p (Woodruff, J. Amer. Statist. Assoc. 47,
+                 1952, 635)
+    index        (2 r P_j - S_j ((y - m)^2 - (f - m)^2))/V,    r = y - f
+
+Where no row changes sides of t, its variance is not zero: it is at least E|1(f + r <= t) - 1(f <=
+t)|, the share of the law that residuals r like those of the rows would move across t.
+
+An event that none of n rows shows, rarer than about 3/n, is not in (1).  Probabilities and
+quantiles have a second interval that allows for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.uq.chaos import projections
+from uqsphere.uq.describe import Description, heavy_tail
+from uqsphere.uq.estimate import Estimate, absent, distances, share, student
+from uqsphere.uq.response import METHOD, Response, unseen
+
+#: residuals at which a change of sides is computed, and values of the output at which the
+#: distribution function is
+NODES: Final = 17
+PLACES: Final = 2048
+
+
+def fold_spread(values: Array) -> Array:
+    """Half-width (...) of what folds (K, ...) disagree by: that of one fold more, which the model
+    is taken for."""
+    count = len(values)
+    spread = np.std(values, axis=0, ddof=1)
+    return np.asarray(student(count) * math.sqrt(1.0 + 1.0 / count) * spread)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corrected:
+    """The outputs of rows beside the predictions of expansions that have not seen them, and the
+    predictions at many points of the law.
+
+    response : the cross-fitted expansions
+    table : (R, m) predictions at points of the law, as of `Response.table`
+    """
+
+    response: Response
+    table: Array
+
+    @property
+    def runs(self) -> int:
+        """Rows of the model."""
+        return self.response.count
+
+    @cached_property
+    def outputs(self) -> Array:
+        """Outputs (n,) of the rows that are used."""
+        return self.response.outputs[self.response.rows]
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Predictions (n,) for them."""
+        return self.response.levels[self.response.rows]
+
+    @cached_property
+    def method(self) -> str:
+        return f"{METHOD}; {unseen(self.runs)}"
+
+    @cached_property
+    def nodes(self) -> tuple[Array, Array]:
+        """Values of the residuals, and the share of the rows that each of them stands for."""
+        residuals = self.outputs - self.predicted
+        nodes = np.unique(np.quantile(residuals, np.linspace(0.0, 1.0, NODES)))
+        if len(nodes) == 1:
+            return nodes, np.ones(1)
+        place = np.clip(np.searchsorted(nodes, residuals, side="right") - 1, 0, len(nodes) - 2)
+        part = (residuals - nodes[place]) / np.diff(nodes)[place]
+        weights = np.bincount(place, 1.0 - part, len(nodes))
+        weights += np.bincount(place + 1, part, len(nodes))
+        return nodes, weights / len(residuals)
+
+    def table_error(self, values: Array, cell: float = 0.0) -> Array:
+        """Half-width (...) from the points of the table and from the folds, for values (R, ...)."""
+        spread = np.maximum(np.std(values, axis=0, ddof=1), cell / math.sqrt(12.0))
+        return np.asarray(student(len(values)) * spread / math.sqrt(len(values)))
+
+    # --- moments ----------------------------------------------------------------------------------
+
+    def mean(self) -> Estimate:
+        """The mean by (1)."""
+        value = float(self.table.mean() + (self.outputs - self.predicted).mean())
+        down, up = distances(self.outputs - self.predicted)
+        sampling = float(self.table_error(self.table.mean(axis=1)))
+        return self._estimate(value, value - math.hypot(down, sampling), math.hypot(up, sampling))
+
+    def _estimate(self, value: float, low: float, up: float) -> Estimate:
+        """An estimate between `low` and `up` above the value."""
+        ends = value, low, value + up
+        if not all(map(math.isfinite, ends)):
+            return absent("the answer is beyond floating point", self.method, self.runs)
+        return Estimate(
+            value=value,
+            low=low,
+            high=value + up,
+            std_error=0.25 * (value + up - low),
+            method=self.method,
+            evaluations=self.runs,
+        )
+
+    def sd(self) -> Estimate:
+        """The standard deviation by (1), or of the rows alone where these know it better.
+
+        The upper end is open where the tail may be too heavy for a variance.
+        """
+        centre = float(self.table.mean() + (self.outputs - self.predicted).mean())
+        left_out = (self.predicted - centre) ** 2
+        influence = (self.outputs - centre) ** 2 - left_out
+        squares = ((self.table - centre) ** 2).mean(axis=1)
+        folds = [self.response.known[k].sd ** 2 for k in self.response.trusted]
+        among = float(fold_spread(np.array(folds))) if len(folds) > 1 else 0.0
+        sampling = math.hypot(float(self.table_error(squares)), among)
+        down, up = distances(influence)
+        variance = float(squares.mean() + influence.mean())
+        ends = variance - math.hypot(down, sampling), variance + math.hypot(up, sampling)
+        rows = (self.outputs - self.outputs.mean()) ** 2
+        alone = distances(rows)
+        if sum(alone) < ends[1] - ends[0] or variance <= 0.0:
+            variance = float(rows.mean())
+            ends = variance - alone[0], variance + alone[1]
+        value, low, high = (math.sqrt(max(end, 0.0)) for end in (variance, *ends))
+        estimate = self._estimate(value, low, high - value)
+        reason = heavy_tail(self.table) or heavy_tail(self.outputs, certain=True)
+        if reason and estimate.value is not None:
+            return replace(estimate, high=None, reason=reason)
+        return estimate
+
+    # --- probabilities and quantiles --------------------------------------------------------------
+
+    def probability(
+        self, *, rows: Array, left_out: Array, table: Callable[[float], Array]
+    ) -> Estimate:
+        """The mean of probabilities g(y) in [0, 1], such as 1(y > t), by (1).
+
+        Parameters
+        ----------
+        rows, left_out : (n,) g of the outputs of all rows, and of their predictions
+        table : g (R, m) of the predictions of the table, where a residual is added to all of them
+        """
+        rows, left_out = rows[self.response.rows], left_out[self.response.rows]
+        predicted = table(0.0)
+        nodes, weights = self.nodes
+        changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
+        means = predicted.mean(axis=1)
+        counted = bool(np.isin(predicted, (0.0, 1.0)).all())
+        # a replicate knows what it counts to one cell
+        sampling = self.table_error(means, 1.0 / predicted.shape[1] if counted else 0.0)
+        expected = np.asarray(weights @ np.array(changes))
+        value, low, high = self._ends(means.mean(), rows - left_out, expected, sampling)
+        ends = float(low), float(high)
+        outer = max(ends[0] - 3.0 / self.runs, 0.0), min(ends[1] + 3.0 / self.runs, 1.0)
+        if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and ends[1] * predicted.size < 3.0):
+            reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
+            none = absent(reason, self.method, self.runs)
+            estimate = replace(none, low=ends[0], high=ends[1])
+        else:
+            estimate = self._estimate(float(value), ends[0], ends[1] - float(value))
+        return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
+
+    def _ends(
+        self, table: Array, influence: Array, expected: Array, sampling: Array
+    ) -> tuple[Array, Array, Array]:
+        """Value and ends (...) of probabilities: of the table, corrected by influences (n, ...).
+
+        expected : (...) variance that residuals like those of the rows make
+        sampling : (...) half-width of the table
+
+        The value has a correction that is shrunk by its own noise; the interval is that of the
+        whole correction.
+        """
+        n = len(influence)
+        correction = influence.mean(axis=0)
+        counted = influence.var(axis=0, ddof=1)
+        noise = np.maximum(counted, expected) / n
+        half = np.hypot(student(n) * np.sqrt(noise), sampling)
+        square = correction**2
+        shrunk = correction * square / np.maximum(square + noise, 1e-300)
+        low = np.clip(table + correction - half, 0.0, 1.0)
+        high = np.clip(table + correction + half, 0.0, 1.0)
+        return np.clip(table + shrunk, low, high), low, high
+
+    @cached_property
+    def _distribution(self) -> tuple[Array, Array, Array, Array]:
+        """Places (g,), and P(y <= place) with both ends (g,) of its interval, all rising."""
+        pooled = np.sort(self.table, axis=None)
+        step = max(len(pooled) // PLACES, 1)
+        # not at the rows and at their predictions: between the two a row would count, however close
+        rows = [self.outputs.min(), self.outputs.max()]
+        places = np.unique(np.concatenate([pooled[::step], pooled[-1:], rows]))
+        table = np.empty((len(self.table), len(places)))
+        for r, values in enumerate(self.table):
+            table[r] = np.searchsorted(np.sort(values), places, side="right") / len(values)
+        below = np.searchsorted(pooled, places, side="right") / len(pooled)
+        expected = np.zeros(len(places))
+        for node, weight in zip(*self.nodes, strict=True):
+            moved = np.searchsorted(pooled, places - node, side="right") / len(pooled)
+            expected += weight * np.abs(moved - below)
+        crossed = (self.outputs[:, None] <= places) * 1.0 - (self.predicted[:, None] <= places)
+        influence = np.asarray(crossed, dtype=np.float64)
+        sampling = self.table_error(table, 1.0 / self.table.shape[1])
+        value, low, high = self._ends(table.mean(axis=0), influence, expected, sampling)
+        up, down = np.maximum.accumulate, np.minimum.accumulate
+        value = 0.5 * (up(value) + down(value[::-1])[::-1])
+        low = np.minimum(up(low), value)
+        high = np.maximum(down(high[::-1])[::-1], value)
+        return places, value, low, high
+
+    def quantile(self, p: float) -> Estimate:
+        """The quantile at p: where the distribution function of (1) reaches it."""
+        places, value, low, high = self._distribution
+
+        def first(levels: Array) -> float:
+            place = int(np.searchsorted(levels, p - 1e-12))
+            return float(places[place]) if place < len(places) else math.inf
+
+        at = float(np.interp(p, value, places))
+        ends = min(first(high), at), max(first(low), at)
+        if math.isinf(ends[1]) or p <= high[0]:
+            reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"
+            return absent(reason, self.method, self.runs)
+        missed = 3.0 / self.runs
+        outer = min(first(high + missed), at), max(first(low - missed), at)
+        if p <= high[0] + missed:
+            outer = -math.inf, outer[1]
+        estimate = self._estimate(at, ends[0], ends[1] - at)
+        return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
+
+    def describe(self, quantiles: Sequence[float]) -> Description:
+        """Mean, standard deviation and quantiles."""
+        mean, sd = self.mean(), self.sd()
+        return Description(
+            mean=mean,
+            sd=sd,
+            quantiles={p: self.quantile(p) for p in quantiles},
+            censored_share=share(np.zeros(self.table.shape, dtype=bool), "share of the samples"),
+            scale=sd.value or float(self.outputs.std()),
+        )
+
+
+# --- Sobol' indices -------------------------------------------------------------------------------
+
+
+def indices_of(response: Response) -> dict[str, list[Estimate]]:
+    """First and total indices {"first": [...], "total": [...]} of the model, one for each input.
+
+    With P_j the part of an input in the expansion f, V_f and S_f its variance and index, r = y - f
+    and m the mean, an index is
+
+        S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
+
+    of all rows, each with its own fold.  The last part of the first indices is that of `explained`;
+    of the total ones it lies between none and all of r^2, and the value takes r to be made up as f
+    is.  Without expansions that can be trusted f is the mean.
+    """
+    y, n, d = response.outputs, response.count, len(response.germs)
+    folds = response.trusted if response.error < 1.0 else ()
+    method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
+    reason = heavy_tail(y, certain=True)
+    if not np.ptp(y) > 1e-14 * abs(y).max():
+        reason = "the output does not vary with the inputs"
+    if reason:
+        nothing = [absent(reason, method, n)] * d
+        return {"first": nothing, "total": list(nothing)}
+    used = np.isin(response.fold, folds) if folds else np.ones(n, dtype=bool)
+    residual = (y - y.mean()) / y.std()
+    top, bottom = np.zeros((2, d, n)), residual**2
+    shares = np.zeros((max(len(folds), 2), 2, d))
+    integration = 0.0
+    for place, k in enumerate(folds):
+        there, known = response.fold == k, response.known[k]
+        unit = known.sd or 1.0
+        shares[place] = known.first, known.total
+        integration = max(integration, known.error)
+        residual[there] = response.residuals[there] / unit
+        parts = np.array(projections(response.folds[k].fit, response.points[there])) / unit
+        top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
+        level = (response.levels[there] - known.mean) / unit
+        bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2
+    top, bottom, residual = top[:, :, used], bottom[used], residual[used]
+    whole = float(bottom.mean())
+    left = float(np.mean(residual**2)) / whole
+    most_left = min(left + distances(residual**2)[1] / whole, 1.0)
+    spread = fold_spread(shares)
+    rounding = integration + 1e-15
+    found: dict[str, list[Estimate]] = {"first": [], "total": []}
+    for j in range(d):
+        by_blocks = explained(response.points[used, j], residual)
+        least, most, error = (part / whole for part in by_blocks)
+        for row, order in enumerate(found):
+            value = float(top[row, j].mean()) / whole
+            down, up = distances((top[row, j] - value * bottom) / whole)
+            rest = (least, most, error) if order == "first" else (0.0, most_left, 0.0)
+            low = value + rest[0] - math.hypot(down, spread[row, j], rest[2]) - rounding
+            high = value + rest[1] + math.hypot(up, spread[row, j], rest[2]) + rounding
+            best = value + 0.5 * (least + most)
+            if order == "total":
+                best = value / max(1.0 - left, 1e-3)
+            low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
+            estimate = Estimate(
+                value=min(max(best, low), high),
+                low=low,
+                high=high,
+                std_error=0.25 * (high - low),
+                method=method,
+                evaluations=n,
+            )
+            found[order].append(estimate)
+    if not folds:
+        found["total"] = _bounded_totals(found["first"])
+    return found
+
+
+def explained(column: Array, residual: Array) -> tuple[float, float, float]:
+    """What an input (n,) explains of the mean square of residuals (n,): least, most, half-width.
+
+    The rows are cut into blocks of about sqrt(n) in the order of the input.  The products of
+    different rows of a block have the mean E[E[r | x]^2] where the other inputs are random.  Where
+    these are stratified, as in a quasi-random design, the square of the block's mean has it.
+    """
+    blocks = np.array_split(np.argsort(column, kind="stable"), round(math.sqrt(len(column))))
+    pairs, squares = [], []
+    for block in blocks:
+        count, values = len(block), residual[block]
+        mean = float(values.mean())
+        squares.append(mean**2)
+        pairs.append((count * mean**2 - float(np.mean(values**2))) / (count - 1))
+    error = max(distances(np.array(part))[1] for part in (pairs, squares))
+    return float(np.mean(pairs)), float(np.mean(squares)), error
+
+
+def _bounded_totals(first: Sequence[Estimate]) -> list[Estimate]:
+    """Total indices where only first ones are known: no less, and at most what the others leave."""
+    lows = [estimate.low or 0.0 for estimate in first]
+    totals = []
+    for estimate, low in zip(first, lows, strict=True):
+        high = min(max(1.0 - (sum(lows) - low), low), 1.0)
+        none = absent("bounded by the first indices", estimate.method, estimate.evaluations)
+        totals.append(replace(none, low=low, high=high))
+    return totals
