@@ -43,8 +43,8 @@ class Run:
 
     @cached_property
     def answers(self) -> pd.DataFrame:
-        """The long table of answers, SI units: subject, answer, at, value, low, high, std_error,
-        unit, method, runs, note."""
+        """The long table of answers, SI units: subject, answer, at, value, low, high, low_unseen,
+        high_unseen, std_error, unit, method, runs, note."""
         return frame_of(self.results.answers)
 
     @cached_property
@@ -98,7 +98,9 @@ class Run:
         ]
 
     def probability(self, limit: str) -> pd.Series:
-        """The failure probability of a limit or failure mode: value, low, high, method, note."""
+        """The failure probability of a limit or failure mode: value, low, high, low_unseen,
+        high_unseen, method, note.
+        """
         return self._one(limit, "failure_probability", "")
 
     def curve(self, limit: str) -> pd.DataFrame:
@@ -177,7 +179,8 @@ class Run:
         rows = table[(table["answer"] == answer) & (table["at"] == at)]
         if rows.empty:
             raise UsageError(f"the run has no {answer} of {limit!r} at {at!r}")
-        return rows.iloc[0][["value", "low", "high", "method", "note"]]
+        ends = ["low", "high", "low_unseen", "high_unseen"]
+        return rows.iloc[0][["value", *ends, "method", "note"]]
 
 
 def open_run(folder: str | Path) -> Run:
