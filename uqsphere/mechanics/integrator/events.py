@@ -697,3 +697,20 @@ def next_touch(s, j):
         if rate > 0.0:
             closing = min(closing, -s.x[0, m] / rate)
     return closing
+
+
+@compiled
+def echoes_have_acted(s, j):
+    """Time from which no echo can close the gaps of a rig again that both grow.
+
+    A contact sends compression into a bar.  A far end with R >= 0 sends it back as tension, which
+    only opens the gap.  One with R < 0 sends back compression; what the gap's free end returns of
+    that comes back as tension, and so on with alternating signs: two round trips after the last
+    contact every echo of it has come once with either sign, each later one is weaker (|R| <= 1),
+    and the gap has grown in between.
+    """
+    wait = 0.0
+    for bar in range(2):
+        if s.reflect[bar, j] < 0.0 and s.trips[bar, j] < math.inf:
+            wait = max(wait, 2.0 * s.trips[bar, j])
+    return s.parted[j] + wait * (1.0 + 1e-12) if wait > 0.0 else -math.inf

@@ -340,6 +340,8 @@ def _meet(s, virgin):
     searched.
     """
     apart()
+    if s.mode != LINEAR and not s.rigged:
+        step.keep_root(s)
     step.inside(s, virgin)
     if s.has_laws and branch_ends(s):
         step.inside(s, False)
@@ -415,7 +417,7 @@ def _turn(s, j, ending):
             s.proposed[j] = 1.001 * ahead
         elif ahead == math.inf:
             s.proposed[j] = 1e30
-            done = s.back[j] == math.inf or (at_stop and incoming.heard(s, j, s.back[j]))
+            done = s.time[j] >= events.echoes_have_acted(s, j)
     lost = s.stop_at_loss and not s.rigged and not math.isnan(s.lost[j])
     if lost and s.wanted & tracked.WANT_DURATION and math.isnan(s.duration[j]):
         events.note_duration(s, j, False)
