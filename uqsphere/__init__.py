@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere import analysis
-    from uqsphere.models.model import evaluate
+    from uqsphere.models.evaluate import evaluate
     from uqsphere.propagation import run
     from uqsphere.report.history import history
     from uqsphere.results import Run, open_run
@@ -27,7 +27,7 @@ __version__ = "0.2.0"
 _HOMES = {
     "Run": "uqsphere.results",
     "Study": "uqsphere.study",
-    "evaluate": "uqsphere.models.model",
+    "evaluate": "uqsphere.models.evaluate",
     "history": "uqsphere.report.history",
     "load_study": "uqsphere.study",
     "open_run": "uqsphere.results",

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 
 def as_text(value: object, longest: int = 300) -> str:
-    """What something from outside says of itself, as one line that can be printed: never raises,
-    and is not long.
+    """The text of anything from outside as one short line that can be printed; never raises.
 
     >>> as_text("a\\x1b[2J  b"), as_text("x" * 1000, 5)
     ('a?[2J b', 'xxxx…')
@@ -15,7 +14,7 @@ def as_text(value: object, longest: int = 300) -> str:
     try:
         # what comes behind is not looked at: the blanks between words alone could be megabytes
         text = str(value)[: 64 * longest]
-    except Exception as error:
+    except BaseException as error:
         return f"(its text cannot be had: {type(error).__name__})"
     text = "".join(
         character if character.isprintable() else "?" for character in " ".join(text.split())
@@ -45,7 +44,7 @@ class Problem:
 
     def render(self, file: str) -> str:
         """``file:line: path: message``; the path is left out where the file as a whole is meant."""
-        place = f"{file}:{self.line}: "
+        place = f"{as_text(file)}:{self.line}: "
         return place + (f"{self.path}: " if self.path else "") + self.message
 
 
@@ -65,13 +64,19 @@ class TooManyFailures(UqsphereError):
 
 
 class ModelError(UqsphereError):
-    """A user's own model failed, or returned what is no answer."""
+    """The user model failed, or returned something of the wrong form."""
 
     exit_code = 4
 
 
 class ModelRaised(ModelError):
-    """A user's own model raised an exception: some row it was given may be the cause."""
+    """The user model raised an exception; one of its rows may be the cause."""
+
+
+class ExecutorLost(UqsphereError):
+    """The executor of the user went away; what was answered by then is stored."""
+
+    exit_code = 7
 
 
 class FolderError(UqsphereError):

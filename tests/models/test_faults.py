@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.errors import AccessError, ExecutorLost, ModelError, UsageError
+from uqsphere.models import dispatch
 from uqsphere.models import model as module
 from uqsphere.models.cache import Cache
 from uqsphere.models.model import Model
@@ -48,6 +49,12 @@ class Hostile:
     def __str__(self): raise RuntimeError("no text")
     __repr__ = __array__ = __float__ = __len__ = __str__
 
+class Mine(BaseException):
+    pass
+
+class Odd:
+    def __getattr__(self, name): raise Mine(name)
+
 class Silly(Exception):
     def __str__(self): raise RuntimeError("no text")
 
@@ -71,6 +78,11 @@ FAULTS: dict[str, tuple[str, type[Exception] | None, str]] = {
         "y = nan at a = 3, b = 2",
     ),
     "raises": ("raise ValueError('too large')", None, "ValueError: too large (box.py, line"),
+    "raises its own": ("raise Mine('x')", None, "Mine: x (box.py, line"),
+    "raises a base": ("raise BaseException('x')", None, "BaseException: x (box.py, line"),
+    "ends a generator": ("raise GeneratorExit", None, "GeneratorExit"),
+    "interrupts": ("raise KeyboardInterrupt", None, "KeyboardInterrupt"),
+    "is cancelled": ("import asyncio; raise asyncio.CancelledError", None, "CancelledError"),
     "exits": ("sys.exit(0)", None, "SystemExit: 0"),
     "memory": ("np.ones(1 << 45)", None, "MemoryError"),
     "recursion": ("return f(x)", None, "RecursionError"),
@@ -92,14 +104,15 @@ FAULTS: dict[str, tuple[str, type[Exception] | None, str]] = {
         ModelError,
         "is not an array of numbers",
     ),
+    "hostile attributes": ("return Odd()", ModelError, "cannot be read: Mine: "),
     "hostile keys": (
         "return {Hostile(): 1.0, '\\x1b[2J' * 10_000: 2.0}",
         ModelError,
-        "returned no 'y'",
+        "but no 'y'",
     ),
     "hostile output": ("return {'y': Hostile(), 'z': x['a']}", ModelError, "RuntimeError"),
     "wrong shape": ("return {'y': x['a'][:-1], 'z': x['a']}", ModelError, "must have shape"),
-    "unknown name": ("return {'why': x['a'], 'z': x['a']}", ModelError, "returned no 'y'"),
+    "unknown name": ("return {'why': x['a'], 'z': x['a']}", ModelError, "but no 'y'"),
 }
 
 #: what does no harm
@@ -112,7 +125,7 @@ HARMLESS = {
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(module, "_CALLS", 3)  # two rows of eight in a call
+    monkeypatch.setattr(dispatch, "CALLS", 3)  # two rows of eight in a call
     (tmp_path / "calls").touch()
     return tmp_path
 
@@ -197,6 +210,7 @@ def test_abort_ends_with_what_the_model_raised(place: Path) -> None:
         ("def f(:", "SyntaxError"),
         ("import sys; sys.exit(0)", "SystemExit"),
         ("import os; os._exit(0)", "ended the process"),
+        ("class Mine(BaseException): pass\nraise Mine('x')", "Mine: x"),
     ],
 )
 def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str) -> None:
@@ -362,7 +376,7 @@ def test_an_executor_that_is_lost_leaves_what_is_done(place: Path) -> None:
     reference, cache = box(place, "time.sleep(0.001)", where="True"), place / "cache"
     with (
         Model(study(), reference, executor=Lost(2), cache_file=cache) as model,
-        pytest.raises(RuntimeError, match="gone"),
+        pytest.raises(ExecutorLost, match=r"lost \(RuntimeError: gone\)"),
     ):
         evaluated(model)
     with Model(study(), reference, threads=1, cache_file=cache) as model:
@@ -414,7 +428,7 @@ def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
 
     for unsteady, text in (
         (random, "two answers to the same row"),
-        (neighbours, "the rows next to it"),
+        (neighbours, "the other rows of the call"),
     ):
         with Model(study(), unsteady) as model:
             evaluated(model)
@@ -424,6 +438,85 @@ def test_a_model_that_gives_two_answers_is_noted(place: Path) -> None:
     with Model(study(), lambda x: {"y": x["a"], "z": x["b"]}) as model:
         evaluated(model)
         assert model.notes == []
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "return {'y': np.sort(x['a']), 'z': x['b']}",
+        "return {'y': x['a'] / np.abs(x['a']).max(), 'z': x['b']}",
+        "return {'y': np.cumsum(x['a']), 'z': x['b']}",
+        "return {'y': np.roll(x['a'], 1), 'z': x['b']}",
+        "return {'y': x['a'] - x['a'].mean(), 'z': x['b']}",
+        "return {'y': x['a'] * len(x['a']), 'z': x['b']}",
+    ],
+)
+def test_a_model_that_looks_at_other_rows_is_noted_after_a_probe_row_by_row(
+    place: Path, body: str
+) -> None:
+    """A run begins with calls of one row, in which such a model cannot be told."""
+    with Model(study(), box(place, body, where="True"), threads=1) as model:
+        model.evaluate(["a"], ROWS[:3], ["y"])
+        assert model.notes == []
+        model.evaluate(["a"], ROWS, ["y"])
+        assert len(model.notes) == 1
+        assert "depends on the other rows of the call" in model.notes[0]
+
+
+def test_a_model_whose_process_always_ends_is_given_up(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dispatch, "_DEATHS", 2)
+    rows = np.arange(1000.0)[:, None]
+    with (
+        Model(study(), box(place, "os._exit(3)", where="True"), threads=1) as model,
+        pytest.raises(ModelError, match=r"exit code 3.* in 2 rows, more than it answered"),
+    ):
+        model.evaluate(["a"], rows, ["y"])
+
+
+def test_a_file_beside_the_model_hides_no_module_of_python(place: Path) -> None:
+    (place / "random.py").write_text("raise RuntimeError('imported in place of Python's own')\n")
+    (place / "helper.py").write_text("def double(a): return 2.0 * a\n")
+    (place / "box.py").write_text(
+        "import random, helper\ndef f(x):\n    random.Random(1)\n"
+        "    return {'y': x['a'] + 2.0, 'z': helper.double(x['a'])}\n"
+    )
+    script = f"""
+import os, sys
+import numpy as np
+from uqsphere.models.model import Model
+from uqsphere.study import load_study
+os.chdir({str(place)!r})
+sys.path.insert(0, "")
+rows = np.arange(3.0)[:, None]
+with Model(load_study(text={STUDY!r}), "box.py:f", threads=1) as model:
+    print(model.evaluate(["a"], rows, ["y", "z"]).values.tolist())
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    hidden = ended.stderr + ended.stdout
+    assert ("[[2.0, 0.0]" in hidden) or ("random.py" in hidden), hidden
+
+
+@pytest.mark.parametrize(("signal_of", "left"), [(signal.SIGQUIT, 0), (signal.SIGPIPE, 0)])
+def test_a_run_that_is_ended_by_a_signal_leaves_no_process(
+    place: Path, signal_of: int, left: int
+) -> None:
+    mark = f"{time.time_ns() % 10**6 + 10**6}"
+    reference = box(place, f"os.system('sleep {mark}')", where="True")
+    script = f"""
+import signal
+import numpy as np
+from uqsphere.models.model import Model
+from uqsphere.study import load_study
+signal.signal({signal_of}, signal.SIG_DFL)
+Model(load_study(text={STUDY!r}), {reference!r}).evaluate(["a"], np.zeros((1, 1)), ["y"])
+"""
+    process = subprocess.Popen([sys.executable, "-c", script], start_new_session=True)
+    _until(lambda: _running(f"sleep\0{mark}"))
+    process.send_signal(signal_of)
+    assert process.wait() == -signal_of
+    _until(lambda: _running(f"sleep\0{mark}") == bool(left))
 
 
 # --- the cache ------------------------------------------------------------------------------------
@@ -505,6 +598,71 @@ def test_a_cache_that_cannot_be_written_ends_the_run(
                 other.execute("BEGIN IMMEDIATE")
             with pytest.raises(AccessError, match=r"full|locked"):
                 model.evaluate(["a"], np.arange(400.0)[:, None], ["y"])
+
+
+def records(path: Path) -> list[tuple[bytes, bytes]]:
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        return database.execute("SELECT key, answer FROM answers").fetchall()
+
+
+@pytest.mark.parametrize(
+    "value", [None, "text", 3, 0.5, b"", b"1234567", b"x" * 15, b"\0" * 16, b"\0" * 32, b"x" * 999]
+)
+def test_a_record_of_another_form_counts_as_not_stored(place: Path, value: object) -> None:
+    path = stored(place)
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
+        database.execute(
+            "UPDATE answers SET answer = ? WHERE key = ?", (value, records(path)[0][0])
+        )
+    model = again(place)
+    assert (model.reused, model.evaluations) == (len(A) - 1, 1)
+    assert "1 stored answers did not match their checksums" in " ".join(model.notes)
+    assert again(place).notes == []
+
+
+def test_an_answer_of_another_row_counts_as_not_stored(place: Path) -> None:
+    path = stored(place)
+    (first, _), (_, other) = records(path)[:2]
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE answers SET answer = ? WHERE key = ?", (other, first))
+    assert again(place).reused == len(A) - 1
+
+
+@pytest.mark.parametrize("flips", [200, pytest.param(3000, marks=pytest.mark.slow)])
+def test_no_flipped_bit_of_a_cache_is_answered(tmp_path: Path, flips: int) -> None:
+    """An answer is right, not stored, or refused; never another one."""
+    rows = np.random.default_rng(1).normal(size=(500, 2))
+    answers = rows @ np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+
+    def opened() -> Cache:
+        return Cache(tmp_path / "cache", b"model", ("a", "b"), ("x", "y", "z"))
+
+    cache = opened()
+    cache.write(rows, answers)
+    cache.close()
+    content = (tmp_path / "cache").read_bytes()
+    generator = np.random.default_rng(2)
+    forgotten = refused = damaged = 0
+    for _ in range(flips):
+        place, bit = int(generator.integers(len(content))), int(generator.integers(8))
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << bit
+        (tmp_path / "cache").write_bytes(flipped)
+        try:
+            cache = opened()
+        except AccessError:
+            refused += 1
+            continue
+        try:
+            read, found = cache.read(rows)
+            assert read.tobytes() == answers[found].tobytes()
+            forgotten += int(not found.all())
+            damaged += cache.damaged
+        except AccessError:
+            refused += 1
+        finally:
+            cache.close()
+    assert min(forgotten, damaged, refused) > flips // 50
 
 
 def test_a_run_that_is_killed_goes_on_where_it_was(place: Path) -> None:
@@ -636,7 +794,7 @@ print(identity_of(space["f"]).hex())
 def no_process_is_left() -> Iterator[None]:
     """Every process that a test has started has ended when it has."""
     yield
-    _until(lambda: not any("pebble" in name for name in _children()))
+    _until(lambda: not any("serve(" in name for name in _children()))
 
 
 def _children() -> list[str]:

@@ -397,7 +397,9 @@ def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answe
 def _answers(
     scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None
 ) -> Answers:
-    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in closed.items()}
+    # a force in closed form has one peak: the first is the largest
+    columns = {"x_first": closed["x_max"], **closed}
+    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}
     return answers_from(
         scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities
     )

@@ -45,9 +45,11 @@ class ModelFile:
             sys.path.append(folder)  # what stands beside it can be imported, as in a script
         try:
             exec(compile(self.source, str(self.path), "exec"), module.__dict__)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit, and what a library calls its own
             raise ModelError(
-                f"{self.path} raised {_described(error)} while it was loaded"
+                f"{as_text(self.path)} raised {describe_error(error)} while it was loaded"
             ) from error
         function = getattr(module, self.name, None)
         if not callable(function):
@@ -57,8 +59,8 @@ class ModelFile:
                 if inspect.isfunction(value) and key[0] != "_"
             ]
             raise UsageError(
-                f"{self.path} has no function {self.name!r} (it has: "
-                f"{', '.join(functions) or 'none'})"
+                f"{as_text(self.path)} has no function {self.name!r}, only "
+                f"{', '.join(functions) or 'none'}"
             )
         return function  # type: ignore[no-any-return]
 
@@ -74,7 +76,9 @@ def read_model(reference: str) -> ModelFile:
     try:
         return ModelFile(Path(file).resolve(), name, Path(file).read_bytes())
     except OSError as error:
-        raise AccessError(f"the model file {file} cannot be read: {error.strerror}") from error
+        raise AccessError(
+            f"the model file {as_text(file)} cannot be read: {error.strerror}"
+        ) from error
 
 
 def identity_of(box: ModelFile | BlackBox) -> bytes:
@@ -88,12 +92,12 @@ def identity_of(box: ModelFile | BlackBox) -> bytes:
     import cloudpickle  # type: ignore[import-untyped]
 
     file = getattr(sys.modules.get(str(getattr(box, "__module__", ""))), "__file__", None)
-    with contextlib.suppress(Exception):  # what a function holds refuses as it likes
+    with contextlib.suppress(Exception):  # pickling can raise anything
         return bytes(cloudpickle.dumps(box)) + (Path(file).read_bytes() if file else b"")
     return b""
 
 
-def _described(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """An exception, and where in the user's code it began: "ValueError: too large (bad.py, line
     3)".
     """
@@ -121,9 +125,25 @@ def call_black_box(
     try:
         with np.errstate():  # what it sets of NumPy's errors is set back
             returned = box(columns)
-    except (Exception, SystemExit) as error:
-        raise ModelRaised(f"the model raised {_described(error)}") from error
-    count, returned = len(rows), by_index(returned, len(rows))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit, and what a library calls its own
+        raise ModelRaised(f"the model raised {describe_error(error)}") from error
+    try:
+        return _answers(returned, len(rows), outputs)
+    except (ModelError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # what was returned computes its content as it likes
+        raise ModelError(
+            f"what the model returned cannot be read: {describe_error(error)}"
+        ) from error
+
+
+def _answers(returned: Any, count: int, outputs: Sequence[str]) -> Array:
+    """What a model returned as an array (n, q); raises ModelError for the wrong form."""
+    returned = by_index(returned, count)
+    if _is_labelled(returned):
+        returned = _by_label(returned, outputs)
     if not isinstance(returned, Mapping) and not hasattr(returned, "columns"):  # nor a DataFrame
         shape = getattr(returned, "shape", ())
         if shape == (count, len(outputs)):
@@ -131,24 +151,24 @@ def call_black_box(
         elif len(outputs) == 1:
             returned = {outputs[0]: returned}
         else:
+            form = f" of shape {shape}" if shape else ""
             raise ModelError(
                 f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array "
-                f"of shape ({count}, "
-                f"{len(outputs)}); it returned "
-                f"{type(returned).__name__}{f' of shape {shape}' if shape else ''}"
+                f"of shape ({count}, {len(outputs)}), not {type(returned).__name__}{form}"
             )
     if missing := [name for name in outputs if name not in returned]:
         keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
-        raise ModelError(f"the model returned no {missing[0]!r} (it returned {keys})")
-    return np.stack(
-        [_column(by_index(returned[name], count), name, count) for name in outputs], axis=1
-    )
+        raise ModelError(f"the model returned {keys}, but no {missing[0]!r}")
+    columns = [_column(by_index(returned[name], count), name, count) for name in outputs]
+    return np.stack(columns, axis=1)
 
 
 def by_index(value: Any, count: int) -> Any:
-    """A Series or DataFrame in the order of the rows, if its index numbers them; anything else as
-    it is.
+    """A Series, DataFrame or labelled array (n,) in the order of the rows, if its index numbers
+    them; anything else as it is.
     """
+    if _is_labelled(value) and len(value.dims) == 1:
+        value = value.to_series()
     if hasattr(value, "iloc") and len(value) == count:
         labels = np.asarray(value.index)
         if labels.dtype.kind in "iu" and np.array_equal(np.sort(labels), np.arange(count)):
@@ -156,29 +176,48 @@ def by_index(value: Any, count: int) -> Any:
     return value
 
 
+def _is_labelled(value: Any) -> bool:
+    """Whether something is an array of xarray."""
+    return all(hasattr(value, name) for name in ("dims", "coords", "to_series", "sel"))
+
+
+def _by_label(array: Any, outputs: Sequence[str]) -> dict[str, Any]:
+    """The columns of a labelled array of two dimensions, by the coordinate that names the outputs;
+    raises ModelError without one.
+    """
+    for dimension in array.dims:
+        if dimension in array.coords:
+            labels = [str(label) for label in np.asarray(array.coords[dimension])]
+            if set(outputs) <= set(labels) and len(set(labels)) == len(labels):
+                return {name: array.isel({dimension: labels.index(name)}) for name in outputs}
+    raise ModelError(
+        f"the model's {type(array).__name__} must have a coordinate with "
+        f"{', '.join(map(repr, outputs))}. Return a dict of arrays instead"
+    )
+
+
 def _column(value: Any, name: str, count: int) -> Array:
     """One output as numbers (n,); what a mask hides, and None, is NaN."""
     try:
         given = np.asanyarray(value)
-        if given.dtype.kind not in "fiubO":
+        objects = given.ravel().tolist() if given.dtype.kind == "O" else []
+        if given.dtype.kind not in "fiubO" or any(map(np.iscomplexobj, objects)):
+            kind = "complex" if objects else given.dtype
             raise TypeError(
-                f"its type is {given.dtype}; of complex numbers return the real part or the "
-                "absolute value"
+                f"its type is {kind}. Return the real part or the absolute value of complex numbers"
             )
-        column: Array = np.ma.filled(given.astype(float), np.nan)
-    except Exception as error:  # what was returned computes its content as it likes
+        mask = np.ma.getmaskarray(given)  # type: ignore[no-untyped-call]
+        column: Array = np.where(mask, np.nan, np.ma.filled(given, 0)).astype(float)
+    except BaseException as error:  # what was returned computes its content as it likes
         raise ModelError(
-            f"the model's {name!r} is not an array of numbers: {_described(error)}"
+            f"the model's {name!r} is not an array of numbers: {describe_error(error)}"
         ) from error
     if count == 1 and column.ndim == 0:
         return column[None]
     if column.shape != (count,):
-        hint = (
-            "; a function of one row can be wrapped by numpy.vectorize" if column.ndim == 0 else ""
-        )
+        hint = ". Wrap a function of one row with numpy.vectorize" if column.ndim == 0 else ""
         raise ModelError(
             f"the model's {name!r} must have shape ({count},), one number for each row of its "
-            "inputs; "
-            f"its shape is {column.shape}{hint}"
+            f"inputs, not {column.shape}{hint}"
         )
     return column

@@ -1,8 +1,9 @@
 """What a slow black box has answered, in one SQLite file, so that no answer is computed twice.
 
-SQLite sees to a process that is killed while it writes and to two runs that write at once. A file
-that is damaged, or cannot be written, ends the run with an error: what it has stored by then is
-there for the next.
+SQLite sees to a process that is killed while it writes and to two runs that write at once.  Each
+record ends with a checksum of its key and its answer; a record that does not match counts as not
+stored.  A file that is no database, or cannot be written, ends the run with an error: what it has
+stored by then is there for the next.
 """
 
 from __future__ import annotations
@@ -24,11 +25,15 @@ _TABLE: Final = (
 )
 #: seconds that another run is waited for
 _WAIT: Final = 30.0
+#: bytes of the checksum at the end of a record
+_CHECKSUM: Final = 16
 
 
 class Cache:
     """Answers of a black box by `black_box.identity_of` it, its inputs and their numbers, and its
     outputs.
+
+    damaged : records so far whose checksum did not match; they are not used.
 
     Every method raises AccessError where the cache cannot be used.
     """
@@ -36,19 +41,21 @@ class Cache:
     def __init__(
         self, path: Path, model: bytes, inputs: Sequence[str], outputs: Sequence[str]
     ) -> None:
-        self.path, self._outputs = path, len(outputs)
+        self.path, self.damaged = path, 0
+        self._outputs = len(outputs)
         self._about = hashlib.blake2b(repr((model, inputs, outputs)).encode()).digest()
         with self._access():
             if path.is_symlink():
                 raise sqlite3.Error("it is a link, which is not followed")
             self._database = sqlite3.connect(path, timeout=_WAIT)
+            self._database.text_factory = bytes  # a text is no answer, whatever its letters
             # what a killed process has written stays; what a power cut damages is found by the
-            # check
+            # check, and by the checksums
             self._database.execute("PRAGMA synchronous = OFF")
             self._database.execute(_TABLE)
             state = self._database.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if state != "ok":
-                raise sqlite3.Error(f"it is damaged: {state}")
+            if state != b"ok":
+                raise sqlite3.Error(f"it is damaged: {state.decode(errors='replace')}")
 
     @contextlib.contextmanager
     def _access(self) -> Iterator[None]:
@@ -56,7 +63,7 @@ class Cache:
             yield
         except sqlite3.Error as error:
             raise AccessError(
-                f"{self.path} cannot be used ({as_text(error)}): --fresh starts without it"
+                f"{as_text(self.path)} cannot be used ({as_text(error)}). --fresh starts without it"
             ) from error
 
     def _keys(self, rows: Array) -> list[bytes]:
@@ -67,25 +74,44 @@ class Cache:
             for row in numbers
         ]
 
+    def _checksum(self, key: bytes, answer: bytes) -> bytes:
+        return hashlib.blake2b(key + answer, key=self._about, digest_size=_CHECKSUM).digest()
+
+    def _answer(self, key: bytes, record: object) -> bytes | None:
+        """The answer that a record holds; None where it is not as it was written."""
+        if not isinstance(record, bytes) or len(record) != 8 * self._outputs + _CHECKSUM:
+            return None
+        answer, checksum = record[:-_CHECKSUM], record[-_CHECKSUM:]
+        return answer if checksum == self._checksum(key, answer) else None
+
     def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,
         (n,).
         """
-        found: list[bytes] = [b""] * len(rows)
+        answers: list[bytes] = []
+        stored = np.zeros(len(rows), dtype=bool)
+        query = "SELECT answer FROM answers WHERE key = ?"
         with self._access():
             if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():
-                for k, key in enumerate(self._keys(rows)):
-                    for (answer,) in self._database.execute(
-                        "SELECT answer FROM answers WHERE key = ?", (key,)
-                    ):
-                        found[k] = answer
-        stored = np.array([answer != b"" for answer in found], dtype=bool)
-        return np.frombuffer(b"".join(found), dtype="<f8").reshape(-1, self._outputs), stored
+                for place, key in enumerate(self._keys(rows)):
+                    record = self._database.execute(query, (key,)).fetchone()
+                    if record is None:
+                        continue
+                    answer = self._answer(key, record[0])
+                    if answer is None:
+                        self.damaged += 1
+                        continue
+                    answers.append(answer)
+                    stored[place] = True
+        return np.frombuffer(b"".join(answers), dtype="<f8").reshape(-1, self._outputs), stored
 
     def write(self, rows: Array, answers: Array) -> None:
         """Store answers (n, outputs) to rows (n, inputs)."""
+        records = []
         values = np.asarray(answers, dtype="<f8")
-        records = [(key, row.tobytes()) for key, row in zip(self._keys(rows), values, strict=True)]
+        for key, row in zip(self._keys(rows), values, strict=True):
+            answer = row.tobytes()
+            records.append((key, answer + self._checksum(key, answer)))
         with self._access(), self._database:
             self._database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", records)
 

@@ -7,160 +7,238 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import queue
 import signal
+import subprocess
+import sys
 import threading
-import time
-from collections.abc import Sequence
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
-from functools import lru_cache
-from typing import Any, Final, TypeAlias
-
-from loky.backend.context import LokyContext  # type: ignore[import-untyped]
-from loky.backend.process import LokyProcess  # type: ignore[import-untyped]
-from pebble import ProcessExpired, ProcessPool
-from threadpoolctl import threadpool_limits
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Final
 
 from uqsphere.arrays import Array
-from uqsphere.errors import ModelError, ModelRaised, UsageError, as_text
-from uqsphere.models.black_box import ModelFile, call_black_box
+from uqsphere.errors import (
+    ExecutorLost,
+    ModelError,
+    ModelRaised,
+    UqsphereError,
+    UsageError,
+    as_text,
+)
 from uqsphere.models.rows import Died, NoAnswer
+from uqsphere.models.worker import Task, Timed, answer
 
 #: calls that an executor of the user is given at once, about
 _MANY: Final = 512
-#: exit code in place of 0: pebble would wait for the answer of a process that has ended so
-_ENDED: Final = 256
-
-#: a black box, its inputs and its outputs
-Task: TypeAlias = tuple[Any, Sequence[str], Sequence[str]]
-#: answers (n, outputs), and the seconds that they took
-Timed: TypeAlias = tuple[Array, float]
-
-
-def answer(task: Task | bytes, rows: Array) -> Timed:
-    """Answers of a black box to rows (n, inputs)."""
-    box, inputs, outputs = _unpacked(task) if isinstance(task, bytes) else task
-    began = time.perf_counter()
-    return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
+#: what a process runs: modules are found where this process finds them, not in its working folder
+_PROGRAM: Final = (
+    "import sys; sys.path[:] = {path!r}; from uqsphere.models.worker import serve; serve({parent})"
+)
 
 
 def pack(task: Task) -> bytes:
-    """A task for other processes: a function by value. Raises UsageError where what it holds cannot
-    be sent.
+    """A task for other processes: a function by value.
+
+    Raises UsageError where what it holds cannot be sent.
     """
     import cloudpickle  # type: ignore[import-untyped]
 
     try:
         return cloudpickle.dumps(task)  # type: ignore[no-any-return]
-    except Exception as error:  # what a function holds refuses as it likes
-        text = (
+    except Exception as error:  # pickling can raise anything
+        raise UsageError(
             f"the model cannot be sent to another process ({type(error).__name__}: "
-            f"{as_text(error, 120)})"
-        )
-        raise UsageError(f"{text}: give it as FILE.py:FUNCTION") from error
+            f"{as_text(error, 120)}). Give it as FILE.py:FUNCTION"
+        ) from error
 
 
-@lru_cache(maxsize=4)
-def _unpacked(packed: bytes) -> Task:
-    """The task that a process was sent; a file is loaded once in the life of the process."""
-    box, inputs, outputs = pickle.loads(packed)
-    return box.load() if isinstance(box, ModelFile) else box, inputs, outputs
-
-
-def result(future: Future[Timed], limit: float | None) -> Timed:
+def result(future: Future[Timed]) -> Timed:
     """The answers of a call that has ended, and the seconds that they took.
 
-    Raises NoAnswer where the model raised, exceeded the limit [s], or ended its process; else what
-        the call raised.
+    Raises NoAnswer where the model raised, exceeded its time or ended its process; ModelError where
+    it returned something of the wrong form; ExecutorLost for everything else that an executor
+    raises.
     """
     try:
         return future.result()
     except ModelRaised as error:
         raise NoAnswer(str(error)) from error
-    except Exception as error:
-        if limit is not None and isinstance(error, TimeoutError):
-            raise NoAnswer(
-                f"the model took longer than analysis.time_limit ({limit:g} s)"
-            ) from error
-        if (
-            isinstance(error, (ProcessExpired, BrokenProcessPool))
-            or type(error).__name__ == "KilledWorker"
-        ):
-            code = getattr(error, "exitcode", "unknown")
-            raise Died(
-                f"the model ended the process it ran in (exit code {0 if code == _ENDED else code})"
-            ) from error
+    except (NoAnswer, UqsphereError, KeyboardInterrupt):
         raise
+    except BaseException as error:  # a cancelled future of Dask is no Exception
+        if type(error).__name__ == "KilledWorker":
+            raise Died("the model ended the process it ran in") from error
+        raise _lost(error) from error
 
 
-def _prepare(parent: int, packed: bytes) -> None:
-    """Set up a process: what it prints goes to stderr; with its parent it ends, and what it has
-    started.
-    """
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os.killpg(0, signal.SIGKILL)
-
-    with contextlib.suppress(OSError):
-        os.dup2(2, 1)
-    if hasattr(os, "setsid"):
-        os.setsid()  # Ctrl-C is for the run
-        threading.Thread(target=watch, daemon=True).start()
-    with contextlib.suppress(
-        Exception
-    ):  # loaded before its calls are timed; the first says again what fails
-        _unpacked(packed)
-    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-    threadpool_limits(limits=1, user_api="blas")
+def _lost(error: BaseException) -> ExecutorLost:
+    text = as_text(error, 120)
+    reason = type(error).__name__ + (f": {text}" if text else "")
+    return ExecutorLost(
+        f"the executor was lost ({reason}). Answers so far are stored; the same command with a new "
+        "executor continues from there"
+    )
 
 
-class _Process(LokyProcess):  # type: ignore[misc]
-    """One that ends with what it has started, and that pebble sees end."""
+class _Process:
+    """A process of this machine that calls the model; it ends with everything it has started."""
 
-    def terminate(self) -> None:
-        with contextlib.suppress(AttributeError, OSError):  # where it has no group, or not yet
-            os.killpg(self.pid, signal.SIGKILL)
-        super().terminate()
+    def __init__(self, packed: bytes) -> None:
+        path = [entry or os.getcwd() for entry in sys.path]
+        program = _PROGRAM.format(path=path, parent=os.getpid())
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the run
+        )
+        self._started = False
+        self._packed = packed
+        self.late = False
 
-    @property
-    def exitcode(self) -> int | None:
-        return super().exitcode or (None if self.is_alive() else _ENDED)
+    def call(self, rows: Array, limit: float | None) -> Timed:
+        """Answers to rows, within a limit [s]; raises as `result`."""
+        timer = None
+        try:
+            if not self._started:
+                self._receive()
+                self._started = True
+                self._send(self._packed)
+                self._receive()  # the model is loaded, which its limit does not count
+            if limit is not None:
+                timer = threading.Timer(limit, self._expire)
+                timer.daemon = True
+                timer.start()
+            self._send(rows)
+            reply = self._receive()
+        except Exception as error:  # the end of a stream, or garbage in it
+            raise self._ended(limit) from error
+        finally:
+            if timer is not None:
+                timer.cancel()
+        if isinstance(reply, BaseException):
+            raise reply
+        assert isinstance(reply, tuple)
+        return reply
+
+    def _send(self, message: object) -> None:
+        assert self._process.stdin is not None
+        pickle.dump(message, self._process.stdin)
+        self._process.stdin.flush()
+
+    def _receive(self) -> object:
+        assert self._process.stdout is not None
+        return pickle.load(self._process.stdout)
+
+    def _expire(self) -> None:
+        self.late = True
+        self.kill()
+
+    def _ended(self, limit: float | None) -> NoAnswer | UsageError:
+        self.kill()
+        code = self._process.wait()
+        if not self._started:
+            return UsageError(
+                f"a Python process for the model ended before it was called (exit code {code})"
+            )
+        if self.late:
+            return NoAnswer(f"the model took longer than analysis.time_limit ({limit:g} s)")
+        return Died(f"the model ended the process it ran in (exit code {code})")
+
+    def kill(self) -> None:
+        """End the process, and what it has started."""
+        with contextlib.suppress(OSError):  # it has ended
+            if hasattr(os, "killpg"):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
+
+    def close(self) -> None:
+        """End the process, and wait for its end."""
+        self.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            assert stream is not None
+            with contextlib.suppress(OSError):  # what was left to be sent
+                stream.close()
 
 
-class _Context(LokyContext):  # type: ignore[misc]
-    Process = _Process
+class _Pool:
+    """Some processes of this machine, each with a thread of this process that waits for it."""
+
+    def __init__(self, count: int, packed: bytes, limit: float | None) -> None:
+        self._packed, self._limit = packed, limit
+        self._threads = ThreadPoolExecutor(count)
+        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        self._all: set[_Process] = set()
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def submit(self, rows: Array) -> Future[Timed]:
+        return self._threads.submit(self._call, rows)
+
+    def _call(self, rows: Array) -> Timed:
+        process = self._take()
+        try:
+            timed = process.call(rows, self._limit)
+        except ModelError:
+            self._idle.put(process)
+            raise
+        except BaseException:
+            with self._lock:
+                self._all.discard(process)
+            process.close()
+            raise
+        self._idle.put(process)
+        return timed
+
+    def _take(self) -> _Process:
+        try:
+            return self._idle.get_nowait()
+        except queue.Empty:
+            pass
+        with self._lock:
+            if self._closed:
+                raise NoAnswer("the run has ended")
+            process = _Process(self._packed)
+            self._all.add(process)
+        return process
+
+    def close(self) -> None:
+        with self._lock:
+            self._closed = True
+            for process in self._all:
+                process.kill()
+        self._threads.shutdown(wait=True, cancel_futures=True)
+        for process in self._all:
+            process.close()
+        self._all.clear()
 
 
 class Workers:
-    """Where a black box is called. Where it is changes no answer.
+    """Where a black box is called.  Placement does not affect results.
 
-    executor : of the user, as those of `concurrent.futures`, or a `distributed.Client`; its errors
-        are its own.
+    executor : of the user, as those of `concurrent.futures`, or a `distributed.Client`; what it
+        raises becomes ExecutorLost.
     limit : seconds that a call in processes of this machine may take.
-    count : those processes, by pebble: one that dies, or exceeds the limit, is replaced. They are
-        started as loky does it, which does not run the user's main module again. 0 for this
-        process.
+    count : those processes; one that dies, or exceeds the limit, is replaced.  0 for this process.
     """
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
-        # the same call twice is two evaluations, which Dask would not make
-        self._executor = (
-            executor.get_executor(pure=False) if hasattr(executor, "get_executor") else executor
-        )
+        self._executor = executor
+        if hasattr(executor, "get_executor"):
+            # the same call twice is two evaluations, which Dask would not make
+            self._executor = executor.get_executor(pure=False)
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
-            raise UsageError(
-                f"an executor has a method submit(), which {type(executor).__name__} has not"
-            )
+            raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
         self._task, self._packed = task, b"" if executor is None else pack(task)
         self._limit = limit
-        self._pool: ProcessPool | None = None
+        self._pool: _Pool | None = None
         self.count = 0 if executor is None else _MANY
 
     def hire(self, count: int) -> None:
-        """Have so many processes of this machine; nothing may be running. Raises UsageError as
-        `pack`.
+        """Have so many processes of this machine; nothing may be running.
+
+        Raises UsageError as `pack`.
         """
         self._packed = pack(self._task)
         self.close()
@@ -169,27 +247,27 @@ class Workers:
     def submit(self, rows: Array) -> Future[Timed]:
         """A future of the answers to rows (n, inputs); in this process they are there when it
         returns.
+
+        Raises ExecutorLost where the executor takes no calls.
         """
-        future: Future[Timed] = Future()
         if self._executor is not None:
-            future = self._executor.submit(answer, self._packed, rows)
-        elif self.count:
-            if self._pool is None or not self._pool.active:  # or a process died between two calls
-                self.close()
-                given = (os.getpid(), self._packed)
-                self._pool = ProcessPool(
-                    self.count, initializer=_prepare, initargs=given, context=_Context()
-                )
-            future = self._pool.schedule(answer, (self._packed, rows), timeout=self._limit)
-        else:
             try:
-                future.set_result(answer(self._task, rows))
-            except ModelError as error:
-                future.set_exception(error)
+                return self._executor.submit(answer, self._packed, rows)  # type: ignore[no-any-return]
+            except Exception as error:
+                raise _lost(error) from error
+        if self.count:
+            if self._pool is None:
+                self._pool = _Pool(self.count, self._packed, self._limit)
+            return self._pool.submit(rows)
+        future: Future[Timed] = Future()
+        try:
+            future.set_result(answer(self._task, rows))
+        except ModelError as error:
+            future.set_exception(error)
         return future
 
     def close(self) -> None:
-        """End the processes of this machine."""
+        """End the processes of this machine, whatever they do."""
         if self._pool is not None:
-            self._pool.stop()  # type: ignore[no-untyped-call]
-            self._pool.join()
+            self._pool.close()
+            self._pool = None

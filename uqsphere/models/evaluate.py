@@ -1,0 +1,122 @@
+"""`uqsphere.evaluate`: a table of inputs in, a table of quantities out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from numbers import Real
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.models.black_box import BlackBox
+from uqsphere.models.model import Model
+from uqsphere.models.scene import checked_rows
+from uqsphere.quantities import INPUTS, format_value
+from uqsphere.study import Study
+from uqsphere.uq.surrogate import columns_of, index_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: how far outside its usual range a single number is worth a warning
+_FAR: Final = 10.0
+#: the highest grade of a check
+_FAILURE: Final = 3
+#: most rows whose validity is checked
+_CHECKED: Final = 4096
+
+
+def evaluate(
+    study: Study,
+    frame: Any,
+    quantities: str | Sequence[str] | None = None,
+    tolerance: float | None = None,
+    threads: int | None = 1,
+    model: str | BlackBox | None = None,
+) -> pd.DataFrame:
+    """Evaluate the impact model, or your own model, at n samples.
+
+    frame : a DataFrame, or a mapping of names to arrays (n,), Series or numbers: numbers of the
+        scene by their dotted paths, or inputs of the black box, in SI, in any order.  A DataFrame
+        needs every random input of the study; a mapping takes those it lacks at the study's mean.
+        Several Series are matched by their index.
+    quantities : names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or
+        outputs of the black box (default: those of the study).
+    tolerance : relative error of every quantity, 1e-12 to 1e-2 (default: the study's).
+    threads : number of threads; None for all processors.  No answer depends on it.
+    model : "FILE.py:FUNCTION" or function, the black box of a black-box study.
+
+    Returns a DataFrame with the index of `frame`: a column for each quantity (SI, NaN where a row
+    has no answer) and `censored`, whether any of them is a lower bound because the record ended
+    first.
+
+    Raises UsageError for an unknown, missing or repeated name, a column that is not numeric, an
+    unknown quantity, a wrong tolerance; ModelError when the model raises or returns something of
+    the wrong form.  Warns of a number far outside its usual range, of rows without an answer, and
+    of samples outside the range in which the impact model is valid.
+    """
+    import pandas as pd
+
+    if not isinstance(study, Study):
+        raise UsageError(
+            f"evaluate needs a study of uqsphere.load_study, not {type(study).__name__}"
+        )
+    if not isinstance(frame, (pd.DataFrame, Mapping)):
+        raise UsageError(
+            f"rows must be a DataFrame or a dict of arrays by name, not {type(frame).__name__}"
+        )
+    if tolerance is not None:
+        if not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
+            raise UsageError(f"tolerance must be between 1e-12 and 1e-2, not {tolerance!r}")
+        study = replace(study, model=study.model.model_copy(update={"tolerance": tolerance}))
+    names = list(frame)
+    columns = [quantities] if isinstance(quantities, str) else list(quantities or ())
+    columns = columns or list(study.analysis.quantities)
+    with Model(study, model, threads=threads) as opened:
+        opened.check_names(names, columns)
+        missing = [name for name in study.random if name not in names]
+        if isinstance(frame, pd.DataFrame) and missing:
+            raise UsageError(
+                f"the column {missing[0]!r} is missing. A DataFrame needs every random input of "
+                f"the study ({', '.join(study.random)}); a dict takes the others at their means"
+            )
+        rows = columns_of(frame, names) if names else np.zeros((1, 0))
+        if not study.black_box:
+            _warn_of_unusual(names, rows)
+        answers = opened.evaluate(names, rows, columns)
+    if not answers.good.all():
+        count = int((~answers.good).sum())
+        warnings.warn(
+            f"{count} of {len(rows)} rows have no answer; the first: {answers.note}", stacklevel=2
+        )
+    if not study.black_box:
+        _warn_of_range(study, names, rows, columns)
+    table = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
+    table["censored"] = np.asarray(answers.censored.any(axis=1))
+    return table
+
+
+def _warn_of_unusual(names: Sequence[str], rows: Array) -> None:
+    """Warn of numbers that are outside the usual range by more than a factor of ten."""
+    for name, column in zip(names, rows.T, strict=True):
+        low, high = INPUTS[name].plausible
+        far = column[(column < low / _FAR) | (column > high * _FAR)]
+        if far.size:
+            usual = f"{format_value(low, name)} to {format_value(high, name)}"
+            warnings.warn(
+                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}). Numbers are "
+                "in SI; is the unit right?",
+                stacklevel=3,
+            )
+
+
+def _warn_of_range(study: Study, names: Sequence[str], rows: Array, columns: Sequence[str]) -> None:
+    """Warn of samples that lie outside the range in which the impact model is valid."""
+    results, _ = checked_rows(study, names, rows[:_CHECKED], columns)
+    for result in results:
+        if result.grade == _FAILURE:
+            warnings.warn(f"outside the range of the model: {result.text}", stacklevel=3)

@@ -1,0 +1,116 @@
+"""A process that calls a black box: it reads rows and writes answers until its input ends.
+
+Messages are pickles, one behind the other: the task; then for each message of rows, its answers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, BinaryIO, TypeAlias
+
+from threadpoolctl import threadpool_limits
+
+from uqsphere.arrays import Array
+from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError
+from uqsphere.models.black_box import ModelFile, call_black_box, describe_error
+
+#: a black box, its inputs and its outputs
+Task: TypeAlias = tuple[Any, Sequence[str], Sequence[str]]
+#: answers (n, outputs), and the seconds that they took
+Timed: TypeAlias = tuple[Array, float]
+
+
+def answer(task: Task | bytes, rows: Array) -> Timed:
+    """Answers of a black box to rows (n, inputs).
+
+    Raises ModelRaised where the model raises, ModelError where it returns something of the wrong
+    form or cannot be loaded, UsageError where the task cannot be used in this process.
+    """
+    if not isinstance(task, bytes):
+        return _timed(task, rows)
+    try:
+        return _timed(unpack(task), rows)
+    except KeyboardInterrupt as error:  # nobody presses keys here: it is the model's
+        raise ModelRaised("the model raised KeyboardInterrupt") from error
+
+
+def _timed(task: Task, rows: Array) -> Timed:
+    box, inputs, outputs = task
+    began = time.perf_counter()
+    return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
+
+
+@lru_cache(maxsize=4)
+def unpack(packed: bytes) -> Task:
+    """The task that a process was sent; a file is loaded once in the life of the process."""
+    try:
+        box, inputs, outputs = pickle.loads(packed)
+    except Exception as error:
+        raise UsageError(
+            f"the model cannot be used in another process ({describe_error(error)}). Give it as "
+            "FILE.py:FUNCTION"
+        ) from error
+    return box.load() if isinstance(box, ModelFile) else box, inputs, outputs
+
+
+def serve(parent: int) -> None:
+    """Answer what comes by the standard input, on what was the standard output."""
+    requests, replies = _channels()
+    _end_with(parent)
+    _send(replies, "started")
+    packed = pickle.load(requests)
+    with contextlib.suppress(UqsphereError):  # the first call reports it again
+        unpack(packed)
+    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
+    threadpool_limits(limits=1, user_api="blas")
+    _send(replies, "ready")
+    while True:
+        try:
+            rows = pickle.load(requests)
+        except EOFError:
+            return
+        try:
+            reply: object = answer(packed, rows)
+        except UqsphereError as error:
+            reply = error
+        except Exception as error:
+            reply = ModelError(f"the model could not be called ({describe_error(error)})")
+        _send(replies, reply)
+
+
+def _send(stream: BinaryIO, message: object) -> None:
+    pickle.dump(message, stream)
+    stream.flush()
+
+
+def _channels() -> tuple[BinaryIO, BinaryIO]:
+    """Both ways to the parent, out of the model's reach, which reads nothing and prints to
+    stderr.
+    """
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    with contextlib.suppress(OSError):
+        os.dup2(2, 1)
+    return requests, replies
+
+
+def _end_with(parent: int) -> None:
+    """End this process, and what it has started, with its parent."""
+    if not hasattr(os, "killpg"):
+        return
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os.killpg(0, signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
