@@ -29,6 +29,7 @@ EXIT_CODES: Final = {
     4: "the model failed in too many runs",
     5: "results directory in use, damaged, or of another study",
     6: "a file could not be read or written",
+    7: "the executor was lost; the same command continues",
     130: "interrupted (143: terminated)",
 }
 #: labs: companion tools with commands of their own, and a first command for each of their templates
