@@ -34,6 +34,7 @@ from uqsphere.propagation.grow import grow, pair_rows
 from uqsphere.propagation.indices import indices, salib_indices
 from uqsphere.propagation.limits import limits
 from uqsphere.propagation.progress import Progress, watched
+from uqsphere.propagation.rare import design_points
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.verdict import verdicts
 from uqsphere.propagation.write import Cost, results_of, samples_of, written
@@ -43,7 +44,7 @@ from uqsphere.study import Study, load_study
 
 __all__ = ["run"]
 
-ANALYSES = (distributions, limits, fragility, indices, drivers, fracture)
+ANALYSES = (distributions, limits, design_points, fragility, indices, drivers, fracture)
 #: changed keys that a refusal names
 SHOWN_CHANGES = 5
 
@@ -186,7 +187,7 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
     def fit(quantity: str) -> Any:
         from uqsphere.uq.surrogate import fit_expansion
 
-        sample = tables.sample if tables.slow is None else tables.slow.rows
+        sample = tables.rows
         if quantity not in sample.quantities or not design.inputs or not sample.knows(quantity):
             return None
         joint = design.joint.only(design.inputs)

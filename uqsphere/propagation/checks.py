@@ -12,6 +12,7 @@ import numpy as np
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import CheckEntry, Grade
@@ -103,11 +104,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 )
             )
         found += _later_loading(design, rows) + _out_of_reach(design, rows)
-    failed = (
-        float(sample.failed.mean())
-        if tables.slow is None
-        else tables.slow.dropped or float(sample.failed.mean())
-    )
+    source = source_of(design, tables)
+    failed = source.dropped or float(sample.failed.mean())
     if failed > 0.0:
         policy = design.study.analysis.policy
         found.append(
@@ -119,8 +117,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 effect="left out" if policy == "drop" else "intervals widened",
             )
         )
-    if tables.slow is not None:
-        n = tables.slow.count
+    if source.refusal:
+        n = tables.runs
         found.append(
             Check(
                 name="few_runs",

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
+from uqsphere.propagation.design import Design, by_force
 from uqsphere.study import Limit
 from uqsphere.uq import Law, Sample
-
-if TYPE_CHECKING:
-    from uqsphere.propagation.design import Design
 
 #: numbers of the sphere that the force in a test depends on
 SPHERE = ("sphere.E", "sphere.nu", "sphere.density")
@@ -32,15 +29,6 @@ def strength_of(limit: Limit) -> Law | float:
     strength.
     """
     return limit.strength if limit.tested is None or limit.tested.law is None else limit.tested.law
-
-
-def by_force(limit: Limit) -> bool:
-    """Whether a limit is held against the force of crushing tests, or against draws with a law of
-    size.
-    """
-    return limit.tested is not None and (
-        limit.tested.law is not None or limit.tested.exponent != 0.0
-    )
 
 
 def column_of(limit: Limit) -> str:

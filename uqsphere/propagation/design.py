@@ -16,7 +16,6 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.models.scene import absent_quantity
-from uqsphere.propagation.demands import by_force
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, means_fracture
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
@@ -131,6 +130,18 @@ class Design:
             return Sample.at((), np.zeros((REPLICATES, count, 0)), np.zeros((REPLICATES, count, 0)))
         return at_normals(drawn, self.normals(count, start, task))
 
+    def many_normals(self, count: int) -> Array:
+        """The same for as many points as an expansion is evaluated at; those of one count are
+        kept."""
+        if count not in self._many:
+            self._many.clear()
+            self._many[count] = self.normals(count)
+        return self._many[count]
+
+    @cached_property
+    def _many(self) -> dict[int, Array]:
+        return {}
+
     def normals(self, count: int, start: int = 0, task: str = "sample") -> Array:
         """The points as independent standard normals (R, count, D)."""
         uniforms = [
@@ -167,6 +178,14 @@ def at_normals(joint: Joint, normals: Array) -> Sample:
 def number(value: Law | float) -> float:
     """A number, or the mean of its distribution."""
     return value.nominal_mean() if isinstance(value, Law) else float(value)
+
+
+def by_force(limit: Limit) -> bool:
+    """Whether a limit is held against the force of crushing tests, or against draws with a law of
+    size.
+    """
+    tested = limit.tested
+    return tested is not None and (tested.law is not None or tested.exponent != 0.0)
 
 
 def is_strength(name: str) -> bool:

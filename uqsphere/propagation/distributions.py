@@ -4,30 +4,21 @@ beyond the record.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.propagation import chaos, surrogate
 from uqsphere.propagation.design import Design
+from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.uq import exact
-from uqsphere.uq.describe import Description, describe, describe_controlled
-
-#: points at which an expansion that serves as control is evaluated, for each point of the sample,
-#: and at most: a sample of so many needs no control
-MANY, MOST_MANY = 16, 1 << 16
-SAMPLED = "sample"
-CONTROLLED = "sample, chaos as control variate"
+from uqsphere.uq.describe import Description
 
 
 def distributions(design: Design, tables: Tables) -> Answers:
     """Mean, standard deviation, quantiles and censored share of every quantity."""
     answers = Answers()
-    runs = tables.sample.size if design.drawn.names else 1
+    runs = tables.runs if design.drawn.names else 1
     for name in design.described:
         found = described(design, tables, name)
         unit = lookup(name).unit
@@ -41,54 +32,10 @@ def distributions(design: Design, tables: Tables) -> Answers:
 
 
 def described(design: Design, tables: Tables, name: str) -> Description:
-    """The description of a quantity; an accurate expansion is its control variate."""
+    """The description of a quantity."""
     if name in tables.descriptions:  # the loop and the analyses ask for the same ones
         return tables.descriptions[name]
-    return _described(design, tables, name)
-
-
-def _described(design: Design, tables: Tables, name: str) -> Description:
-    analysis, sample = design.study.analysis, tables.sample
-    if not design.drawn.names and not sample.late(name).any() and not sample.failed.any():
-        value = exact(float(sample.answer(name)[0, 0]))
-        return Description(
-            mean=value,
-            sd=exact(0.0),
-            quantiles=dict.fromkeys(analysis.quantiles, value),
-            censored_share=exact(0.0),
-            scale=0.0,
-        )
-    if tables.slow is not None:
-        return surrogate.described(design, tables.slow, sample, name)
-    expansion = tables.expansions.get(name)
-    if expansion is not None and expansion.left < chaos.CONTROL and sample.count < MOST_MANY:
-        many = many_values(design, expansion, sample.count)
-        return describe_controlled(
-            sample.answer(name)[1:],
-            expansion.values,
-            many[1:],
-            quantiles=analysis.quantiles,
-            method=CONTROLLED,
-        )
-    policy = "drop" if analysis.policy == "abort" else analysis.policy
-    return describe(
-        sample.answer(name),
-        censored=sample.late(name),
-        failed=sample.lost(name),
-        on_failure=policy,
-        quantiles=analysis.quantiles,
-        method=SAMPLED,
-    )
-
-
-def many_values(design: Design, expansion: chaos.Expansion, count: int) -> Array:
-    """Values (R, m) of an expansion at the sample's points continued, `MANY` for each."""
-    return chaos.values_at(design, expansion)(_many_points(design, min(MANY * count, MOST_MANY)))
-
-
-@lru_cache(maxsize=2)
-def _many_points(design: Design, count: int) -> Array:
-    return design.normals(count)
+    return source_of(design, tables).describe(name)
 
 
 def density(values: Array) -> list[list[float]] | None:

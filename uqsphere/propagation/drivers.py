@@ -51,7 +51,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
         found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, found, strict=True):
             if limit_of(name) in (None, limit.name):
-                answers.add(subject, "driver", name, estimate, unit="1", runs=sample.size)
+                answers.add(subject, "driver", name, estimate, unit="1", runs=tables.runs)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
             below, above = law.tails(state.demands)
@@ -59,9 +59,9 @@ def drivers(design: Design, tables: Tables) -> Answers:
             for step in (-STEP, STEP):
                 score = state.score_given_inputs(score_of(below, above) + step)
                 rows.append(special.ndtr(-score if limit.aim == "break" else score).mean(axis=1))
-            change = from_replicates((rows[0] - rows[1]) / (2.0 * STEP), "difference", sample.size)
+            change = from_replicates((rows[0] - rows[1]) / (2.0 * STEP), "difference", tables.runs)
             answers.add(
-                subject, "driver", strength_name(limit.name), change, unit="1", runs=sample.size
+                subject, "driver", strength_name(limit.name), change, unit="1", runs=tables.runs
             )
     return answers
 

@@ -46,7 +46,7 @@ def fracture(design: Design, tables: Tables) -> Answers:
         "",
         exceedance(union_state(union)),
         unit="1",
-        runs=sample.size,
+        runs=tables.runs,
     )
     drawn = draw_breaking(union, SPECIMENS, generator)
     if drawn is None:

@@ -38,10 +38,7 @@ def fragility(design: Design, tables: Tables) -> Answers:
         return answers
     unit = lookup(margins.solve).unit
     for limit in design.judged.limits:
-        subject, runs = (
-            design.subject(limit),
-            sum(sample.size for sample in tables.line.values()) or tables.sample.size,
-        )
+        subject, runs = design.subject(limit), tables.line_runs
         found = curve_of(design, tables, limit)
         for value, p, low, high in found.curve:
             answers.row(subject, "curve", value, p, low, high, unit="1", method=METHOD, runs=runs)

@@ -26,9 +26,10 @@ from uqsphere.propagation.design import REPLICATES, VALUES, Design, is_strength,
 from uqsphere.propagation.distributions import described
 from uqsphere.propagation.fragility import margin_and_scale
 from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
-from uqsphere.propagation.indices import by_chaos_accurate, of_quantity
+from uqsphere.propagation.indices import of_quantity
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.progress import Progress, share_done
+from uqsphere.propagation.sampled import by_chaos_accurate
 from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
 from uqsphere.results.types import Stop
 from uqsphere.study import Study

@@ -8,25 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.propagation import rare, surrogate
 from uqsphere.propagation.demands import column_of, demands_of, strength_of
 from uqsphere.propagation.design import Design
+from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
-from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Estimate, Law, LimitState, Sample, absent, complement, exact, failure_of_aim
-from uqsphere.uq.estimate import carriers
+from uqsphere.uq import Estimate, Law, LimitState, Sample, complement, exact, failure_of_aim
 from uqsphere.uq.limit_state import reliability_index, safety_factor, tails
 
 
 def limits(design: Design, tables: Tables) -> Answers:
-    """Fracture and failure probability, reliability index, strength over demand and design point of
-    every limit.
+    """Fracture and failure probability, reliability index and strength over demand of every
+    limit.
     """
     answers = Answers()
     for limit in design.judged.limits:
-        subject, runs = design.subject(limit), tables.sample.size
+        subject, runs = design.subject(limit), tables.runs
         failed = failure(design, tables, limit)
         if limit.name in tables.rare:
             runs += tables.rare[limit.name].estimate.evaluations
@@ -49,23 +47,13 @@ def limits(design: Design, tables: Tables) -> Answers:
             )
         ratio = safety_factor(state_of(design, limit, tables.sample))
         answers.add(subject, "safety_factor", "strength over demand", ratio, unit="1", runs=runs)
-    for limit in design.limits:
-        for name, value in rare.design_point(design, tables, limit).items():
-            unit = lookup(limit.quantity if name.endswith(".strength") else name).unit
-            answers.row(
-                design.subject(limit),
-                "design_point",
-                name,
-                value,
-                unit=unit,
-                method="FORM",
-                runs=tables.sample.size,
-            )
     return answers
 
 
 def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
+    if limit.name in tables.failures:
+        return tables.failures[limit.name]
     state = state_of(design, limit, tables.sample)
     found = failure_of_aim(state, limit.aim)
     if limit.name in tables.rare:
@@ -82,22 +70,11 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
         and not state.broken.any()
     ):
         return exact(found.value)
-    if tables.slow is not None:
-        return surrogate.failure(
-            tables.slow,
-            column_of(limit),
-            found,
-            lambda part: failure_given_inputs(state_of(design, limit, part), limit.aim),
-        )
-    if (
-        found.value is not None
-        and 0.0 < found.value < 1e-3
-        and carriers(failure_given_inputs(state, limit.aim)) < 20.0
-    ):
-        bound = max(found.high or 0.0, 3.0 / tables.sample.size)
-        none = absent("too few points carry it", found.method, found.evaluations)
-        return replace(none, low=0.0, high=min(bound, 1.0))
-    return found
+    return source_of(design, tables).probability(
+        column_of(limit),
+        found,
+        lambda sample: failure_given_inputs(state_of(design, limit, sample), limit.aim),
+    )
 
 
 def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,9 +19,12 @@ from uqsphere.errors import ModelError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.chaos import MOST_LEFT, values_at
-from uqsphere.propagation.demands import by_force, strength_of, with_test_forces
-from uqsphere.propagation.design import Design, at_normals, number
-from uqsphere.propagation.tables import Tables, evaluate
+from uqsphere.propagation.demands import strength_of, with_test_forces
+from uqsphere.propagation.design import Design, at_normals, by_force, number
+from uqsphere.propagation.limits import failure, state_of
+from uqsphere.propagation.tables import Searched, Tables, evaluate
+from uqsphere.quantities import lookup
+from uqsphere.results import Answers
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.forms import CERTAIN
@@ -36,14 +38,6 @@ SMALL: Final = 0.01
 MOST, LEAST = 30_000, 1000
 #: values of an expansion that the search for a design point takes at most
 MOST_VALUES = 20_000
-
-
-@dataclass(frozen=True, kw_only=True)
-class RareAnswer:
-    """A failure probability with its design point (SI) by variable."""
-
-    estimate: Estimate
-    design_point: Mapping[str, float] = field(default_factory=dict)
 
 
 def can_search(design: Design) -> bool:
@@ -75,7 +69,7 @@ def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
 class Searches(NamedTuple):
     """Searches by limit, and whether the user ended one."""
 
-    answers: Mapping[str, RareAnswer]
+    answers: Mapping[str, Searched]
     interrupted: bool
 
 
@@ -116,7 +110,7 @@ def search(
             # those of the last search, and the last that were drawn nearby since
             draws[not found.searched :] = [found.draws]
         point = _physical(design, limit, answered, found.points)
-        answers[limit.name] = RareAnswer(estimate=found.estimate, design_point=point)
+        answers[limit.name] = Searched(estimate=found.estimate, design_point=point)
     return Searches(answers, interrupted=False)
 
 
@@ -124,8 +118,6 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
     """The limits whose failure probability a search may answer better than more rows, the
     likeliest first; a limit that was searched waits where twice the runs of its search are left.
     """
-    from uqsphere.propagation.limits import failure
-
     if not can_search(design):
         return []
     required = design.study.analysis.accuracy.probability
@@ -151,6 +143,24 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
 def _rank(limit: Limit) -> float:
     """The order of limits that no row of the sample fails: by how far their strength is out."""
     return number(strength_of(limit)) * (1.0 if limit.aim == "survive" else -1.0)
+
+
+def design_points(design: Design, tables: Tables) -> Answers:
+    """The design point of every limit of the study."""
+    answers = Answers()
+    for limit in design.limits:
+        for name, value in design_point(design, tables, limit).items():
+            unit = lookup(limit.quantity if name.endswith(".strength") else name).unit
+            answers.row(
+                design.subject(limit),
+                "design_point",
+                name,
+                value,
+                unit=unit,
+                method="FORM",
+                runs=tables.runs,
+            )
+    return answers
 
 
 def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
@@ -181,8 +191,6 @@ def _problem(
     Where failure hangs on the quantity alone, its values are the answers: draws for one limit then
     serve another.
     """
-    from uqsphere.propagation.limits import state_of
-
     sign = -1.0 if limit.aim == "break" else 1.0
 
     def left(state: LimitState) -> Array:
@@ -222,8 +230,6 @@ def _physical(
     """The variables at the nearest design point, a random strength behind the others; empty if
     there is none.
     """
-    from uqsphere.propagation.limits import state_of
-
     if not points:
         return {}
     point, size = points[0].point, len(design.drawn.names)

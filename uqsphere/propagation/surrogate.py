@@ -13,7 +13,8 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from functools import cached_property
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -23,18 +24,20 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.chaos import points_of
 from uqsphere.propagation.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.propagation.fragility import margin_and_scale
 from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
-from uqsphere.propagation.tables import Tables, check_failures, evaluate
-from uqsphere.results.types import Stop
+from uqsphere.propagation.grow import accuracies, first_rows
+from uqsphere.propagation.limits import failure
+from uqsphere.propagation.progress import Progress
+from uqsphere.propagation.sampled import of_answered
+from uqsphere.propagation.tables import Indices, Tables, check_failures, evaluate
+from uqsphere.results.types import IndexMethod, Stop
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.response import Response, cross_fit, unseen
 from uqsphere.uq.surrogate import columns_of, each_once
-
-if TYPE_CHECKING:
-    from uqsphere.propagation.progress import Progress
 
 #: rows that measure what the model costs, rows of a design at most and at least, and points of a
 #: replicate of a table
@@ -46,26 +49,26 @@ ROUGH: Final = "runs of the model"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slow:
-    """The rows of a slow model, and the expansions that are fitted to them.
+    """The rows of a slow model with the expansions that are fitted to them: what answers the
+    questions that a sample of a cheap model answers (`uqsphere.propagation.tables.Source`).
 
     Attributes
     ----------
     rows : (1, N) as evaluated
     responses : the expansions by quantity; none where a row has no plain values
+    sample : the table: predictions with residuals on them, or the rows in blocks
     predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
         a column are too rough
     dropped : share of the rows that failed and were left out
     """
 
+    design: Design
     rows: Sample
     responses: Mapping[str, Response]
+    sample: Sample
     predicted: Sample | None = None
     dropped: float = 0.0
-
-    @property
-    def count(self) -> int:
-        """Rows that every answer rests on."""
-        return self.rows.size
+    refusal: str = "the model is too slow for a design of its own"
 
     def corrected(self, name: str) -> Corrected | None:
         """The predictions of a quantity, corrected by its rows; None where it has none."""
@@ -73,11 +76,74 @@ class Slow:
             return None
         return Corrected(response=self.responses[name], table=self.predicted.answer(name))
 
+    def values(self, name: str) -> Array:
+        return self.sample.answer(name)
+
+    def describe(self, name: str) -> Description:
+        analysis = self.design.study.analysis
+        corrected = self.corrected(name)
+        if corrected is not None:
+            return corrected.describe(analysis.quantiles)
+        return describe(
+            self.sample.answer(name),
+            censored=self.sample.late(name),
+            failed=self.sample.lost(name),
+            on_failure="bound" if analysis.policy == "bound" else "drop",
+            quantiles=analysis.quantiles,
+            method=f"{self.rows.size} {ROUGH}; {unseen(self.rows.size)}",
+        )
+
+    def probability(
+        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
+    ) -> Estimate:
+        corrected, predicted = self.corrected(column), self.predicted
+        if corrected is None or predicted is None:
+            if sampled.high is None:
+                return sampled
+            return replace(sampled, high=max(sampled.high, 3.0 / self.rows.size))
+        place = predicted.quantities.index(column)
+
+        def moved(sample: Sample, values: Array) -> Array:
+            answers = sample.answers.copy()
+            answers[:, :, place] = values
+            return chance(sample.with_answers(sample.quantities, answers))
+
+        return corrected.probability(
+            rows=chance(self.rows)[0],
+            left_out=moved(self.rows, self.responses[column].levels[None])[0],
+            table=lambda residual: moved(predicted, predicted.answers[:, :, place] + residual),
+        )
+
+    def index_method(self, name: str) -> IndexMethod:
+        return "chaos" if name in self.responses else ""
+
+    def indices(self, name: str) -> Indices:
+        return self._indices[name]
+
+    @cached_property
+    def _indices(self) -> Mapping[str, Indices]:
+        """The indices of all quantities, which the accuracies and the answers ask for."""
+        return {name: self._indices_of(name) for name in self.design.described}
+
+    def _indices_of(self, name: str) -> Indices:
+        response, runs, inputs = self.responses.get(name), self.rows.size, self.design.inputs
+        if response is None:
+            reason = f"{runs} runs of a rough model show no indices"
+            if self.rows.failed.any():
+                reason += '; analysis.on_failure = "drop" gives those of the rows that answered'
+            nothing = absent(reason, ROUGH, runs)
+            return dict.fromkeys(inputs, (nothing, nothing))
+        orders = indices_of(response)
+        if self.dropped:
+            share = 1.0 - self.dropped
+            for order, row in orders.items():
+                orders[order] = [of_answered(estimate, share, "rows") for estimate in row]
+        pairs = zip(orders["first"], orders["total"], strict=True)
+        return dict(zip(inputs, pairs, strict=True))
+
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
     """Whether the first size of the loop is more than the budget allows."""
-    from uqsphere.propagation.grow import first_rows
-
     analysis = design.study.analysis
     if not design.study.black_box or not design.inputs:
         return False
@@ -187,9 +253,6 @@ def tables_of(
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
-    from uqsphere.propagation.fragility import margin_and_scale
-    from uqsphere.propagation.grow import accuracies
-
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
     affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
@@ -237,18 +300,30 @@ def tables_of(
     check_failures(
         design, rows.status[0], ~rows.failed[0], f"{int(rows.failed.sum())} of {rows.count} rows"
     )
-    slow, sample = _predicted(design, rows)
+    slow = _predicted(design, rows)
     line: Mapping[float, Sample] = {}
+    most = min(affordable - count, MOST_ROWS)
     if along and not stopped:
         try:
-            line = _line(design, model, min(affordable - count, MOST_ROWS), sample)
+            line = _line(design, model, most, slow.sample)
         except Interrupted:
             stopped = "interrupted"
-    tables = Tables(sample=sample, line=line, stopped=stopped or "budget", slow=slow)
+    tables = Tables(
+        sample=slow.sample,
+        line=line,
+        stopped=stopped or "budget",
+        surrogate=slow,
+        predicted_from=most if line else 0,
+    )
     margins = {}
     for limit in design.limits if line else ():
         margins[limit.name] = margin_and_scale(design, tables, limit)
-    tables = replace(tables, margins=margins)
+    tables = replace(
+        tables,
+        margins=margins,
+        descriptions={name: slow.describe(name) for name in design.described},
+        failures={limit.name: failure(design, tables, limit) for limit in design.judged.limits},
+    )
     tables = replace(tables, errors=accuracies(design, tables))
     reached = ((model.evaluations + model.reused, tables.worst),)
     if not tables.inaccurate:
@@ -256,8 +331,8 @@ def tables_of(
     return replace(tables, reached=reached, stopped=stopped or "budget")
 
 
-def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
-    """The expansions of all columns, and the table of their values: of the rows themselves, in
+def _predicted(design: Design, rows: Sample) -> Slow:
+    """The expansions of all columns with the table of their values: of the rows themselves, in
     blocks that stand for replicates, where a column is too rough for its expansions.
     """
     dropped = 0.0
@@ -268,13 +343,17 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
         germs = germs_of(design.joint.only(design.inputs).laws)
         fitted = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
         responses = dict(zip(rows.quantities, fitted, strict=True))
-    slow = Slow(rows=rows, dropped=dropped, responses=responses)
+    slow = Slow(design=design, rows=rows, responses=responses, sample=rows, dropped=dropped)
     if responses and all(response.usable for response in responses.values()):
         table = design.points(POINTS)
         points = points_of(design, table.scores)
         values = [response.table(points) for response in responses.values()]
         predicted = table.with_answers(rows.quantities, np.stack(values, axis=2))
-        return replace(slow, predicted=predicted), _scattered(slow, predicted)
+        scattered = [
+            response.scattered(predicted.answer(name)) for name, response in responses.items()
+        ]
+        table = predicted.with_answers(rows.quantities, np.stack(scattered, axis=2))
+        return replace(slow, predicted=predicted, sample=table)
     count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
     each = rows.count // count
     blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
@@ -282,15 +361,7 @@ def _predicted(design: Design, rows: Sample) -> tuple[Slow, Sample]:
     cut: dict[str, Any] = {
         name: np.concatenate([getattr(block, name) for block in blocks]) for name in parts
     }
-    return slow, replace(rows, **cut)
-
-
-def _scattered(slow: Slow, predicted: Sample) -> Sample:
-    """A table of predictions with residuals of the rows on them."""
-    columns = [
-        response.scattered(predicted.answer(name)) for name, response in slow.responses.items()
-    ]
-    return predicted.with_answers(predicted.quantities, np.stack(columns, axis=2))
+    return replace(slow, sample=replace(rows, **cut))
 
 
 def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
@@ -326,82 +397,3 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
         columns = [response.scattered(response.table(at)) for response in responses]
         found[value] = table.with_answers(rows.quantities, np.stack(columns, axis=2))
     return found
-
-
-# --- answers corrected by the rows ----------------------------------------------------------------
-
-
-def described(design: Design, slow: Slow, sample: Sample, name: str) -> Description:
-    """The description of a quantity: by its expansions, corrected by the rows, or of the rows."""
-    analysis = design.study.analysis
-    corrected = slow.corrected(name)
-    if corrected is not None:
-        return corrected.describe(analysis.quantiles)
-    return describe(
-        sample.answer(name),
-        censored=sample.late(name),
-        failed=sample.lost(name),
-        on_failure="bound" if analysis.policy == "bound" else "drop",
-        quantiles=analysis.quantiles,
-        method=f"{slow.count} {ROUGH}; {unseen(slow.count)}",
-    )
-
-
-def failure(
-    slow: Slow, column: str, table: Estimate, chance: Callable[[Sample], Array]
-) -> Estimate:
-    """A failure probability, corrected by the rows.
-
-    Parameters
-    ----------
-    column : what the limit is held against
-    table : the probability of the table with residuals, which answers where there are no expansions
-    chance : the failure probability (R, n) given the inputs and outputs of a sample
-    """
-    corrected, predicted = slow.corrected(column), slow.predicted
-    if corrected is None or predicted is None:
-        if table.high is None:
-            return table
-        return replace(table, high=max(table.high, 3.0 / slow.count))
-    place = predicted.quantities.index(column)
-
-    def moved(sample: Sample, values: Array) -> Array:
-        answers = sample.answers.copy()
-        answers[:, :, place] = values
-        return chance(sample.with_answers(sample.quantities, answers))
-
-    levels = slow.responses[column].levels[None]
-    return corrected.probability(
-        rows=chance(slow.rows)[0],
-        left_out=moved(slow.rows, levels)[0],
-        table=lambda residual: moved(predicted, predicted.answers[:, :, place] + residual),
-    )
-
-
-def of_answered(estimate: Estimate, share: float, what: str) -> Estimate:
-    """An estimate that says that it is of the rows that answered alone."""
-    return replace(
-        estimate, method=f"{estimate.method}; of the {100.0 * share:.3g} % of {what} that answered"
-    )
-
-
-def shares(design: Design, slow: Slow, name: str) -> dict[str, tuple[Estimate, ...]]:
-    """First and total indices of a quantity, off its expansions."""
-    response = slow.responses.get(name)
-    if response is None:
-        lost = (
-            '; analysis.on_failure = "drop" gives those of the rows that answered'
-            if slow.rows.failed.any()
-            else ""
-        )
-        nothing = absent(
-            f"{slow.count} runs of a rough model show no indices{lost}", ROUGH, slow.count
-        )
-        return dict.fromkeys(design.inputs, (nothing, nothing))
-    found = indices_of(response)
-    if slow.dropped:
-        found = {
-            order: [of_answered(e, 1.0 - slow.dropped, "rows") for e in row]
-            for order, row in found.items()
-        }
-    return dict(zip(design.inputs, zip(found["first"], found["total"], strict=True), strict=True))

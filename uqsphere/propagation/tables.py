@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,17 +14,13 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.errors import TooManyFailures
 from uqsphere.models.model import Model
+from uqsphere.propagation.chaos import Expansion
 from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
 from uqsphere.quantities import format_probability
-from uqsphere.results.types import Stop
+from uqsphere.results.types import IndexMethod, Stop
 from uqsphere.uq import Estimate, Sample
-
-if TYPE_CHECKING:
-    from uqsphere.propagation.chaos import Expansion
-    from uqsphere.propagation.rare import RareAnswer
-    from uqsphere.propagation.surrogate import Slow
-    from uqsphere.uq.describe import Description
+from uqsphere.uq.describe import Description
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +35,56 @@ class Accuracy:
     reached: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class Searched:
+    """A failure probability by a search, with its design point (SI) by variable."""
+
+    estimate: Estimate
+    design_point: Mapping[str, float] = field(default_factory=dict)
+
+
+#: first and total index by input, and second ones by "input,input"
+Indices = Mapping[str, tuple[Estimate, ...]]
+
+
+class Source(Protocol):
+    """What answers questions on the outputs of a study: a sample, or expansions of a slow model.
+
+    rows : rows of the model
+    dropped : share of the rows that failed and were left out
+    refusal : why the model is not called for designs of single methods; empty where it is
+    """
+
+    @property
+    def rows(self) -> Sample: ...
+    @property
+    def dropped(self) -> float: ...
+    @property
+    def refusal(self) -> str: ...
+
+    def describe(self, name: str) -> Description:
+        """Mean, standard deviation and quantiles of a quantity."""
+
+    def indices(self, name: str) -> Indices:
+        """First and total indices of a quantity for independent inputs."""
+
+    def index_method(self, name: str) -> IndexMethod:
+        """Where its indices come from: "chaos", "pairs" or nothing."""
+
+    def probability(
+        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
+    ) -> Estimate:
+        """A failure probability.
+
+        column : what the limit is held against
+        sampled : the probability of the sample
+        chance : the failure probability (R, n) given the inputs and outputs of a sample
+        """
+
+    def values(self, name: str) -> Array:
+        """Values (R, n) that stand for the distribution of a quantity."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tables:
     """What was evaluated, and how accurate it is.  Tables that grow are new tables.
@@ -50,23 +96,43 @@ class Tables:
     rare : searches for small probabilities by limit
     margins : of limits, each with the scale of its accuracy
     descriptions : of the quantities that the study asks for
+    failures : failure probabilities by limit, where they are known from the start
     errors : of all answers that have a requirement
     reached : (model runs, largest error over its requirement) at each size
     stopped : why the tables do not grow any more; empty while they do
-    slow : the rows of a slow model, whose tables are predicted
+    surrogate : of a slow model, whose tables are predicted
+    predicted_from : model runs that its line is predicted from
     """
 
     sample: Sample
     line: Mapping[float, Sample] = field(default_factory=dict)
     pairs: Mapping[str, Array] = field(default_factory=dict)
     expansions: Mapping[str, Expansion] = field(default_factory=dict)
-    rare: Mapping[str, RareAnswer] = field(default_factory=dict)
+    rare: Mapping[str, Searched] = field(default_factory=dict)
     margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
     descriptions: Mapping[str, Description] = field(default_factory=dict)
     errors: Sequence[Accuracy] = ()
     reached: Sequence[tuple[int, float]] = ()
     stopped: Stop = ""
-    slow: Slow | None = None
+    failures: Mapping[str, Estimate] = field(default_factory=dict)
+    surrogate: Source | None = None
+    predicted_from: int = 0
+
+    @property
+    def rows(self) -> Sample:
+        """The model's own rows of the sample."""
+        return self.sample if self.surrogate is None else self.surrogate.rows
+
+    @property
+    def runs(self) -> int:
+        """Model runs that the sample rests on."""
+        return self.rows.size
+
+    @property
+    def line_runs(self) -> int:
+        """Model runs that the line rests on: those of the sample where it moves no row."""
+        along = sum(sample.size for sample in self.line.values())
+        return self.predicted_from or along or self.runs
 
     @property
     def inaccurate(self) -> list[Accuracy]:

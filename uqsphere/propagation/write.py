@@ -17,11 +17,11 @@ from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import paper_lines
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.distributions import MOST_MANY, density, many_values
+from uqsphere.propagation.distributions import density
 from uqsphere.propagation.failure_modes import AssumedMode, breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
-from uqsphere.propagation.indices import method_of
 from uqsphere.propagation.limits import state_of
+from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
@@ -176,11 +176,8 @@ def _free(design: Design) -> FreeNumber | None:
 
 
 def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
-    expansion = tables.expansions.get(name)
-    if expansion is not None and expansion.left < 1e-3 and tables.sample.count < MOST_MANY:
-        values = many_values(design, expansion, tables.sample.count)
-    else:
-        values = tables.sample.answer(name)
+    source = source_of(design, tables)
+    values = source.values(name)
     finite = values[np.isfinite(values)]
     ends = np.quantile(finite, [0.05, 0.5, 0.95]) if finite.size else np.full(3, np.nan)
     low, median, high = (float(end) for end in ends)
@@ -188,7 +185,7 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
         range=(low, median, high),
-        method_of_indices=method_of(design, tables, name),
+        method_of_indices=source.index_method(name) if design.inputs else "",
         density=density(values),
     )
 
@@ -330,7 +327,7 @@ def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
     """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
     import pandas as pd
 
-    sample = tables.sample
+    sample = tables.rows
     count = max(min(sample.count, MOST_ROWS // sample.replicates), 1)
     head = sample.head(count)
     table: dict[str, Any] = {name: head.input(name).ravel() for name in head.names}

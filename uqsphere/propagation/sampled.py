@@ -1,0 +1,211 @@
+"""What a sample of a cheap model answers: descriptions, indices and failure probabilities.
+
+A slow model has an object with the same questions (`uqsphere.propagation.surrogate`): analyses ask
+`source_of` for the one that a run has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.propagation import chaos
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.tables import Indices, Source, Tables
+from uqsphere.results.types import IndexMethod
+from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
+from uqsphere.uq.describe import Description, describe, describe_controlled
+from uqsphere.uq.estimate import carriers, ratio_of_means
+from uqsphere.uq.indices import Blocks, sampled_indices
+
+#: points at which an expansion that serves as control is evaluated, for each point of the sample,
+#: and at most: a sample of so many needs no control
+MANY: Final = 16
+MOST_MANY: Final = 1 << 16
+METHOD: Final = "polynomial chaos, corrected by rows"
+SAMPLED: Final = "sample"
+CONTROLLED: Final = "sample, chaos as control variate"
+
+
+def source_of(design: Design, tables: Tables) -> Source:
+    """What answers the questions of the analyses."""
+    return tables.surrogate or Sampled(design=design, tables=tables)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampled:
+    """A sample of a cheap model, with the expansions and pairs beside it."""
+
+    design: Design
+    tables: Tables
+    dropped: float = 0.0
+    refusal: str = ""
+
+    @property
+    def rows(self) -> Sample:
+        return self.tables.sample
+
+    def describe(self, name: str) -> Description:
+        """The description of a quantity; an accurate expansion is its control variate."""
+        design, sample = self.design, self.tables.sample
+        analysis = design.study.analysis
+        if not design.drawn.names and not sample.late(name).any() and not sample.failed.any():
+            value = exact(float(sample.answer(name)[0, 0]))
+            return Description(
+                mean=value,
+                sd=exact(0.0),
+                quantiles=dict.fromkeys(analysis.quantiles, value),
+                censored_share=exact(0.0),
+                scale=0.0,
+            )
+        expansion = self._control(name)
+        if expansion is not None:
+            return describe_controlled(
+                sample.answer(name)[1:],
+                expansion.values,
+                self._many(expansion)[1:],
+                quantiles=analysis.quantiles,
+                method=CONTROLLED,
+            )
+        policy = "drop" if analysis.policy == "abort" else analysis.policy
+        return describe(
+            sample.answer(name),
+            censored=sample.late(name),
+            failed=sample.lost(name),
+            on_failure=policy,
+            quantiles=analysis.quantiles,
+            method=SAMPLED,
+        )
+
+    def _control(self, name: str) -> chaos.Expansion | None:
+        """The expansion of a quantity that is accurate enough to be its control variate."""
+        expansion = self.tables.expansions.get(name)
+        if expansion is None or expansion.left >= chaos.CONTROL:
+            return None
+        return expansion if self.tables.sample.count < MOST_MANY else None
+
+    def _many(self, expansion: chaos.Expansion) -> Array:
+        """Values (R, m) of an expansion at the sample's points continued, `MANY` for each."""
+        count = min(MANY * self.tables.sample.count, MOST_MANY)
+        return chaos.values_at(self.design, expansion)(self.design.many_normals(count))
+
+    def values(self, name: str) -> Array:
+        expansion = self._control(name)
+        return self.tables.sample.answer(name) if expansion is None else self._many(expansion)
+
+    def probability(
+        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
+    ) -> Estimate:
+        sample = self.tables.sample
+        if sampled.value is None or not 0.0 < sampled.value < 1e-3:
+            return sampled
+        if carriers(chance(sample)) >= 20.0:
+            return sampled
+        bound = max(sampled.high or 0.0, 3.0 / sample.size)
+        reason = "fewer than 20 effective samples contribute to it; only a bound is given"
+        none = absent(reason, sampled.method, sampled.evaluations)
+        return replace(none, low=0.0, high=min(bound, 1.0))
+
+    # --- indices ----------------------------------------------------------------------------------
+
+    def index_method(self, name: str) -> IndexMethod:
+        if name in self.tables.pairs:
+            return "pairs"
+        return "chaos" if name in self.tables.expansions else ""
+
+    def indices(self, name: str) -> Indices:
+        if name in self.tables.pairs:
+            return _by_pairs(self.design, self.tables, name)
+        if name in self.tables.expansions:
+            return by_chaos(self.design, self.tables.expansions[name])
+        reason = "the quantity does not vary, or has no plain value at every point"
+        nothing = absent(reason, METHOD, self.tables.sample.size)
+        return dict.fromkeys(self.design.inputs, (nothing, nothing))
+
+
+def of_answered(estimate: Estimate, share: float, what: str) -> Estimate:
+    """An estimate whose method says that it is of the rows that answered alone."""
+    return replace(
+        estimate, method=f"{estimate.method}; of the {100.0 * share:.3g} % of {what} that answered"
+    )
+
+
+def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
+    """Indices of an expansion, corrected by the rows that it was not fitted to."""
+    form, known = expansion.fit.plain_form, expansion.known
+    active = form.multi_indices > 0
+    many = active.sum(axis=1)
+    rows: dict[str, tuple[Estimate, ...]] = {}
+    for k, name in enumerate(design.inputs):
+        first = _index(expansion, active[:, k] & (many == 1), float(known.first[k]))
+        total = _index(expansion, active[:, k], float(known.total[k]))
+        if first.value is not None and total.value is not None and total.value < first.value:
+            # a total index is no smaller: the difference is noise of the correction
+            total = replace(total, value=min(first.value, total.high or 1.0))
+        rows[name] = first, total
+    if design.study.analysis.second_order:
+        for i, j in combinations(range(len(design.inputs)), 2):
+            own = active[:, i] & active[:, j] & (many == 2)
+            share = (
+                float((form.coefficients[own] ** 2).sum()) / known.sd**2 if known.sd > 0.0 else 0.0
+            )
+            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, share),)
+    return rows
+
+
+def _index(expansion: chaos.Expansion, which: np.ndarray, share: float) -> Estimate:
+    """One index of the terms `which`, of which the expansion has `share`: what no term of it holds,
+    between nothing and all that is left, widens it upwards, and the value takes that to be made up
+    as the expansion is."""
+    value, off = ratio_of_means(*expansion.projection(which, share))
+    estimate = from_replicates(value + off, METHOD, expansion.residuals.size, float(value))
+    if estimate.value is None or estimate.low is None or estimate.high is None:
+        return estimate
+    best = min(max(estimate.value, 0.0) / max(1.0 - expansion.left, 1e-300), 1.0)
+    error = expansion.known.error
+    low, high = max(estimate.low - error, 0.0), min(estimate.high + error + expansion.left, 1.0)
+    return replace(estimate, value=min(best, high)).spanning(low, high)
+
+
+def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
+    """Whether the chaos indices of a quantity are as accurate as required."""
+    expansion = tables.expansions.get(name)
+    if expansion is None:
+        # nothing varies: there is nothing to sample
+        return tables.sample.knows(name)
+    widest = max(e.half_width for row in by_chaos(design, expansion).values() for e in row)
+    return widest <= design.study.analysis.accuracy.sobol
+
+
+def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
+    """Indices of the pairs; points of which any run has no value are left out."""
+    blocks = Blocks(
+        inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order)
+    )
+    values = tables.pairs[name]
+    whole = np.asarray(np.isfinite(values).all(axis=2))
+    least = int(whole.sum(axis=1).min())
+    if least < 2:
+        nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
+        return dict.fromkeys(design.inputs, (nothing, nothing))
+    found = sampled_indices(
+        np.stack([own[keep][:least] for own, keep in zip(values, list(whole), strict=True)]), blocks
+    )
+    if not whole.all():
+        share = float(whole.mean())
+        found = replace(
+            found,
+            first=[of_answered(e, share, "pairs") for e in found.first],
+            total=[of_answered(e, share, "pairs") for e in found.total],
+        )
+    rows: dict[str, tuple[Estimate, ...]] = dict(
+        zip(design.inputs, zip(found.first, found.total, strict=True), strict=True)
+    )
+    for (i, j), estimate in found.second.items():
+        rows[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
+    return rows
