@@ -47,3 +47,23 @@ def test_rooms_import_only_what_stands_before_them() -> None:
                 known = other == room or other not in rank or (room, other) in LATE
                 before = known or rank[other] < rank[room] or rank[other] == rank[room] <= 1
                 assert before, f"{path}:{node.lineno}: {room} imports {other}"
+
+
+def test_modules_of_a_run_import_each_other_in_one_direction() -> None:
+    # imports inside functions, and of types alone, count
+    folder = Path(uqsphere.__file__).parent / "propagation"
+    modules = {path.stem for path in folder.glob("*.py")}
+    imports: dict[str, set[str]] = {name: set() for name in modules}
+    for name in modules:
+        for node in ast.walk(ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or node.module is None:
+                continue
+            if not node.module.startswith("uqsphere.propagation"):
+                continue
+            parts = node.module.split(".")[2:]
+            names = parts[:1] or [alias.name for alias in node.names]
+            imports[name] |= modules.intersection(names)
+    waiting = set(modules)
+    while free := {name for name in waiting if not imports[name] & waiting}:
+        waiting -= free
+    assert not waiting, f"these import each other in a circle: {sorted(waiting)}"

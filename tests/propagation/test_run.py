@@ -394,6 +394,12 @@ def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
     p = run.probability("high")
     assert p["high"] < 0.01
     assert p["high_unseen"] >= 3.0 / 60
+    # its rows are those of the model, and every answer rests on them
+    rows = run.samples
+    assert len(rows) == run.results.accuracy.runs == 54
+    assert rows["y"].to_numpy() == pytest.approx(model({"a": rows["a"], "b": rows["b"]})["y"])
+    runs = run.answers.set_index("answer")["runs"]
+    assert set(runs[["mean", "quantile", "failure_probability", "sobol_first"]]) == {54}
     assert p["note"]
 
 
