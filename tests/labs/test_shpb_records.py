@@ -446,7 +446,7 @@ def test_a_polarity_that_is_given_is_taken(polarity: str, sign: float, tmp_path:
     """
     frame = waves() * [1.0, sign, sign]
     check_sound(read(tmp_path, frame, record={"polarity": polarity}), 0.015)
-    with pytest.raises(UsageError, match="does not press"):
+    with pytest.raises(UsageError, match="is tension"):
         read(tmp_path, frame * [1.0, -1.0, -1.0], record={"polarity": polarity})
 
 

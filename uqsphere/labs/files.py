@@ -26,6 +26,7 @@ Length = Annotated[float, in_unit("length"), Field(gt=0.0)]
 Pressure = Annotated[float, in_unit("pressure"), Field(gt=0.0)]
 Density = Annotated[float, in_unit("density"), Field(gt=0.0)]
 Force = Annotated[float, in_unit("force"), Field(gt=0.0)]
+Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
 Speed = Annotated[float, in_unit("speed"), Field(gt=0.0)]
 Time = Annotated[float, in_unit("time")]
 

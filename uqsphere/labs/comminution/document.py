@@ -6,11 +6,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from uqsphere.labs.files import Density, Length, Pressure, Section, Speed, from_library, in_unit
+from uqsphere.labs.files import (
+    Density,
+    Length,
+    Mass,
+    Pressure,
+    Section,
+    Speed,
+    from_library,
+    in_unit,
+)
 
 SpecificEnergy = Annotated[float, in_unit("specific_energy"), Field(gt=0.0)]
 Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
-Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
 Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
 
 

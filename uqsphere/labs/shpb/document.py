@@ -7,7 +7,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.labs.files import Density, Force, Length, Pressure, Section, Speed, Time, from_library
+from uqsphere.labs.files import (
+    Density,
+    Force,
+    Length,
+    Mass,
+    Pressure,
+    Section,
+    Speed,
+    Time,
+    from_library,
+)
 
 Columns = Annotated[
     tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)
@@ -99,12 +109,32 @@ class RecordTable(Section):
 
 
 class SpecimenTable(Section):
-    """The specimen; `strongest`: a force that no such specimen bears."""
+    """The specimen: a sphere, or a cylinder where `length` is given.
+
+    mass, density : the inertia that lets the forces at both faces differ.
+    strongest : a force that no such specimen carries.
+    """
 
     name: str = "specimen"
     diameter: Length | None = None
     length: Length | None = None
+    mass: Mass | None = None
+    density: Density | None = None
     strongest: Force | None = None
+
+    @property
+    def known_mass(self) -> float | None:
+        """Mass [kg], given or from density and size; None where it is not known."""
+        if self.mass is not None or self.density is None or self.diameter is None:
+            return self.mass
+        return self.density * self.volume(self.diameter)
+
+    def volume(self, widest: float) -> float:
+        """Volume [m³] of the specimen, or of one as wide as `widest` [m] without a diameter."""
+        diameter = widest if self.diameter is None else self.diameter
+        if self.length is None:
+            return math.pi / 6.0 * diameter**3
+        return math.pi / 4.0 * diameter**2 * self.length
 
 
 class RecordDocument(Section):

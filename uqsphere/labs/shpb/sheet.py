@@ -12,7 +12,8 @@ import numpy as np
 
 from uqsphere.labs.files import csv_text
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.waves import NORMAL, Reading
+from uqsphere.labs.shpb.peaks import NORMAL
+from uqsphere.labs.shpb.waves import Reading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +42,7 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
         )
         found += [("", "doubt", doubt) for doubt in peak.doubts]
     found += [("not given", "", reason) for reason in test.withheld]
+    found += [("note", "", note) for note in test.notes]
     if test.energies is not None:
         e = test.energies
         parts = f"{e['incident']:.4g} J in, {e['reflected']:.4g} back, {e['transmitted']:.4g} on"
@@ -71,6 +73,7 @@ def document(test: Reading) -> dict[str, Any]:
         },
         "energy": test.energies,
         "withheld": list(test.withheld),
+        "notes": list(test.notes),
         "balanced_share": test.balanced,
         "loading_rate": test.loading_rate,
         "first_touch": test.touch,

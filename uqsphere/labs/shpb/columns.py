@@ -1,0 +1,457 @@
+"""From the columns of a recorder's files to strains over even time: names, units, clock."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags
+from uqsphere.errors import UsageError
+from uqsphere.labs.shpb.document import BarTable, RecordDocument
+from uqsphere.labs.shpb.recorded import read_recorded
+from uqsphere.labs.shpb.signals import Changes
+from uqsphere.tables import Table, unit_in_heading
+from uqsphere.units import UNITS
+
+#: most bytes of a file
+_LARGEST: Final = 1 << 28
+_RATE: Final = re.compile(
+    r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I
+)
+_INTERVAL: Final = re.compile(
+    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)",
+    re.I,
+)
+#: missing samples in a row that a line fills; fewest samples of a record
+_SHORT_GAP, _FEWEST = 10, 20
+#: largest strain of an elastic bar; longest record of a test [s]
+_MOST_STRAIN, _LONGEST = 0.05, 10.0
+#: largest deviation of even steps from their median; samples that may repeat the time before them
+_UNEVEN, _FEW_TWICE = 0.01, 3
+#: names of the factors of strain
+_STRAINS: Final = {1.0: "strain", 1e-6: "microstrain"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """A gauge over even time: strain (n,), and whether a sample is known (n,)."""
+
+    name: str
+    strain: Array
+    known: Flags
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traces:
+    """The gauges of a record by role, over even time: `start` and `step` [s]."""
+
+    start: float
+    step: float
+    by_role: Mapping[str, tuple[Trace, ...]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Column:
+    """A column of a file as numbers (n,), NaN for a cell that is not a number."""
+
+    table: Table
+    heading: str
+    values: Array
+
+    @property
+    def name(self) -> str:
+        """The heading without its unit."""
+        dimension = self.unit()[0]
+        return unit_in_heading(self.heading, dimension)[0] if dimension else self.heading
+
+    @property
+    def faulty(self) -> bool:
+        """Whether some cells are not numbers."""
+        return any(heading == self.heading for heading, _ in self.table.faults)
+
+    @property
+    def rises(self) -> bool:
+        """Whether it rises like a time."""
+        steps = np.diff(self.values[np.isfinite(self.values)])
+        if self.faulty or not len(steps):
+            return False
+        return bool((steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
+
+    def unit(self, given: str = "") -> tuple[str, str]:
+        """Dimension and unit, as given or of the heading; the dimension is empty if not known."""
+        text = f"x [{given}]" if given else self.heading
+        for dimension in ("time", "strain", "voltage", *UNITS):
+            if unit := unit_in_heading(text, dimension)[1]:
+                return dimension, unit
+        return "", given
+
+    def checked(self) -> Array:
+        """The numbers; TableError with the lines of cells that are not numbers."""
+        faults = {
+            fault: lines for fault, lines in self.table.faults.items() if fault[0] == self.heading
+        }
+        if faults:
+            replace(self.table, faults=faults).check()
+        return self.values
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Clock:
+    """Time (n,) [s], and the place of its column in every file; -1 without one."""
+
+    time: Array
+    place: int
+
+
+def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Traces:
+    """The gauges of an input file as strains over even time.
+
+    Raises UsageError for columns, units or a clock that cannot be those of a record.
+    """
+    asked = document.record
+    read = [read_recorded(folder / name, _LARGEST) for name in (asked.file, *asked.more_files)]
+    tables = [table for table, _ in read]
+    for table in tables:
+        for note in table.notes:
+            changes.add("read", "", note)
+    files = [_columns_of(table) for table in tables]
+    clock = _clock(document, files, read[0][1], changes)
+    count = _common_length(document, files, clock, changes)
+    strains: dict[str, list[tuple[str, Array]]] = {}
+    for role, columns in _by_role(document, files, clock).items():
+        bar = document.receiving_bar if role == "receiving" else document.incident_bar
+        strains[role] = []
+        for column in columns:
+            name = column.name
+            if len(files) > 1:
+                name = f"{Path(column.table.name).stem} {name}"
+            strains[role].append((name, _strain(column, name, bar, changes)[:count]))
+    return _even(clock.time[:count], strains, changes)
+
+
+def _columns_of(table: Table) -> list[Column]:
+    columns = []
+    for heading in table.headings:
+        values = table.numbers(heading, key=heading, blank=True)
+        columns.append(Column(table=table, heading=heading, values=values))
+    return columns
+
+
+# --- time -----------------------------------------------------------------------------------------
+
+
+def _clock(
+    document: RecordDocument, files: Sequence[Sequence[Column]], above: str, changes: Changes
+) -> _Clock:
+    """The time of the first file; `above`: its metadata."""
+    asked, first = document.record, files[0]
+    table = first[0].table
+    guessed = asked.time is None
+    interval = asked.sample_interval or 0.0
+    if not interval and not first[0].rises and len(files) == 1:
+        interval = _interval(above)
+    if guessed and interval > 0.0:
+        changes.add("read", "", f"no time column: a sample every {interval * 1e6:.6g} us")
+        return _Clock(time=np.asarray(interval * np.arange(len(table)), dtype=float), place=-1)
+    place = table.place(1 if asked.time is None else asked.time)
+    column = first[place]
+    dimension, unit = column.unit(asked.time_unit)
+    several = len(first) < 3 or len(files) > 1
+    if guessed and (dimension in ("strain", "voltage") or (several and not column.rises)):
+        raise UsageError(_no_time(first, place))
+    if unit and dimension != "time":
+        raise UsageError(
+            f"the unit of time must be one of {', '.join(UNITS['time'])} (record.time_unit), not "
+            f"{unit!r}"
+        )
+    text = f"is in {unit}" if unit else "has no unit: seconds are taken"
+    changes.add("read", column.name, text)
+    time = column.checked() * UNITS["time"][unit or "s"]
+    _check_clock(time, first, place, guessed)
+    return _Clock(time=time, place=place)
+
+
+def _interval(text: str) -> float:
+    """Time between samples [s] from the metadata, 0 without it."""
+    if match := _RATE.search(text):
+        rate = float(match["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[match["prefix"]]
+        return 1.0 / rate if rate > 0.0 else 0.0
+    if match := _INTERVAL.search(text):
+        return float(match["step"]) * UNITS["time"].get(match["unit"] or "s", 1.0)
+    return 0.0
+
+
+def _no_time(columns: Sequence[Column], place: int) -> str:
+    rising = [column.name for column in columns if column.rises]
+    hint = 'no column does. Without a time column set record.sample_interval = "0.8 us"'
+    if rising:
+        hint = f'column {rising[0]!r} does: record.time = "{rising[0]}"'
+    return (
+        f"{columns[0].table.name}: column {columns[place].name!r} does not rise like a time; {hint}"
+    )
+
+
+def _check_clock(time: Array, columns: Sequence[Column], place: int, guessed: bool) -> None:
+    """Refuse a time of too few samples, that falls, or that lasts too long."""
+    name, good = columns[0].table.name, time[np.isfinite(time)]
+    falls = np.diff(good) < 0.0
+    if len(good) < _FEWEST:
+        raise UsageError(
+            f"{name}: {len(good)} samples with a time; a record has at least {_FEWEST}"
+        )
+    if guessed and falls.mean() > 0.01:
+        raise UsageError(_no_time(columns, place))
+    if falls.any():
+        raise UsageError(
+            f"{name}: time falls at sample {int(np.argmax(falls)) + 2}. Does the file contain "
+            "several records?"
+        )
+    if good[-1] - good[0] > _LONGEST:
+        raise UsageError(
+            f"{name}: lasts {good[-1] - good[0]:.4g} s. Is the time in another unit "
+            "(record.time_unit)?"
+        )
+
+
+def _common_length(
+    document: RecordDocument,
+    files: Sequence[Sequence[Column]],
+    clock: _Clock,
+    changes: Changes,
+) -> int:
+    """Samples that all files have; UsageError for files that do not have the same clock."""
+    time = clock.time
+    count = len(time)
+    step = float(np.median(np.abs(np.diff(time))))
+    for other in files[1:]:
+        table = other[0].table
+        if len(other) <= clock.place:
+            raise UsageError(
+                f"{table.name}: has no column {clock.place + 1}, the time column of the first file"
+            )
+        unit = other[clock.place].unit(document.record.time_unit)[1]
+        there = other[clock.place].checked() * UNITS["time"].get(unit or "s", math.nan)
+        both = min(count, len(there))
+        if not np.nanmax(np.abs(there[:both] - time[:both]), initial=0.0) <= 0.5 * step:
+            raise UsageError(
+                f"{table.name}: its clock differs from that of {files[0][0].table.name}. Write "
+                "both channels with one clock"
+            )
+        if len(there) != len(time):
+            changes.add("read", table.name, "files of different length: the longer one is cut")
+        count = both
+    return count
+
+
+# --- gauges ---------------------------------------------------------------------------------------
+
+
+def _by_role(
+    document: RecordDocument, files: Sequence[Sequence[Column]], clock: _Clock
+) -> dict[str, list[Column]]:
+    """The columns of the incident, the reflected and the receiving gauges."""
+    asked = document.record
+    if not (asked.incident or asked.receiving):
+        return _in_order(document, files, clock)
+    if not (asked.incident and asked.receiving):
+        raise UsageError("record.incident and record.receiving are both required")
+    picked = {}
+    for role in ("incident", "reflected", "receiving"):
+        if names := getattr(asked, role):
+            picked[role] = [_pick(files, name) for name in names]
+    return picked
+
+
+def _in_order(
+    document: RecordDocument, files: Sequence[Sequence[Column]], clock: _Clock
+) -> dict[str, list[Column]]:
+    """Two or four unnamed signals: first those of the incident bar."""
+    signals = []
+    for file in files:
+        signals += [column for place, column in enumerate(file) if place != clock.place]
+    signals = [column for column in signals if not _repeats(column, clock, document)]
+    usable = [column for column in signals if not column.faulty]
+    if len(usable) not in (2, 4) or document.record.reflected:
+        names = ", ".join(repr(column.name) for column in signals)
+        raise UsageError(
+            f"{files[0][0].table.name}: {len(signals)} signals ({names}); name them by "
+            "record.incident, record.receiving (and record.reflected)"
+        )
+    each = len(usable) // 2
+    return {"incident": usable[:each], "receiving": usable[each:]}
+
+
+def _repeats(column: Column, clock: _Clock, document: RecordDocument) -> bool:
+    """Whether a column repeats the time; UsageError for the time of another clock."""
+    dimension, unit = column.unit(document.record.time_unit)
+    if not column.rises or dimension not in ("time", "") or len(column.values) != len(clock.time):
+        return False
+    other = column.values * UNITS["time"].get(unit or "s", 1.0)
+    step = float(np.median(np.abs(np.diff(clock.time))))
+    if np.nanmax(np.abs(other - clock.time)) <= 0.5 * step:
+        return True
+    if dimension == "time":
+        raise UsageError(
+            f"{column.table.name}: column {column.name!r} is a second clock that differs from the "
+            "first. Write all channels with one clock"
+        )
+    return False
+
+
+def _pick(files: Sequence[Sequence[Column]], name: str | int) -> Column:
+    """A column by its name in the first file; `FILE:COLUMN` names one of another file."""
+    stem, _, rest = str(name).rpartition(":")
+    for file in files:
+        table = file[0].table
+        if stem and stem in (table.name, Path(table.name).stem):
+            return file[table.place(rest)]
+    return files[0][files[0][0].table.place(name)]
+
+
+def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array:
+    """A column as strain."""
+    dimension, unit = column.unit(bar.unit)
+    if dimension == "strain" or not unit:
+        factor = UNITS["strain"][unit or "1"]
+        text = "has no unit: strain is taken"
+        if unit:
+            text = f"is in {_STRAINS.get(factor, unit)}"
+    elif dimension == "voltage":
+        if bar.excitation is None:
+            raise UsageError(
+                f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
+                "(a number, volts)"
+            )
+        factor = UNITS["voltage"][unit] * bar.strain_per_volt
+        text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
+    else:
+        raise UsageError(
+            f"{name}: its unit must be strain, microstrain, % or one of "
+            f"{', '.join(UNITS['voltage'])}, not {unit!r}"
+        )
+    values = column.checked() * factor
+    good = values[np.isfinite(values)]
+    if len(good) < max(_FEWEST, len(values) // 2):
+        raise UsageError(
+            f"{name}: {len(values) - len(good)} of {len(values)} samples are not numbers"
+        )
+    away = np.abs(good - np.median(good))
+    if away.max() == 0.0:
+        raise UsageError(f"{name}: all samples are equal; it contains no wave")
+    size = float(np.quantile(away, 0.98))
+    if size > _MOST_STRAIN:
+        raise UsageError(
+            f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
+            "Is it in another unit (BAR.unit)?"
+        )
+    changes.add("read", name, text)
+    return values
+
+
+# --- even steps -----------------------------------------------------------------------------------
+
+
+def _even(
+    time: Array, strains: Mapping[str, Sequence[tuple[str, Array]]], changes: Changes
+) -> Traces:
+    """The strains on even steps of time."""
+    raw = np.stack([values for gauges in strains.values() for _, values in gauges])
+    there = np.isfinite(time)
+    if not there.all():
+        changes.add("read", "", f"{int((~there).sum())} rows without a time are ignored")
+        time, raw = time[there], raw[:, there]
+    time, raw = _distinct(time, raw, changes)
+    steps = np.diff(time)
+    step, grid = float(np.median(steps)), time
+    if np.abs(steps - step).max() > _UNEVEN * step:
+        count = round((time[-1] - time[0]) / step) + 1
+        if count > 4 * len(time) + 1000:
+            raise UsageError("the steps of time differ too much: most of the record is missing")
+        grid = time[0] + step * np.arange(count)
+        changes.add(
+            "read",
+            "",
+            f"uneven time steps: interpolated to {step * 1e6:.6g} us",
+        )
+    else:
+        step = float((time[-1] - time[0]) / (len(time) - 1))
+    rows = iter(raw)
+    by_role, filled, lost = dict[str, tuple[Trace, ...]](), 0, 0
+    for role, gauges in strains.items():
+        traces = []
+        for name, _ in gauges:
+            strain, missing, unknown = _on_grid(time, next(rows), grid, step)
+            filled += int(missing.sum())
+            lost += int(unknown.sum())
+            traces.append(Trace(name=name, strain=strain, known=~unknown))
+        by_role[role] = tuple(traces)
+    if filled:
+        changes.add("read", "", f"{filled} missing samples are filled by interpolation")
+    if lost:
+        changes.add(
+            "read", "", f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
+        )
+    return Traces(start=float(grid[0]), step=step, by_role=by_role)
+
+
+def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
+    """Time that rises at every sample: rows that are there twice go, coarse times are spread."""
+    same = np.diff(time) == 0.0
+    if not same.any():
+        return time, raw
+    equal = (raw[:, 1:] == raw[:, :-1]) | (np.isnan(raw[:, 1:]) & np.isnan(raw[:, :-1]))
+    twice = same & equal.all(axis=0)
+    kept = np.concatenate([[True], ~twice])
+    if _is_even(time[kept], 0.5):
+        changes.add("read", "", f"{int(twice.sum())} repeated rows are ignored")
+        return time[kept], raw[:, kept]
+    first = np.concatenate([[True], ~same])
+    if same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
+        places = np.flatnonzero(first)
+        counts = np.diff(np.append(places, len(time)))
+        changes.add(
+            "read",
+            "",
+            f"{int(same.sum())} samples have the time of the sample before, first sample "
+            f"{int(np.argmax(same)) + 2}: their mean is taken",
+        )
+        return time[first], np.add.reduceat(raw, places, axis=1) / counts
+    # the steps of a coarse clock are 0 or one digit
+    rising = np.diff(time)[~same]
+    even = np.linspace(time[0], time[-1], len(time))
+    if not len(rising) or np.abs(even - time).max() > 1.01 * float(np.median(rising)):
+        raise UsageError(
+            f"two samples have the same time, first at sample {int(np.argmax(same)) + 2}. Remove "
+            "one of them, or leave out the time column and set record.sample_interval"
+        )
+    # the last time is rounded like the others: a line gives the mean step
+    slope = float(np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0])
+    changes.add(
+        "read", "", "the time has too few digits to distinguish its samples: even steps are assumed"
+    )
+    return time[0] + slope * np.arange(len(time)), raw
+
+
+def _is_even(time: Array, tolerance: float) -> bool:
+    """Whether a time rises at every sample, by steps within a share of their median."""
+    steps = np.diff(time)
+    return bool((steps > 0.0).all() and np.abs(steps / np.median(steps) - 1.0).max() < tolerance)
+
+
+def _on_grid(time: Array, values: Array, grid: Array, step: float) -> tuple[Array, Flags, Flags]:
+    """A strain on even steps; which samples a line fills, and which are not known."""
+    good = np.isfinite(values)
+    seen = time[good]
+    after = np.clip(np.searchsorted(seen, grid), 1, len(seen) - 1)
+    wide = seen[after] - seen[after - 1]
+    nearest = np.minimum(np.abs(grid - seen[after - 1]), np.abs(seen[after] - grid))
+    between = nearest > 1e-6 * step
+    outside = between & ((grid < seen[0]) | (grid > seen[-1]))
+    unknown = outside | (between & (wide > (_SHORT_GAP + 1.5) * step))
+    return np.interp(grid, seen, values[good]), between & (wide > 1.5 * step), unknown

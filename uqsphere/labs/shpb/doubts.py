@@ -1,0 +1,230 @@
+"""What a record says against its own numbers: striker, bending, impulse, inertia, strength.
+
+Every check doubts the peaks that it concerns, and widens their intervals to what it would allow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.labs.shpb.document import RecordDocument, SpecimenTable
+from uqsphere.labs.shpb.peaks import NORMAL, Peaks
+from uqsphere.labs.shpb.signals import Changes
+
+#: difference between two gauges of a bar over the wave that is a gross fault
+_GROSS: Final = 0.25
+#: relative width of an interval beyond which a number is hardly known; difference of the faces that
+#: is doubted even where their intervals overlap
+_WIDE, _APART = 0.3, 0.2
+#: striker speeds [m/s] of real tests; relative difference from the given speed that is a fault
+_STRUCK, _SPEED_ERROR = (0.1, 100.0), 0.1
+#: difference of the forces over their mean that counts as equilibrium
+EQUILIBRIUM: Final = 0.05
+#: misfit of inertia and gain beyond which they do not explain the forces
+_MISFIT: Final = 0.05
+#: density [kg/m³] of the heaviest specimen, where only its size is known
+_HEAVIEST: Final = 8000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faces:
+    """Both forces (n,) [N] over time (n,) [s]; `force_a` is NaN where it is not known.
+
+    velocity_a, velocity_b : of the faces of the bars (n,) [m/s].
+    """
+
+    time: Array
+    force_a: Array
+    force_b: Array
+    velocity_a: Array
+    velocity_b: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """Sums over both faces: relative standard deviations of the gains, those of the zeros [N]."""
+
+    gains: float
+    zeros: float
+
+
+def check_striker(
+    peaks: Peaks, strain: float, wave_speed: float, given: float | None, changes: Changes
+) -> None:
+    """Compare the incident wave with the striker speed [m/s], given or possible (in place)."""
+    speed = 2.0 * wave_speed * strain
+    text = (
+        f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of "
+        f"{speed:.3g} m/s"
+    )
+    if given is None:
+        changes.add(
+            "gains",
+            "",
+            "an error common to both bars (gain, E, diameter) does not show in a record; "
+            "record.striker_speed checks the gains",
+        )
+        if not _STRUCK[0] <= speed <= _STRUCK[1]:
+            peaks.doubt([*peaks], f"{text}: is a unit or a gain wrong?")
+    elif abs(speed - given) > _SPEED_ERROR * given:
+        text += f", not {given:.3g} m/s: a gain or a unit is wrong"
+        for face, peak in [*peaks.items()]:
+            peaks.doubt([face], text, peak.low * given / speed, peak.high * given / speed)
+
+
+def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: float) -> None:
+    """Compare the gauges of the bar of a face (in place).
+
+    spread (n,) : half their difference [N]; wave : force of the wave that they record [N].
+    """
+    at = int(np.searchsorted(time, peaks[face].time))
+    near = spread[max(at - 3, 0) : at + 4]
+    bending = float(near.mean()) if len(near) else 0.0
+    if 2.0 * bending <= _GROSS * wave:
+        return
+    bar = "incident" if face == "A" else "receiving"
+    peaks.doubt(
+        face,
+        f"the gauges of the {bar} bar differ by {2.0 * bending / wave:.0%} of the wave there",
+        peaks[face].low - bending,
+        peaks[face].high + bending,
+    )
+
+
+def heaviest_specimen(specimen: SpecimenTable, bar_diameter: float) -> float:
+    """The largest mass [kg] that the specimen may have.
+
+    Its own mass where it is known, else a sphere or cylinder of steel of its size, else a sphere of
+    steel as wide as the bar.
+    """
+    mass = specimen.known_mass
+    if mass is not None:
+        return 1.02 * mass
+    return _HEAVIEST * specimen.volume(bar_diameter)
+
+
+def check_impulse(
+    peaks: Peaks, faces: Faces, tolerance: Tolerance, heaviest: float
+) -> float | None:
+    """Compare the impulses of both faces until B falls to half its largest force (in place).
+
+    The forces differ by the inertia of the specimen, P_A - P_B = M dv/dt, and by an error of gain,
+    g P_B.  The approaches of both contacts go with P^(2/3), so that the velocity v of the specimen
+    is the mean of the faces' less half of c d/dt (P_A^(2/3) - P_B^(2/3)).  M, c and g follow by
+    least squares from this equation, integrated twice over time.  Impulses that differ by more than
+    the gains, with and without a mass up to `heaviest` [kg], are a doubt.
+
+    Returns the mass [kg] whose inertia explains the difference, None if none does.
+    """
+    largest = peaks["B"]
+    low = faces.force_b < 0.5 * largest.value
+    at = int(np.searchsorted(faces.time, largest.time))
+    before, behind = np.flatnonzero(low[:at]), np.flatnonzero(low[at:])
+    first = int(before[-1]) + 1 if len(before) else 0
+    last = at + int(behind[0]) if len(behind) else len(low)
+    if last - first <= 2:
+        return None
+    force_a, force_b = faces.force_a[first:last], faces.force_b[first:last]
+    known = np.isfinite(force_a)
+    plain = float(force_a[known].sum() / max(force_b[known].sum(), 1e-300)) - 1.0
+    allowed = NORMAL * (tolerance.gains + tolerance.zeros / largest.value)
+    gains = [plain]
+    if "A" in peaks:
+        last = max(last, int(np.searchsorted(faces.time, peaks["A"].time)) + 1)
+    if np.isfinite(faces.force_a[:last]).all():
+        mass, gain, misfit = _fit_inertia(faces, last, heaviest)
+        if misfit <= _MISFIT:
+            gains.append(gain)
+            if abs(gain) <= allowed:
+                return mass
+    if abs(plain) <= allowed:
+        return None
+    text = (
+        f"A gives {1.0 + plain:.3g} times the impulse of B: a gain, a zero or an arrival is wrong"
+    )
+    for face, peak in [*peaks.items()]:
+        factors = [1.0 + gain for gain in gains]
+        if face != "B":
+            factors = [1.0 / max(factor, 1e-3) for factor in factors]
+        peaks.doubt([face], text, *(peak.value * factor for factor in factors))
+    return None
+
+
+def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float, float]:
+    """Mass [kg], relative error of gain, and largest misfit over the largest integral of B."""
+    step = float(faces.time[1] - faces.time[0])
+    force_a, force_b = faces.force_a[:last], faces.force_b[:last]
+    velocity = 0.5 * (faces.velocity_a + faces.velocity_b)[:last]
+    way = step * np.cumsum(velocity)
+    approaches = np.cbrt(np.square(np.maximum(force_a, 0.0)))
+    approaches -= np.cbrt(np.square(np.maximum(force_b, 0.0)))
+    impulses = step**2 * np.cumsum(np.cumsum(force_b))
+    difference = step**2 * np.cumsum(np.cumsum(force_a - force_b))
+    columns = np.stack([way, -approaches, impulses], axis=1)
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    fitted = np.linalg.lstsq(columns / scale, difference, rcond=None)[0] / scale
+    mass = min(max(float(fitted[0]), 0.0), heaviest)
+    # the other two given this mass
+    rest, others = difference - mass * way, columns[:, 1:] / scale[1:]
+    stiffness, gain = np.linalg.lstsq(others, rest, rcond=None)[0] / scale[1:]
+    misfit = np.abs(rest + stiffness * approaches - gain * impulses).max() / np.abs(impulses).max()
+    # no specimen moves faster than a ball that the faster face hits
+    momentum = np.abs(step * np.cumsum(force_a - (1.0 + gain) * force_b)).max()
+    fastest = 2.0 * np.maximum(np.abs(faces.velocity_a), np.abs(faces.velocity_b))[:last].max()
+    beyond = (momentum - mass * fastest) / np.abs(step * np.cumsum(force_b)).max()
+    return mass, float(gain), float(max(misfit, beyond))
+
+
+def check_specimen(
+    peaks: Peaks, pressed: float, document: RecordDocument, mass: float | None
+) -> str:
+    """Compare the peaks with each other, with the incident wave [N] and the strength (in place).
+
+    mass : of the specimen whose inertia explains that the faces differ [kg], None without one.
+
+    Returns a note on a specimen that is not in equilibrium, else an empty text.
+    """
+    strongest, before = document.specimen.strongest, dict(peaks)
+    for face, peak in before.items():
+        if peak.low > 2.0 * pressed:
+            text = (
+                f"an incident wave of {pressed * 1e-3:.4g} kN causes at most twice this force, "
+                f"{2.0 * pressed * 1e-3:.4g} kN"
+            )
+            peaks.doubt([face], text, 2.0 * pressed)
+        if _WIDE * peak.value < peak.high - peak.low < math.inf:
+            half = 0.5 * (peak.high - peak.low) / peak.value
+            peaks.doubt([face], f"hardly known: its 95 % interval is ±{half:.0%}")
+        if strongest is not None and peak.low > strongest:
+            text = f"the specimen carries at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
+            peaks.doubt([face], text, strongest)
+    if "A" not in before:
+        return ""
+    a, b = before["A"], before["B"]
+    both = f"A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN"
+    apart = abs(a.value - b.value) / max(a.value, b.value)
+    differ = a.low > b.high or b.low > a.high or apart > _APART
+    uncommon = before["mean"].value < (1.0 - EQUILIBRIUM) * 0.5 * (a.value + b.value)
+    if mass is not None:
+        if not (differ or uncommon or apart > EQUILIBRIUM):
+            return ""
+        return (
+            f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} g, "
+            "explains the difference. B is the force at the far face"
+        )
+    if differ:
+        peaks.doubt(
+            before, f"the faces differ by {apart:.0%} ({both})", a.low, b.low, a.high, b.high
+        )
+    if uncommon:
+        text = (
+            f"the faces reach their largest forces {abs(a.time - b.time) * 1e6:.4g} us apart: "
+            "they have no common peak"
+        )
+        peaks.doubt(["mean"], text, a.high, b.high)
+    return ""
