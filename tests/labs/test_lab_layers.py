@@ -91,5 +91,5 @@ def test_the_product_stands_without_the_labs(tmp_path: Path) -> None:
         command, capture_output=True, text=True, cwd=tmp_path, check=False, env=alone
     )
     assert done.returncode == 2
-    assert "invalid choice: 'shpb'" in done.stderr
+    assert "unknown command 'shpb'" in done.stderr
     assert done.stdout.split() == [str(tmp_path / "uqsphere" / "__init__.py"), "2"]

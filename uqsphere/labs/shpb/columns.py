@@ -422,10 +422,12 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
             f"{int(np.argmax(same)) + 2}: their mean is taken",
         )
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
-    # the steps of a coarse clock are 0 or one digit
-    rising = np.diff(time)[~same]
+    # a coarse clock takes steps of one digit, again and again
+    steps = np.diff(time)
+    digit = float(steps.max())
     even = np.linspace(time[0], time[-1], len(time))
-    if not len(rising) or np.abs(even - time).max() > 1.01 * float(np.median(rising)):
+    again = int((steps > 0.99 * digit).sum()) > _FEW_TWICE
+    if digit == 0.0 or not again or np.abs(even - time).max() > 1.01 * digit:
         raise UsageError(
             f"two samples have the same time, first at sample {int(np.argmax(same)) + 2}. Remove "
             "one of them, or leave out the time column and set record.sample_interval"
