@@ -26,13 +26,13 @@ def test_infinite_bars_need_neither_lengths_nor_ends():
     ("changes", "message"),
     [
         ({"shape": "triangle"}, "unknown pulse shape"),
-        ({"shape": "trapezoid"}, "lacks pulse.rise, pulse.fall"),
-        ({"shape": "two_peak"}, "lacks pulse.t1, pulse.level1, pulse.t2, pulse.level2"),
+        ({"shape": "trapezoid"}, "missing: pulse.rise, pulse.fall"),
+        ({"shape": "two_peak"}, "missing: pulse.t1, pulse.level1, pulse.t2, pulse.level2"),
         ({"shape": "step", "infinite": True}, "needs a horizon"),
         ({"horizon": 0.0}, "horizon must be positive"),
         ({"horizon": float("nan")}, "horizon must be positive"),
         ({"horizon": np.inf}, "finite"),
-        ({"sphere_colour": 1.0}, "unknown numbers of a scene: sphere.colour"),
+        ({"sphere_colour": 1.0}, "unknown columns: sphere.colour"),
     ],
 )
 def test_a_structure_without_meaning_is_refused(changes, message):

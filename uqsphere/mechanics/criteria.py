@@ -1,10 +1,9 @@
-"""Criteria of fracture: what of a loaded sphere is compared with which strength.
+"""Fracture criteria: which demand of a loaded sphere is compared with which strength.
 
-Each criterion is one record with one signature: columns of the impact model (SI, one row per
-sample) and its own parameters go in, a column of demand comes out, and the sphere breaks where the
-demand exceeds the strength.  The strength stays outside: it is a number or a law of the study.
-`in_range` says row by row where the formula has been left; a demand is given there too, for an
-absent number would pass for a survival.
+All criteria have one signature: from columns of the impact model (SI, one row per sample) and their
+own parameters they compute a column of demand.  The sphere breaks where the demand exceeds the
+strength, a number or a distribution of the study.  `in_range` marks the rows outside the range of
+the formula; the demand is computed there too, since a missing number would count as survival.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
@@ -29,16 +29,13 @@ Demands = Mapping[str, tuple[str, Parameters]]
 
 #: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
 AUERBACH: Final = 8.6e3
-#: an energy above the largest fracture energy breaks every particle; the demand stays a finite
-#: number
+#: demand, over the largest fracture energy, of energies that break every particle
 _CERTAIN: Final = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A number that belongs to a criterion, with the bounds of its meaning (the bounds themselves
-    excluded).
-    """
+    """A parameter of a criterion, with its bounds (exclusive)."""
 
     name: str
     dimension: str
@@ -80,14 +77,14 @@ PARAMETERS: Final[dict[str, Parameter]] = {
 class Criterion:
     """One criterion.
 
-    name, meaning, formula, source, range_text: texts; range_text says in words what `ranges` says
-    in numbers. dimension, symbol, display: of demand and strength, as of a `Quantity`; measures:
-    what the demand is; strength: what it is held against.  needs: columns, by the names of the
-    nomenclature.  formula_of: function of (columns, parameters), the demand (n,) without the effect
-    of rate.  quantity: the quantity of interest that is this demand with no parameter given; also:
-    those that are the same of another part of the record.  parameters, optional: names in
-    `PARAMETERS` that must, and may, be given.  ranges: closed ranges of columns, of "a/r", and of
-    parameters. follows, place: as of a `Quantity`.
+    name, meaning, formula, source, range_text: texts; range_text describes `ranges`.  dimension,
+    symbol, display: of demand and strength, as of a `Quantity`.  measures: meaning of the demand.
+    strength: meaning of the strength it is compared with.  needs: columns, by the names of the
+    nomenclature.  formula_of: function of (columns, parameters) that returns the demand, (n,),
+    without the rate effect.  quantity: the quantity of interest that equals this demand without
+    parameters; also: quantities that equal it over another part of the evaluation window.
+    parameters, optional: required and optional names of `PARAMETERS`.  ranges: closed ranges of
+    columns, of "a/r", and of parameters.  follows, place: as of a `Quantity`.
     """
 
     name: str
@@ -111,18 +108,22 @@ class Criterion:
     place: str = ""
 
     def needs_with(self, parameters: Parameters) -> tuple[str, ...]:
-        """Columns that the demand is made from with these parameters."""
-        return (*self.needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ()))
+        """Columns that the demand needs with these parameters."""
+        if "rate_0" in parameters:
+            return (*self.needs, "loading_rate", "P_max")
+        return self.needs
 
 
-class _Face(Mapping[str, Values]):
-    """Columns of one face: its own, and those of the row beside."""
+class _ContactColumns(Mapping[str, Values]):
+    """Columns of one contact, and those of the row."""
 
     def __init__(self, own: Columns, row: Columns) -> None:
         self._own, self._row = own, row
 
     def __getitem__(self, name: str) -> Values:
-        return self._own[name] if name in self._own else self._row[name]
+        if name in self._own:
+            return self._own[name]
+        return self._row[name]
 
     def __contains__(self, name: object) -> bool:
         return name in self._own or name in self._row
@@ -137,11 +138,12 @@ class _Face(Mapping[str, Values]):
 def demand(
     criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
 ) -> Array:
-    """The demand of n rows, in SI, to be compared with the criterion's strength.
+    """The demand of n rows [SI], to be compared with the criterion's strength.
 
-    With `rate_0` the strength grows with the strain rate of each sample; that is taken off the
-    demand, which leaves the comparison as it is.  ValueError for a parameter that is missing, not
-    known to the criterion, or outside its bounds.
+    With `rate_0` the strength increases with the strain rate of each sample; the demand is divided
+    by the increase instead, which is the same comparison.
+
+    Raises ValueError for a parameter that is missing, unknown, or outside its bounds.
 
     >>> rows = {"p_max": np.array([1e9]), "a_max": 1e-3, "sphere.radius": 0.01, "sphere.nu": 0.25}
     >>> round(float(demand(CRITERIA["core_tension"], rows)[0]) / 1e6, 2)
@@ -154,39 +156,38 @@ def demand(
         if name not in (*criterion.parameters, *criterion.optional):
             allowed = ", ".join((*criterion.parameters, *criterion.optional)) or "none"
             raise ValueError(
-                f"the criterion {criterion.name} has no {name} (its parameters: {allowed})"
+                f"{name} is not a parameter of the criterion {criterion.name} (allowed: {allowed})"
             )
         bounds = PARAMETERS[name]
         if not bounds.lower < value < bounds.upper:
             raise ValueError(
-                f"{name} must lie between {bounds.lower:g} and {bounds.upper:g}, found {value!r}"
+                f"{name} must be between {bounds.lower:g} and {bounds.upper:g}, not {value!r}"
             )
-    # faces that are not alike are looked at one by one, each with what presses at the other pole
-    faces = [_Face(side, columns) for side in columns["sides"]] if "sides" in columns else [columns]
+    contacts: list[Columns] = [columns]
+    if "sides" in columns:
+        # contacts that differ: each with the force at the other one
+        contacts = [_ContactColumns(side, columns) for side in columns["sides"]]
     demands = [
-        np.atleast_1d(np.asarray(criterion.formula_of(face, parameters), dtype=float))
-        for face in faces
+        np.atleast_1d(np.asarray(criterion.formula_of(contact_columns, parameters), dtype=float))
+        for contact_columns in contacts
     ]
-    found = np.asarray(np.maximum.reduce(demands))
+    largest = np.asarray(np.maximum.reduce(demands))
     if "rate_0" in parameters:
-        found = found / dynamic_increase(strain_rate(columns), parameters["rate_0"])
-    return found
+        return largest / dynamic_increase(strain_rate(columns), parameters["rate_0"])
+    return largest
 
 
 def ranges_of(
     criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
 ) -> Iterator[tuple[str, Array, float, float]]:
-    """What a criterion has a range of: its name, its values, (n,) or (1,), and the two ends of the
-    range.
-    """
+    """Ranges of a criterion: the name, its values, (n,) or (1,), and both ends of the range."""
     for name, (low, high) in criterion.ranges.items():
-        value = (
-            _ratio(columns)
-            if name == "a/r"
-            else parameters[name]
-            if name in parameters
-            else columns.get(name)
-        )
+        if name == "a/r":
+            value: Values | None = _ratio(columns)
+        elif name in parameters:
+            value = parameters[name]
+        else:
+            value = columns.get(name)
         if value is not None:
             yield name, np.atleast_1d(np.asarray(value, dtype=float)), low, high
 
@@ -194,7 +195,7 @@ def ranges_of(
 def in_range(
     criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
 ) -> Flags:
-    """Which of n rows lie inside the range of the criterion."""
+    """Rows inside the range of the criterion, (n,)."""
     inside = np.ones(np.shape(np.atleast_1d(columns[criterion.needs[0]])), dtype=bool)
     for _, value, low, high in ranges_of(criterion, columns, parameters):
         inside &= (value >= low) & (value <= high)
@@ -206,17 +207,20 @@ def _ratio(columns: Columns) -> Array:
 
 
 def _pressure(columns: Columns, name: str = "p_field") -> Array:
-    """Pressure that the stress inside, or at the rim, follows from [Pa]: of Hertz, for the same
-    force and circle.
-    """
-    return np.asarray(columns[name if name in columns else "p_max"])
+    """Hertz pressure of the same force and contact circle [Pa], from which stresses follow."""
+    if name in columns:
+        return np.asarray(columns[name])
+    return np.asarray(columns["p_max"])
 
 
 def _central_force(columns: Columns) -> Array:
-    """Force that the centre and the equator feel [N]: the mean of both poles', exactly, (R19);
-    P_max where equal.
+    """Force that loads the centre and the equator [N]: the mean of both contacts, exactly, (R19).
+
+    It is P_max if both are equal.
     """
-    return np.asarray(columns["force_at_centre" if "force_at_centre" in columns else "P_max"])
+    if "force_at_centre" in columns:
+        return np.asarray(columns["force_at_centre"])
+    return np.asarray(columns["P_max"])
 
 
 def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
@@ -227,11 +231,10 @@ def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
 
 
 def _between(one: Array, two: Array, columns: Columns) -> Array:
-    """What one pole's force does alone, what both do if equal, and by `balance` what they do as
-    they are. (R20).
+    """Stress under unequal forces, (R20): `one` of one force alone, `two` of two equal forces.
 
-    On the axis the field is the sum of two, but for the place of its largest value; a weakest-link
-    integral lies below, for a norm is convex.
+    On the axis the field is the sum of two, except for the location of its peak; a weakest-link
+    integral is lower, since a norm is convex.
     """
     return np.asarray(one + (two - one) * columns["balance"])
 
@@ -246,26 +249,24 @@ def _core(columns: Columns, parameters: Parameters) -> Array:
 
 def _equator(columns: Columns, parameters: Parameters) -> Array:
     ratio = np.square(_ratio(columns))
-    found = (
-        _pressure(columns) * ratio * stress.ratio("equator", _ratio(columns), columns["sphere.nu"])
-    )
+    field = stress.ratio("equator", _ratio(columns), columns["sphere.nu"])
+    tension = _pressure(columns) * ratio * field
     if "force_at_centre" in columns:
-        found = found * (_central_force(columns) / columns["P_max"])
-    return np.asarray(found)
+        tension = tension * (_central_force(columns) / columns["P_max"])
+    return np.asarray(tension)
 
 
 def strain_rate(columns: Columns) -> Array:
-    """Mean strain rate of the core while the force rises [1/s]: core_tension/E times
-    loading_rate/P_max.
+    """Mean strain rate of the core during loading [1/s]: core_tension/E loading_rate/P_max.
 
-    The core tension is taken to rise in proportion with the force.
+    The core tension is taken as proportional to the force.
     """
     growth = np.asarray(columns["loading_rate"]) / np.asarray(columns["P_max"])
     return np.asarray(_core(columns, {}) / np.asarray(columns["sphere.E"]) * growth)
 
 
 def dynamic_increase(rate: Values, rate_0: Values) -> Array:
-    """Strength at a strain rate over the quasi-static one: 1 + (rate/rate_0)^(2/3).
+    """Strain-rate strengthening factor: 1 + (rate/rate_0)^(2/3).
 
     Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150
     to 300 1/s in compression for four rocks: Rae and others (2021).
@@ -279,26 +280,22 @@ def dynamic_increase(rate: Values, rate_0: Values) -> Array:
 
 
 def ring_crack_toughness(force: Values, radius: Values, E: Values) -> Array:
-    """Toughness at which a ring crack just becomes a cone: K = sqrt(P E/(A r)) [Pa sqrt(m)], A =
-    8600.
+    """Toughness at which a ring crack just becomes a cone crack [Pa sqrt(m)].
 
-    Auerbach's law P_C = A K_Ic² r/E turned round, so that force, size and stiffness stand on the
-    side of the demand.
+    K = sqrt(P E/(A r)), A = 8600: Auerbach's law P_C = A K_Ic² r/E solved for the toughness.
     """
     return np.asarray(np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius))))
 
 
 def hiramatsu_oka_tension(force: Values, radius: Values) -> Array:
-    """0.9 P/D² [Pa], the tensile strength that irregular lumps are credited with in practice."""
+    """0.9 P/D² [Pa], the tensile stress used in practice for irregular lumps."""
     return np.asarray(0.9 * np.asarray(force) / np.square(2.0 * np.asarray(radius)))
 
 
 def truncated_energy(energy: Values, largest: Values) -> Array:
-    """E_max E/(E_max - E): what a fracture energy, bounded by E_max, becomes so that its law is
-    lognormal.
+    """E_max E/(E_max - E): an upper-truncated lognormal fracture energy as a lognormal one.
 
-    At E_max and above everything breaks; the number returned there, 1e9 E_max, lies beyond any
-    strength.
+    At E_max and above every particle breaks; there 1e9 E_max is returned, above any strength.
 
     >>> truncated_energy([50.0, 200.0], 100.0).tolist()
     [100.0, 100000000000.0]
@@ -317,11 +314,11 @@ def equivalent_tension(
     *,
     over: str = "volume",
 ) -> Array:
-    """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio
-    V/V_0 or S/S_0.
+    """Equivalent tension of the weakest link [Pa]: (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m).
 
-    With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 -
-    exp(-(sigma_eq/sigma_0)^m).  With `_one` after it, of one pole's force alone.
+    over: `volume` or `surface`; with the suffix `_one` for the force at one contact alone.
+    size_ratio: V/V_0 or S/S_0.  With a strength of modulus m and scale sigma_0 for the reference
+    size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).
     """
     field = stress.ratio(over, contact_ratio, nu, modulus)
     return np.asarray(
@@ -336,65 +333,57 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
             size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
         else:
             size = 4.0 * math.pi * radius**2 / parameters["reference_area"]
-        given = (
+        equivalent = partial(
+            equivalent_tension,
             _pressure(columns),
             _ratio(columns),
             columns["sphere.nu"],
             parameters["modulus"],
             size,
         )
-        two = equivalent_tension(*given, over=over)
+        two = equivalent(over=over)
         if "balance" not in columns:
             return two
-        share = {"balance": np.minimum(columns["balance"], 1.0)}
-        return _between(equivalent_tension(*given, over=f"{over}_one"), two, share)
+        balance = {"balance": np.minimum(columns["balance"], 1.0)}
+        return _between(equivalent(over=f"{over}_one"), two, balance)
 
     return formula
 
 
 def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
     ratio, nu, m = _ratio(columns), columns["sphere.nu"], parameters["modulus"]
-    size = (
-        4.0
-        * math.pi
-        * np.square(np.asarray(columns["sphere.radius"]))
-        / parameters["reference_area"]
-    )
+    surface = 4.0 * math.pi * np.square(np.asarray(columns["sphere.radius"]))
+    size = surface / parameters["reference_area"]
     field = stress.half_space_rim(ratio, nu, m) * stress.ratio("rim", ratio, nu, m)
     if "balance" in columns:
-        # each rim is a hazard of its own, that of an equal force half of both: it goes with a²
-        # p_0^m
+        # each rim is a hazard by itself, half of both under equal forces, proportional to a² p_0^m
         other = np.minimum(columns["balance"], 1.0) ** ((m + 2.0) / 3.0)
         field = field * (0.5 * (1.0 + other)) ** (1.0 / m)
     return np.asarray(_pressure(columns) * field * size ** (1.0 / m))
 
 
-def _energy_criterion(name: str, symbol: str, of: str) -> Criterion:
-    """The fracture energy of one of the three energies of (R22); which one a strength means has to
-    be said.
-    """
+def _energy_criterion(name: str, symbol: str, of: str, follows: str = "energy") -> Criterion:
+    """A fracture energy by one of the three definitions of (R22)."""
 
     def energy(columns: Columns, parameters: Parameters) -> Array:
-        found = np.asarray(columns[name], dtype=float)
-        return (
-            truncated_energy(found, parameters["largest_energy"])
-            if "largest_energy" in parameters
-            else found
-        )
+        specific = np.asarray(columns[name], dtype=float)
+        if "largest_energy" in parameters:
+            return truncated_energy(specific, parameters["largest_energy"])
+        return specific
 
     return Criterion(
         name=name,
         quantity=name,
         symbol=symbol,
         display="J/kg",
-        measures="specific energy, stretched so that a bounded fracture energy becomes lognormal",
-        follows="energy" if name != "specific_impact_energy" else "",
-        meaning=f"energy {of} per mass",
+        measures="specific energy: with largest_energy, E_max w/(E_max - w)",
+        follows=follows,
+        meaning=f"energy {of}, per sphere mass",
         formula="W/M, or E_max (W/M)/(E_max - W/M)",
         dimension="specific_energy",
         strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
         source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory",
-        range_text="that of the contact",
+        range_text="that of the contact law",
         needs=(name,),
         optional=("largest_energy",),
         formula_of=energy,
@@ -420,10 +409,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="p_max",
             symbol="p_max",
             display="GPa",
-            measures="largest contact pressure at either face",
+            measures="peak contact pressure",
             place="contact",
             also=("first_peak",),
-            meaning="largest contact pressure",
+            meaning="peak contact pressure",
             formula="p_max",
             dimension="pressure",
             strength="contact strength, 0.5 to 1 times the hardness (not the uniaxial strength)",
@@ -438,14 +427,14 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="edge_tension",
             symbol="sigma_e",
             display="GPa",
-            measures="largest radial tension at the rim of the contact",
+            measures="peak radial tension at the contact rim",
             place="rim",
-            meaning="radial tension at the rim of the contact",
+            meaning="radial tension at the contact rim",
             formula="(1 - 2 nu)/3 p_max, or (1 - 2 nu)/2 p_mean beyond yield",
             dimension="pressure",
             strength="tensile strength of the surface",
             source="Johnson, Contact Mechanics, 1985, section 3.4; half space",
-            range_text="a/r <= 0.05; far too severe where the stress is steep (see ring_crack)",
+            range_text="a/r <= 0.05; far too severe for steep stress gradients (see ring_crack)",
             needs=_FIELD,
             ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)},
             formula_of=lambda columns, parameters: np.asarray(
@@ -457,9 +446,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="ring_crack_toughness",
             symbol="K_ring",
             display="MPa.sqrt(m)",
-            measures="fracture toughness at which a ring crack just grows into a cone",
+            measures="ring-crack toughness: at which a ring crack just grows into a cone crack",
             place="rim",
-            meaning="ring crack that grows into a cone, by fracture mechanics",
+            meaning="growth of a ring crack into a cone crack (fracture mechanics)",
             formula="sqrt(P_max E/(8600 r))",
             dimension="toughness",
             strength="fracture toughness K_Ic",
@@ -476,9 +465,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="core_tension",
             symbol="sigma_core",
             display="MPa",
-            measures="largest hoop tension on the axis inside the sphere",
+            measures="core tension: peak hoop tension on the axis of the sphere",
             place="core",
-            meaning="largest hoop tension on the axis",
+            meaning="peak hoop tension on the axis",
             formula="p_max f(a/r, nu)",
             dimension="pressure",
             strength="tensile strength",
@@ -494,9 +483,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="centre_tension",
             symbol="sigma_c",
             display="MPa",
-            measures="tension at the centre of the sphere at the largest force",
+            measures="centre tension at peak force",
             place="core",
-            meaning="tension at the centre, point loads",
+            meaning="tension at the centre of the sphere under point loads",
             formula="21 P_max/(pi (7 + 5 nu) D²)",
             dimension="pressure",
             strength="tensile strength",
@@ -518,9 +507,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="equatorial_tension",
             symbol="sigma_eq",
             display="MPa",
-            measures="hoop tension on the sphere's surface half-way between the contacts",
+            measures="equatorial tension: hoop tension on the surface midway between the contacts",
             place="core",
-            meaning="hoop tension on the surface at the equator",
+            meaning="hoop tension on the surface at the equator of the sphere",
             formula="p_max (a/r)² f(a/r, nu)",
             dimension="pressure",
             strength="tensile strength of the surface",
@@ -536,7 +525,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="hiramatsu_oka_tension",
             symbol="sigma_HO",
             display="MPa",
-            measures="tensile stress 0.9 P/D² that lumps of rock are credited with in practice",
+            measures="Hiramatsu-Oka tension: 0.9 P/D², as used for lumps of rock",
             place="core",
             meaning="tensile stress as used in practice for lumps of rock",
             formula="0.9 P_max/D²",
@@ -556,9 +545,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             quantity="grain_tension",
             symbol="sigma_F",
             display="MPa",
-            measures="nominal tension P/D² of a grain between two platens",
+            measures="grain tension: nominal tension P/D² between two platens",
             place="core",
-            meaning="tension by which grains of sand and rockfill are ranked in crushing tests",
+            meaning="nominal tension that ranks sand and rockfill grains in crushing tests",
             formula="P_max/D²",
             dimension="pressure",
             strength="characteristic stress of crushing tests on grains (37 % survive it)",
@@ -576,13 +565,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
         ),
         Criterion(
             name="weakest_link_volume",
-            meaning="flaws in the volume opened by the hoop tension",
+            meaning="volume flaws opened by the hoop tension (weakest link)",
             symbol="sigma_V",
             display="MPa",
-            measures=(
-                "uniform tension in the reference volume that is as dangerous as the hoop "
-                "tension in the sphere"
-            ),
+            measures="equivalent tension in the reference volume: of equal failure probability",
             place="core",
             formula="(∫ max(sigma_phi, 0)^m dV/V_0)^(1/m)",
             dimension="pressure",
@@ -597,13 +583,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
         ),
         Criterion(
             name="weakest_link_surface",
-            meaning="flaws in the surface opened by the hoop tension",
+            meaning="surface flaws opened by the hoop tension (weakest link)",
             symbol="sigma_S",
             display="MPa",
-            measures=(
-                "uniform tension in the reference area that is as dangerous as that in the "
-                "sphere's surface"
-            ),
+            measures="equivalent tension in the reference area: of equal failure probability",
             place="core",
             formula="(∫ max(sigma_phi, 0)^m dS/S_0)^(1/m)",
             dimension="pressure",
@@ -618,13 +601,10 @@ CRITERIA: Final[dict[str, Criterion]] = {
         ),
         Criterion(
             name="weakest_link_rim",
-            meaning="flaws in the surface around both contacts opened by the radial tension",
+            meaning="surface flaws around the contacts opened by the radial tension (weakest link)",
             symbol="sigma_rim",
             display="MPa",
-            measures=(
-                "uniform tension in the reference area that is as dangerous as that around the "
-                "contacts"
-            ),
+            measures="equivalent rim tension in the reference area: of equal failure probability",
             place="rim",
             formula="(∫ max(sigma_t, 0)^m dS/S_0)^(1/m), sigma_t the largest so far",
             dimension="pressure",
@@ -636,22 +616,17 @@ CRITERIA: Final[dict[str, Criterion]] = {
             ranges=_WEIBULL_TABLE,
             formula_of=_weakest_rim,
         ),
-        *(
-            _energy_criterion(name, symbol, of)
-            for name, symbol, of in (
-                ("specific_energy", "E'", "stored in both contacts, of both bodies"),
-                ("specific_energy_sphere", "E_s'", "that is the sphere's share of both contacts"),
-                ("specific_impact_energy", "E_in'", "that the blow offers"),
-            )
-        ),
+        _energy_criterion("specific_energy", "E'", "stored elastically in both contacts"),
+        _energy_criterion("specific_energy_sphere", "E_s'", "absorbed by the sphere"),
+        _energy_criterion("specific_impact_energy", "E_in'", "of the impact", follows=""),
         Criterion(
             name="subsurface_shear",
             quantity="subsurface_shear",
             symbol="tau_max",
             display="MPa",
-            measures="largest shear stress on the axis, below the contact",
+            measures="peak shear stress below the contact",
             place="below",
-            meaning="largest shear stress on the axis",
+            meaning="peak shear stress on the axis, below the contact",
             formula="p_max f(a/r, nu)",
             dimension="pressure",
             strength="shear strength (yield, crushing below contact)",
@@ -664,8 +639,17 @@ CRITERIA: Final[dict[str, Criterion]] = {
     )
 }
 
-#: Demands of criteria by the criterion; a study adds the limit's name,
-#: ``weakest_link_volume.NAME``.
+
+def _demand_meaning(entry: Criterion) -> str:
+    """Meaning of a demand; criteria with a rate effect say that they include it."""
+    if entry.optional == _RATE and entry.quantity is not None:
+        name = entry.measures.partition(":")[0]
+        return f"{name} divided by the strain-rate strengthening factor"
+    return entry.measures
+
+
+#: demands of criteria by the criterion; a study adds the limit's name,
+#: ``weakest_link_volume.NAME``
 DEMANDS: Final[dict[str, Quantity]] = {
     name: Quantity(
         name=name,
@@ -676,9 +660,7 @@ DEMANDS: Final[dict[str, Quantity]] = {
         fracture=True,
         place=entry.place,
         needs=entry.needs,
-        meaning=f"{entry.measures} over the increase of strength by its rate"
-        if entry.optional == _RATE and entry.quantity is not None
-        else entry.measures,
+        meaning=_demand_meaning(entry),
     )
     for name, entry in CRITERIA.items()
 }

@@ -1,8 +1,7 @@
-"""Quantities of interest: what each is, how it follows from what was integrated, and the answers of
-a batch in SI.
+"""Quantities of interest: their definitions, and the answers of a batch of scenes in SI.
 
-A quantity is one entry of `OUTPUTS` or, if it is what a criterion of fracture compares with a
-strength, the entry of that criterion in `uqsphere.mechanics.criteria`.
+A quantity is one entry of `OUTPUTS`; the demand of a fracture criterion is the entry of that
+criterion in `uqsphere.mechanics.criteria`.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
-#: what a column is given as: numbers, a function that is called when it is read, or the columns of
-#: every face
-Known: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
-#: scale factors of a scene that formulas read beside its own columns
+#: source of a column: numbers, a function that computes them when read, or the columns of all
+#: contacts
+Source: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
+#: scale factors of a scene that formulas read in addition to its columns
 _SCALES: Final = (
     "modulus",
     "effective_radius",
@@ -58,7 +57,7 @@ def _of_criterion(entry: Criterion) -> Quantity:
     )
 
 
-#: Every quantity of interest that the impact model answers.
+#: every quantity of interest of the impact model
 OUTPUTS: Final[dict[str, Quantity]] = {
     entry.name: entry
     for entry in (
@@ -69,7 +68,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="GPa",
             follows="force",
             fracture=True,
-            meaning="peak contact pressure: the larger of both faces",
+            meaning="peak contact pressure: the larger of both contacts",
             place="contact",
             needs=("P_max", "modulus", "effective_radius"),
             formula=lambda c: contact.pressure_at_force(
@@ -83,7 +82,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="kN",
             follows="force",
             fracture=True,
-            meaning="largest contact force at either face",
+            meaning="peak contact force: the larger of both contacts",
             needs=("force", "x_max"),
             formula=lambda c: c["force"] * c["x_max"] ** c["power"],
         ),
@@ -94,9 +93,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="GPa",
             follows="force",
             fracture=True,
-            meaning="elastic (Hertz) pressure at peak force: what that force would give without "
-            "yield; a measure "
-            "of the force, as strengths from forces are, so it may exceed the hardness",
+            meaning="elastic-equivalent pressure: p_0 by Hertz at P_max; may exceed the hardness",
             place="contact",
             needs=("P_max", "modulus", "effective_radius"),
             formula=lambda c: contact.pressure_at_force(
@@ -109,7 +106,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="um",
             follows="force",
-            meaning="approach of sphere and bar at the largest force",
+            meaning="approach at peak force: of the sphere and the counter-body",
             needs=("approach", "x_max"),
             formula=lambda c: c["approach"] * c["x_max"],
         ),
@@ -119,7 +116,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="mm",
             follows="force",
-            meaning="radius of the contact circle at the largest force",
+            meaning="contact radius at peak force",
             needs=("P_max", "hertz_constant", "effective_radius"),
             formula=lambda c: contact.contact_radius(
                 contact.approach_at_force(c["P_max"], c["hertz_constant"]), c["effective_radius"]
@@ -132,10 +129,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="GPa",
             follows="force",
             place="contact",
-            meaning=(
-                "mean pressure over the contact circle at the largest force, as hardness is "
-                "measured"
-            ),
+            meaning="mean contact pressure at peak force: as hardness is measured",
             needs=("P_max", "a_max"),
             formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"])),
         ),
@@ -145,7 +139,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="um",
             closed=True,
-            meaning="depth of the larger dent that stays at either face",
+            meaning="residual indentation depth: the deeper of both contacts",
             needs=("dent_left",),
         ),
         Quantity(
@@ -153,7 +147,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="P_mean",
             dimension="force",
             display="kN",
-            meaning="largest mean of the forces at the two poles, as the centre feels it",
+            meaning="peak mean contact force: max of (P_A + P_B)/2",
             needs=("force", "mean_force"),
             formula=lambda c: c["force"] * c["mean_force"],
         ),
@@ -162,9 +156,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="t_eq",
             dimension="time",
             display="us",
-            meaning=(
-                "equivalent contact duration: impulse of the mean force of both faces over its peak"
-            ),
+            meaning="equivalent contact duration: impulse of the mean contact force / its peak",
             needs=("time", "duration"),
             formula=lambda c: c["time"] * c["duration"],
         ),
@@ -173,7 +165,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="t_loss",
             dimension="time",
             display="us",
-            meaning="time from first touch to the first loss of contact at either face",
+            meaning="time to first contact loss: from first touch, at either contact",
             needs=("time", "contact"),
             censored="contact_censored",
             formula=lambda c: c["time"] * c["contact"],
@@ -183,7 +175,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="t_loaded",
             dimension="time",
             display="us",
-            meaning="time from first touch until the bodies part for good",
+            meaning="contact time: from first touch until the bodies separate for good",
             needs=("time", "parting"),
             formula=lambda c: c["time"] * c["parting"],
         ),
@@ -192,7 +184,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="t_rise",
             dimension="time",
             display="us",
-            meaning="time between the first crossings of 10 % and 90 % of the largest force",
+            meaning="rise time: from 10 % to 90 % of the peak force, first crossings",
             needs=("time", "rise"),
             formula=lambda c: c["time"] * c["rise"],
         ),
@@ -201,7 +193,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="dP/dt",
             dimension="loading_rate",
             display="MN/s",
-            meaning="mean loading rate, 0.8 P_max over the rise time",
+            meaning="mean loading rate: 0.8 P_max / rise time",
             needs=("P_max", "rise_time"),
             formula=lambda c: 0.8 * c["P_max"] / c["rise_time"],
         ),
@@ -212,7 +204,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="GPa",
             follows="force",
             fracture=True,
-            meaning="largest contact pressure before the first reflected wave returns",
+            meaning="first peak pressure: before the first reflected wave returns",
             early=True,
             place="contact",
             needs=("force", "x_first", "modulus", "effective_radius"),
@@ -224,7 +216,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             name="force_imbalance",
             symbol="|P_A-P_B|/P_max",
             dimension="number",
-            meaning="largest difference of the two contact forces over the largest force",
+            meaning="force imbalance: max |P_A - P_B| / P_max",
             needs=("difference", "x_max"),
             formula=lambda c: c["difference"] / c["x_max"] ** c["power"],
         ),
@@ -233,7 +225,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="n_t",
             dimension="number",
             closed=True,
-            meaning="contacts lost and found again before the largest force",
+            meaning="number of recontacts before peak force",
             needs=("touches",),
         ),
         Quantity(
@@ -243,7 +235,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="J",
             follows="energy",
             fracture=True,
-            meaning="largest elastic energy stored in both contacts",
+            meaning="peak elastic energy in both contacts",
             needs=("force", "approach", "stored"),
             formula=lambda c: c["force"] * c["approach"] * c["stored"],
         ),
@@ -253,7 +245,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="specific_energy",
             display="J/kg",
             follows="energy",
-            meaning="largest elastic energy stored in both contacts, per mass of the sphere",
+            meaning="specific peak elastic energy: of both contacts, per sphere mass",
             fracture=True,
             needs=("energy", "mass"),
             formula=lambda c: c["energy"] / c["mass"],
@@ -265,10 +257,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="J",
             follows="energy",
             fracture=True,
-            meaning=(
-                "the sphere's share of the largest energy in both contacts, its plastic work "
-                "included"
-            ),
+            meaning="energy absorbed by the sphere: its part of the peak energy, with plastic work",
             needs=("energy", "modulus", "sphere.nu", "sphere.E", "stored_sphere"),
             formula=lambda c: (
                 c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]
@@ -282,9 +271,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             follows="energy",
             fracture=True,
             needs=("energy_sphere", "mass"),
-            meaning=(
-                "the sphere's share of the largest energy in both contacts, per mass of the sphere"
-            ),
+            meaning="specific energy absorbed by the sphere: per sphere mass",
             formula=lambda c: c["energy_sphere"] / c["mass"],
         ),
         Quantity(
@@ -294,14 +281,14 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             display="J",
             needs=("offered",),
             fracture=True,
-            meaning="kinetic energy of the impact: of the weight, or of the bodies that meet",
+            meaning="impact energy: kinetic energy of the drop weight, or of relative motion",
         ),
         Quantity(
             name="specific_impact_energy",
             symbol="E_in/M",
             dimension="specific_energy",
             display="J/kg",
-            meaning="kinetic energy that the blow offers, per mass of the sphere",
+            meaning="specific impact energy: per sphere mass",
             fracture=True,
             needs=("impact_energy", "mass"),
             formula=lambda c: c["impact_energy"] / c["mass"],
@@ -312,7 +299,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="speed",
             display="m/s",
             lower=-math.inf,
-            meaning="speed at which the sphere, or the weight, flies back",
+            meaning="rebound speed: of the sphere, or of the drop weight",
             needs=("speed", "leaving"),
             formula=lambda c: c["speed"] * c["leaving"],
         ),
@@ -321,10 +308,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             symbol="e",
             dimension="number",
             lower=-math.inf,
-            meaning=(
-                "coefficient of restitution: of a drop weight, its own rebound speed over its "
-                "impact speed"
-            ),
+            meaning="coefficient of restitution: of a drop weight, its rebound / impact speed",
             needs=("parting_speed",),
         ),
         Quantity(
@@ -333,7 +317,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="energy",
             display="J",
             closed=True,
-            meaning="energy that the partners carry off as waves",
+            meaning="radiated energy: elastic waves in the counter-bodies",
             needs=("carried_off", "carried_a", "carried_b"),
         ),
         Quantity(
@@ -342,7 +326,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             dimension="energy",
             display="J",
             closed=True,
-            meaning="work that both faces have dissipated by yielding",
+            meaning="plastic work: of both contacts",
             needs=("dissipated",),
         ),
     )
@@ -355,50 +339,47 @@ OUTPUTS.update(
 
 
 class Columns(Mapping[str, Values]):
-    """Columns of n rows by name, (n,) each: what is known, and every quantity of `OUTPUTS`,
-    computed when read.
+    """Columns of n rows by name, (n,) each, and every quantity of `OUTPUTS`, computed when read.
 
-    What is known may be a function without arguments, which is called when its column is read for
-    the first time.
+    sources: columns, or functions without arguments that return them.
     """
 
-    def __init__(self, known: Mapping[str, Known]) -> None:
-        self._known = dict(known)
+    def __init__(self, sources: Mapping[str, Source]) -> None:
+        self._sources = dict(sources)
 
     def __getitem__(self, name: str) -> Values:
-        found = self._known.get(name)
-        if found is None or callable(found):
+        source = self._sources.get(name)
+        if source is None or callable(source):
             with np.errstate(all="ignore"):
-                if found is not None:
-                    self._known[name] = found()
-                else:
-                    entry = OUTPUTS[name]
-                    # without a formula it is what it needs
-                    self._known[name] = (
-                        self[entry.needs[0]] if entry.formula is None else entry.formula(self)
-                    )
-        return self._known[name]
+                if source is None:
+                    source = partial(self._computed, OUTPUTS[name])
+                self._sources[name] = source()
+        return self._sources[name]
+
+    def _computed(self, entry: Quantity) -> Values:
+        """A quantity of interest; without a formula it equals the column that it needs."""
+        if entry.formula is None:
+            return self[entry.needs[0]]
+        return entry.formula(self)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._known
+        return name in self._sources
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._known)
+        return iter(self._sources)
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._sources)
 
 
-def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Known]:
+def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Source]:
     """Numbers and scale factors of some rows of a scene."""
     scales = {name: getattr(scene.scales, name)[rows] for name in _SCALES}
     return {**{name: column[rows] for name, column in scene.columns.items()}, **scales}
 
 
 def _roots(name: str, demands: Demands) -> set[str]:
-    """What the integrator has to know for a quantity: names of `SCALED`, and inputs that may be
-    absent.
-    """
+    """What a quantity is computed from: names of `SCALED`, and inputs that may be absent."""
     if name in demands:
         key, parameters = demands[name]
         needs = CRITERIA[key].needs_with(parameters)
@@ -410,25 +391,25 @@ def _roots(name: str, demands: Demands) -> set[str]:
 
 
 def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
-    """What the integrator has to know for quantities and demands: names of `SCALED`, and inputs
-    that may be absent.
-    """
+    """What quantities and demands are computed from: see `_roots`."""
     return set().union(*(_roots(name, demands) for name in quantities))
 
 
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
-    """What an integrator has to follow for these quantities and demands, or for all:
-    tracked.WANT_*.
+    """Flags `tracked.WANT_*` of what the integrator must track for quantities and demands.
+
+    quantities: all of `OUTPUTS` if None.
     """
     wanted = 0
-    asked = OUTPUTS.keys() if quantities is None else quantities
-    for name in roots_of(asked, demands) & SCALED.keys():
+    if quantities is None:
+        quantities = OUTPUTS.keys()
+    for name in roots_of(quantities, demands) & SCALED.keys():
         wanted |= SCALED[name][1]
     return wanted
 
 
 def follows_force(quantity: str) -> bool:
-    """Whether a slow test tells the quantity from the force at failure alone.
+    """Whether the force at failure in a slow test determines the quantity.
 
     >>> follows_force("core_tension"), follows_force("contact_duration")
     (True, False)
@@ -437,12 +418,11 @@ def follows_force(quantity: str) -> bool:
 
 
 def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -> dict[str, Array]:
-    """Pressures and circle of a face that has a law.
+    """Pressures and contact radius of a contact that yields.
 
-    `p_field` is the Hertz pressure of the same force on the same circle: the stress inside an
-    elastic sphere follows from that, at the rim whatever the pressure's shape.  `p_rim` is the
-    same, but where the sphere `takes` the plastic work: its rim has at most the tension that Hertz
-    has for the force.
+    `p_field` is the Hertz pressure of the same force on the same circle, from which the stress
+    inside the sphere follows.  `p_rim` is the same, except where the sphere `takes` the plastic
+    work: there the rim tension is at most Hertz's for the same force.
     """
     field = 1.5 * press.mean
     rim = np.where(
@@ -458,9 +438,7 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
 
 
 def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
-    """Columns of rows whose faces are pressed to a force [N] by the law that yields; none where
-    nothing does.
-    """
+    """Columns of rows loaded to a force [N], for contacts that yield; empty if none does."""
     if scene.faces is None:
         return {}
     face = scene.faces.at(rows)
@@ -469,13 +447,11 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
     return {"alpha_max": state.approach, **pressures}
 
 
-# --- faces that are not alike ---------------------------------------------------------------------
+# --- contacts that differ, or yield ---------------------------------------------------------------
 
 
-def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
-    """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures,
-    circle, dent, work.
-    """
+def _side(scene: Scene, pole: int, x: Array) -> dict[str, Source]:
+    """Columns of one contact at its peak approach x alpha_c: force, pressures, radius, energy."""
     partner, scales = scene.partners[pole], scene.scales
     assert partner is not None
     modulus, radius, beta = partner.modulus, partner.effective_radius, partner.hertz_constant
@@ -506,42 +482,43 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Known]:
     }
 
 
-#: columns of a row that are the largest over its faces, each on its own
+#: columns of a row that are the largest over its contacts, each separately
 _LARGEST: Final = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
-#: the force at the other pole when a face is at its peak
+#: force at the other contact when one is at its peak
 _OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
-def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
-    """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those
-    of the row.
-    """
+def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Source]:
+    """Columns of contacts that differ or yield: of each contact ("sides"), and of the row."""
     if scene.by_wave and scene.struck.face is None:
         return {}
     poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
     sides = [_face(scene, name, tracked) for name in poles]
-    found: dict[str, Known] = {column: partial(_largest, sides, column) for column in _LARGEST}
+    columns: dict[str, Source] = {"sides": sides}
+    columns |= {column: partial(_largest, sides, column) for column in _LARGEST}
+
+    def first_peak() -> Array:
+        at_first = [
+            Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()
+        ]
+        return _largest(at_first, "p_max")
+
     if "x_first_a" in tracked or "x_first_b" in tracked:
-        found["first_peak"] = lambda: _largest(
-            [
-                Columns(_side(scene, pole, tracked[f"x_first_{name}"]))
-                for name, pole in poles.items()
-            ],
-            "p_max",
-        )
-    more = _of_forces(scene, tracked, sides) | _energies(scene, tracked, sides)
-    return {"sides": sides} | found | more
+        columns["first_peak"] = first_peak
+    return columns | _of_forces(scene, tracked, sides) | _energies(scene, tracked, sides)
 
 
 def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
-    """The columns of one face.
+    """The columns of one contact.
 
-    Inside the sphere the stress depends on what presses at the other pole as well: `balance` is
-    that force over the face's own, at its peak.
+    The stress inside the sphere depends on the force at the other contact as well: `balance` is
+    that force over the contact's own, at its peak.
     """
     side = _side(scene, "ab".index(name), tracked[f"x_{name}"])
     if not scene.by_wave:
-        other = 0.0 if len(scene.there) == 1 else scene.scales.force * tracked[_OPPOSITE[name]]
+        other: Values = 0.0
+        if len(scene.there) == 2:
+            other = scene.scales.force * tracked[_OPPOSITE[name]]
         pressed = Columns(side)["P_max"]
         side["balance"] = np.where(pressed > 0.0, other / pressed, 0.0)
     return Columns(side)
@@ -549,20 +526,21 @@ def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
 
 def _of_forces(
     scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
-) -> dict[str, Known]:
-    """What the forces at both poles are together: with one contact its own, and half of it at the
-    centre.
-    """
-    force, found = scene.scales.force, dict[str, Known]()
+) -> dict[str, Source]:
+    """Mean force and imbalance of both contacts; a single contact loads the centre by half."""
+    force = scene.scales.force
+    columns: dict[str, Source] = {}
     if len(sides) == 1:
-        found["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
-    elif "difference" in tracked:
-        found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
-    if not scene.by_wave:
-        found["force_at_centre"] = found.get("mean_force_max") or (
-            lambda: force * tracked["mean_force"]
+        columns["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
+        columns["force_at_centre"] = columns["mean_force_max"]
+        return columns
+    if "difference" in tracked:
+        columns["force_imbalance"] = lambda: (
+            force * tracked["difference"] / _largest(sides, "P_max")
         )
-    return found
+    if not scene.by_wave:
+        columns["force_at_centre"] = lambda: force * tracked["mean_force"]
+    return columns
 
 
 def _largest(sides: Sequence[Columns], column: str) -> Array:
@@ -571,19 +549,15 @@ def _largest(sides: Sequence[Columns], column: str) -> Array:
 
 def _energies(
     scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
-) -> dict[str, Known]:
-    """Energy in both contacts and what they dissipate, and the sphere's share of them
-    (`_energy_of_sphere`).
-    """
+) -> dict[str, Source]:
+    """Elastic energy and plastic work of both contacts, and the sphere's part of them."""
     unit = scene.scales.force * scene.scales.approach
 
     def energy() -> Values:
-        # platens press both faces to their largest together
-        return (
-            unit * tracked["stored"]
-            if "stored" in tracked
-            else sum(side["stored"] for side in sides)
-        )
+        if "stored" in tracked:
+            return unit * tracked["stored"]
+        # under slow loading both contacts reach their peak together
+        return sum(side["stored"] for side in sides)
 
     return {
         "energy": energy,
@@ -598,31 +572,30 @@ def _energy_of_sphere(
     sides: Sequence[Columns],
     energy: Callable[[], Values],
 ) -> Values:
-    """chi of what is stored at each face, and what the sphere dissipates: all where it yields
-    itself.
-    """
+    """chi of the energy in each contact, and the plastic work where the sphere itself yields."""
     faces = list(zip(scene.there, sides, strict=True))
     if len(sides) == 1 or scene.by_wave:
-        own = scene.struck.share * energy()
+        elastic = scene.struck.share * energy()
     elif "stored_sphere" not in tracked:
-        own = sum(partner.share * side["stored"] for partner, side in faces)
+        elastic = sum(partner.share * side["stored"] for partner, side in faces)
     else:
-        own = scene.scales.force * scene.scales.approach * tracked["stored_sphere"]
+        elastic = scene.scales.force * scene.scales.approach * tracked["stored_sphere"]
     if all(partner.face is None for partner in scene.there):
-        return own
-    return own + sum(
-        np.where(one.takes > 0.0, one.takes * side["dissipated"], 0.0) for one, side in faces
+        return elastic
+    return elastic + sum(
+        np.where(partner.takes > 0.0, partner.takes * side["dissipated"], 0.0)
+        for partner, side in faces
     )
 
 
-def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Known]:
+def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Source]:
     """Columns of an impact: its energy, speeds after it, energy radiated as waves."""
     if not scene.setup.by_impact:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
     # P_c alpha_c = m V_c², (R5)
     impact_energy = partial(_half, scales)
-    columns: dict[str, Known] = {"offered": impact_energy}
+    columns: dict[str, Source] = {"offered": impact_energy}
     radiated = _radiated_fraction(scene, tracked)
     if "end_speed" in tracked and behind is None:
         back, parting = -tracked["end_speed"], tracked["end_speed_b"] - tracked["end_speed"]
@@ -657,42 +630,42 @@ def _radiated_fraction(scene: Scene, tracked: Mapping[str, Array]) -> Array | No
 
 
 def _carrying(partners: Iterable[Partner]) -> bool:
-    """Whether one of them carries off waves."""
-    return any(one.kind in ("bar", "plate") for one in partners)
+    """Whether a counter-body radiates waves by its impedance."""
+    return any(partner.kind in ("bar", "plate") for partner in partners)
 
 
 def _half(scales: Scales) -> Array:
-    """Kinetic energy of the blow [J]."""
+    """Impact energy [J]."""
     return 0.5 * scales.force * scales.approach
 
 
-#: columns that formulas read and some scenes do not have, which scenes, and why not
+#: columns that some scenes do not have: the columns, which scenes, and why
 _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]] = (
     (
         ("difference",),
         lambda s: s.setup.contacts == 1,
-        "with one contact the other force is nothing: the imbalance is 1 by definition",
+        "there is only one contact, so that the imbalance is 1 by definition",
     ),
     (
         ("parting", "touches"),
         lambda s: s.by_wave,
-        "between bars echoes load the sphere again and again",
+        "between bars, reflected waves load the sphere again and again",
     ),
-    (("carried_off",), lambda s: s.by_wave, "bars carry waves both ways: history shows them"),
+    (("carried_off",), lambda s: s.by_wave, "bars carry waves in both directions; see history"),
     (
         ("offered", "leaving", "parting_speed"),
         lambda s: not s.setup.by_impact,
-        "no body meets the sphere with a speed: a wave, or a slow press, loads it",
+        "this rig loads the sphere by a wave or slowly, not by impact",
     ),
     (
         ("carried_off",),
         lambda s: s.setup.by_impact and loss_to_waves(s) is None and not _carrying(s.there),
-        "what stands at the poles carries nothing off here (a thick target: give its density)",
+        "the counter-bodies radiate no waves (for a thick target, set its density)",
     ),
     (
         ("parting", "touches", "contact", "duration", "carried_off"),
         lambda s: s.setup.by_press,
-        "platens press slowly and stay",
+        "platens load slowly and stay in contact",
     ),
     (
         ("rise",),
@@ -700,30 +673,31 @@ _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]
             s.setup.by_press
             and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate"))
         ),
-        'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate',
+        'the platens have no speed; set speed, for example "1 mm/min", or loading_rate',
     ),
     (
         ("x_first",),
         lambda s: not s.by_wave and not any(np.any(one.reflection) for one in s.there),
-        "no wave comes back to the sphere",
+        "no reflected wave returns to the sphere",
     ),
     (
         ("dent_left", "dissipated"),
         lambda s: all(one.face is None for one in s.there),
-        'both bodies are elastic: law = "plastic" in the table [contact] is required',
+        'both bodies are elastic; set contact.law = "plastic"',
     ),
 )
 
 
 def absent_in(scene: Scene, quantity: str) -> str:
-    """Why a scene does not have a quantity of interest, in words; empty where it has it."""
+    """Why a scene does not have a quantity of interest, in words; empty if it has it."""
     roots = _roots(quantity, scene.demands)
-    if missing := sorted({name for name in roots if "." in name} - scene.columns.keys()):
-        tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in missing}))
-        return f"{quantity} needs {' and '.join(missing)}: add them in the table {tables}"
-    return next(
-        (why for names, where, why in _LACKING if not roots.isdisjoint(names) and where(scene)), ""
-    )
+    missing = sorted({name for name in roots if "." in name} - scene.columns.keys())
+    if missing:
+        return f"{quantity} needs {' and '.join(missing)}; add them to the study"
+    for names, applies, why in _LACKING:
+        if not roots.isdisjoint(names) and applies(scene):
+            return why
+    return ""
 
 
 # --- answers of a batch ---------------------------------------------------------------------------
@@ -733,11 +707,11 @@ def absent_in(scene: Scene, quantity: str) -> str:
 class Answers:
     """Quantities of interest of n rows, (n,) arrays.
 
-    values: the quantities asked for, SI; NaN where `status` is not 0.  censored: of
-    time_to_first_loss, whether the record ended first and the value is a lower bound.  grazes:
-    whether rounding decides on the first loss. status: 0, or a code of `scene.STATUS`.  record: its
-    end [s], or the time after which nothing that was asked for could change.  steps: of the
-    integrator.
+    values: the requested quantities, SI; NaN where `status` is not 0.  censored: of
+    time_to_first_loss, whether the evaluation window ended first, so that the value is a lower
+    bound.  grazes: whether rounding decides when contact is first lost.  status: a key of
+    `scene.STATUS`.  record: end of the evaluation window [s], or the time after which no requested
+    quantity could change.  steps: of the integrator.
     """
 
     values: Mapping[str, Array]
@@ -760,8 +734,11 @@ class Answers:
 
 
 def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
-    if why := absent_in(scene, quantity):
-        raise ValueError(why if why.startswith(quantity) else f"{quantity} is absent: {why}")
+    why = absent_in(scene, quantity)
+    if why.startswith(quantity):
+        raise ValueError(why)
+    if why:
+        raise ValueError(f"{quantity} is not available: {why}")
     if quantity not in scene.demands:
         return np.asarray(columns[quantity])
     key, parameters = scene.demands[quantity]
@@ -777,12 +754,13 @@ def answers_from(
     linear: bool = False,
     quantities: Collection[str] | None = None,
 ) -> Answers:
-    """Answers in SI from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives
-    those that it has.
+    """Answers in SI from scaled results of the integrator or of a closed form.
 
-    linear: force is proportional to the approach, pressure follows by Hertz.  quantities: all if
-    None.  A row one of whose quantities is not finite has failed.  ValueError for one that needs
-    numbers which are not there.
+    tracked: columns of `tracked.SCALED` by name, (n,) each.  linear: the force is proportional to
+    the approach; the pressure follows from the force by Hertz.  quantities: all available ones if
+    None.  A row with a quantity that is not finite gets the status `NOT_FINITE`.
+
+    Raises ValueError for a quantity that the scene does not have.
     """
     with np.errstate(all="ignore"):
         made = {**_of_faces(scene, tracked), **_of_impact(scene, tracked)}
@@ -803,37 +781,41 @@ def answers_from(
         if name in OUTPUTS and OUTPUTS[name].censored
     }
     record = np.asarray(scene.scales.time * columns["ended"])
-    grazes = (
-        tracked.get("grazed", np.zeros(len(scene))) > 0.0
-    )  # a closed form knows no loss that is in doubt
+    # closed forms have no grazing contacts
+    grazes = tracked.get("grazed", np.zeros(len(scene))) > 0.0
     return Answers(
         values=values, censored=censored, grazes=grazes, status=status, record=record, steps=steps
     )
 
 
-def _wider_than_its_rod(scene: Scene, made: Mapping[str, Known]) -> Flags:
-    """Rows of a rig other than bars whose contact is wider than the end of a bar that it is on."""
-    found = np.zeros(len(scene), dtype=bool)
+def _wider_than_its_rod(scene: Scene, made: Mapping[str, Source]) -> Flags:
+    """Rows of rigs without a wave whose contact is wider than the end of a bar, (n,)."""
+    wider = np.zeros(len(scene), dtype=bool)
     sides = made.get("sides")
-    for partner, side in zip(scene.there, sides if isinstance(sides, list) else (), strict=False):
-        if partner.kind == "bar" and not scene.by_wave:
+    if scene.by_wave or not isinstance(sides, list):
+        return wider
+    for partner, side in zip(scene.there, sides, strict=True):
+        if partner.kind == "bar":
             with np.errstate(invalid="ignore"):
-                found |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
-    return found
+                wider |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
+    return wider
 
 
 def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
-    """Answers of one batch from those of some of its rows each; together they are all of them."""
-    places, found = np.concatenate([rows for rows, _ in parts]), [part for _, part in parts]
-    whole = Answers(
-        values=_joined([part.values for part in found]),
-        censored=_joined([part.censored for part in found]),
-        grazes=np.concatenate([part.grazes for part in found]),
-        status=np.concatenate([part.status for part in found]),
-        record=np.concatenate([part.record for part in found]),
-        steps=np.concatenate([part.steps for part in found]),
+    """Answers of one batch from parts, each with its rows, that together are all rows."""
+    places = np.concatenate([rows for rows, _ in parts])
+    answers = [part for _, part in parts]
+    merged = Answers(
+        values=_joined([part.values for part in answers]),
+        censored=_joined([part.censored for part in answers]),
+        grazes=np.concatenate([part.grazes for part in answers]),
+        status=np.concatenate([part.status for part in answers]),
+        record=np.concatenate([part.record for part in answers]),
+        steps=np.concatenate([part.steps for part in answers]),
     )
-    return whole if np.all(places[1:] > places[:-1]) else whole.at(np.argsort(places))
+    if np.all(places[1:] > places[:-1]):
+        return merged
+    return merged.at(np.argsort(places))
 
 
 def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt.NDArray[_Kind]]:
@@ -845,12 +827,12 @@ def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt
 
 @dataclass(frozen=True, kw_only=True)
 class Path:
-    """How a quantity that a sphere can break by follows its loading.
+    """How a fracture quantity follows the loading.
 
-    over: it rises with the largest `force` or `energy` so far; empty: with neither.  criterion:
-    whose formula it is; None for the force or energy itself, to a `power`.  parameters: of the
-    criterion without `rate_0`, whose factor is one number per sample.  early: only what comes
-    before the first reflected wave counts.
+    over: it increases with the peak `force` or `energy` so far; empty: with neither.  criterion:
+    the criterion whose formula it is; None for the force or energy itself, to a `power`.
+    parameters: of the criterion without `rate_0`, whose factor is one number per sample.  early:
+    only the time before the first reflected wave counts.
     """
 
     over: str
@@ -863,9 +845,9 @@ class Path:
 _BY_CRITERION: Final = {
     quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)
 }
-#: what the force is by Hertz goes with its third root, yield or not
+#: the elastic-equivalent pressure is proportional to the cube root of the force
 _POWERS: Final = {"p_hertz": 1.0 / 3.0}
-#: quantities of interest whose exceedance can mean fracture
+#: how each fracture quantity follows the loading
 PATHS: Final[dict[str, Path]] = {
     name: Path(
         over=entry.follows,
@@ -879,15 +861,17 @@ PATHS: Final[dict[str, Path]] = {
 
 
 def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
-    """How a quantity or the demand of a criterion follows the loading; None where its exceedance is
-    no fracture.
+    """How a quantity or a demand follows the loading; None if it does not mean fracture.
 
     >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_duration")
     ('force', 'energy', None)
     """
     if quantity not in demands:
-        # what a blow offers is there before it: nothing that rises along the loading
-        return PATHS[quantity] if quantity in PATHS and PATHS[quantity].over else None
+        path = PATHS.get(quantity)
+        # the impact energy does not increase during the loading
+        if path is None or not path.over:
+            return None
+        return path
     key, parameters = demands[quantity]
     kept = {name: value for name, value in parameters.items() if name != "rate_0"}
     return Path(over=CRITERIA[key].follows, criterion=key, parameters=kept)

@@ -1,5 +1,4 @@
-"""A batch of scenes: sphere, bars, striker and pulse in columns of n rows, and the scales that
-follow from them.
+"""Batches of scenes: n rows of numbers in columns, with the scale factors that follow from them.
 
 `INPUTS` declares every number that a scene can have.
 """
@@ -7,7 +6,7 @@ follow from them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -34,18 +33,18 @@ from uqsphere.units import Quantity
 
 #: one degree of an angle [rad]
 _DEGREE: Final = math.pi / 180.0
-#: tables of partners -> what their symbols have as index, and what they are called
+#: tables of counter-bodies -> index of their symbols, and name
 _BODIES: Final = {
     "target": ("t", "target"),
     "anvil": ("a", "anvil"),
     "other": ("2", "other sphere"),
-    "hammer": ("h", "weight"),
+    "hammer": ("h", "drop weight"),
     "rod": ("r", "rod"),
     "platens": ("p", "platens"),
 }
 
 
-#: usual moduli [Pa] and Poisson ratios of spheres and bars, and of what may be rubber
+#: usual moduli [Pa] and Poisson ratios: of spheres and bars, and of bodies that may be rubber
 _STIFF: Final = ((1e9, 6e11), (0.05, 0.45))
 _ANY: Final = ((1e6, 1e12), (0.05, 0.5))
 
@@ -53,7 +52,7 @@ _ANY: Final = ((1e6, 1e12), (0.05, 0.5))
 def _elastic(
     table: str, index: str, name: str, usual: tuple[tuple[float, float], ...] = _STIFF
 ) -> tuple[Quantity, ...]:
-    """E, nu and density of a body."""
+    """Young's modulus, Poisson ratio and density of a body."""
     of, (moduli, ratios) = f"_{index}" if index else "", usual
     return (
         Quantity(
@@ -85,7 +84,7 @@ def _elastic(
 
 
 def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
-    """The three numbers of a face that yields."""
+    """The three parameters of a contact that yields."""
     of = f",{index}" if index else ""
     return (
         Quantity(
@@ -94,7 +93,10 @@ def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
             dimension="pressure",
             display="GPa",
             plausible=(1e8, 2e10),
-            meaning=f"centre pressure at which the {name} begins to yield or to crush",
+            meaning=(
+                f"onset pressure of the {name}: peak Hertz pressure p_0 at the start of yield or "
+                "crushing"
+            ),
         ),
         Quantity(
             name=f"{table}.hardness",
@@ -102,7 +104,7 @@ def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
             dimension="pressure",
             display="GPa",
             plausible=(1e8, 5e10),
-            meaning=f"mean pressure of the {name} that flows fully (its hardness)",
+            meaning=f"hardness of the {name}: mean contact pressure at full plasticity",
         ),
         Quantity(
             name=f"{table}.pile_up",
@@ -112,13 +114,13 @@ def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
             upper=3.0,
             closed=True,
             plausible=(1.0, 3.0),
-            meaning=f"pile-up of the {name}: a²/(r alpha) far beyond yield",
+            meaning=f"pile-up factor of the {name}: a²/(r alpha) far beyond yield",
         ),
     )
 
 
 def _numbers_of(table: str) -> tuple[Quantity, ...]:
-    """What every partner of a rig can have: its material, and the law of its face."""
+    """Material and contact parameters of a counter-body."""
     index, name = _BODIES[table]
     return (
         *_elastic(table, index, name, _ANY),
@@ -135,7 +137,7 @@ def _numbers_of(table: str) -> tuple[Quantity, ...]:
 
 
 def _struck(table: str) -> tuple[Quantity, ...]:
-    """What a target or an anvil can have beside: its shape, by its kind."""
+    """All numbers of a target or an anvil, whose shape depends on its kind."""
     index, name = _BODIES[table]
     return (
         *_numbers_of(table),
@@ -145,7 +147,7 @@ def _struck(table: str) -> tuple[Quantity, ...]:
             dimension="length",
             display="mm",
             plausible=(1e-4, 1.0),
-            meaning=f"thickness of the {name}, a plate",
+            meaning=f"plate thickness of the {name}",
         ),
         Quantity(
             name=f"{table}.width",
@@ -153,7 +155,7 @@ def _struck(table: str) -> tuple[Quantity, ...]:
             dimension="length",
             display="mm",
             plausible=(1e-2, 10.0),
-            meaning=f"width of the {name}, a plate (for a check only)",
+            meaning=f"plate width of the {name}: for a validity check only",
         ),
         *_rod(table),
         _heavy(table),
@@ -178,7 +180,7 @@ def _rod(table: str) -> tuple[Quantity, ...]:
             dimension="length",
             display="m",
             plausible=(0.05, 30.0),
-            meaning=f"length of the {name}, a bar (absent: nothing comes back)",
+            meaning=f"length of the {name}: infinite if omitted",
         ),
         Quantity(
             name=f"{table}.end",
@@ -216,12 +218,12 @@ def _rounded(table: str) -> Quantity:
         dimension="length",
         display="mm",
         plausible=(1e-3, 1e3),
-        meaning=f"radius of the {name}'s rounded face (flat: absent)",
+        meaning=f"face radius of the {name}: flat if omitted",
     )
 
 
 def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
-    """A speed, or the height of a fall."""
+    """An impact speed, or a drop height."""
     return (
         Quantity(
             name=f"{table}.speed",
@@ -243,12 +245,12 @@ def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
             upper=1e3,
             closed=True,
             plausible=(1e-3, 100.0),
-            meaning="height of the fall",
+            meaning="drop height",
         ),
     )
 
 
-#: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
+#: every number of a scene, fixed or random, by its dotted path in the study file
 INPUTS: Final[dict[str, Quantity]] = {
     entry.name: entry
     for entry in (
@@ -313,7 +315,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="mm",
             plausible=(1e-3, 1e3),
-            meaning="radius of rounded bar ends (flat ends: absent)",
+            meaning="radius of rounded bar ends: flat if omitted",
         ),
         Quantity(
             name="bars.yield_strength",
@@ -356,14 +358,14 @@ INPUTS: Final[dict[str, Quantity]] = {
             plausible=(1e-4, 0.2),
             meaning="thickness of the inserts",
         ),
-        *_law_of("bars", "b", "bars' faces"),
+        *_law_of("bars", "b", "bars"),
         Quantity(
             name="striker.speed",
             symbol="v_0",
             dimension="speed",
             display="m/s",
             plausible=(1e-3, 50.0),
-            meaning="speed of the striker",
+            meaning="striker speed",
         ),
         Quantity(
             name="striker.length",
@@ -371,7 +373,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="m",
             plausible=(0.01, 5.0),
-            meaning="length of the striker",
+            meaning="striker length",
         ),
         Quantity(
             name="striker.E",
@@ -379,7 +381,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="pressure",
             display="GPa",
             plausible=(1e9, 6e11),
-            meaning="Young's modulus of the striker (absent: that of the bars)",
+            meaning="Young's modulus of the striker: the bars' if omitted",
         ),
         Quantity(
             name="striker.density",
@@ -387,7 +389,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="density",
             display="kg/m3",
             plausible=(500.0, 2e4),
-            meaning="density of the striker (absent: that of the bars)",
+            meaning="density of the striker: the bars' if omitted",
         ),
         Quantity(
             name="striker.diameter",
@@ -395,7 +397,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="mm",
             plausible=(1e-3, 0.2),
-            meaning="diameter of the striker (absent: that of the bars)",
+            meaning="diameter of the striker: the bars' if omitted",
         ),
         Quantity(
             name="pulse.duration",
@@ -403,7 +405,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="time",
             display="us",
             plausible=(1e-6, 1e-2),
-            meaning="duration of the pulse (at half height for a trapezoid)",
+            meaning="duration of the pulse: at half height for a trapezoid",
         ),
         Quantity(
             name="pulse.rise",
@@ -412,7 +414,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             display="us",
             closed=True,
             plausible=(0.0, 1e-3),
-            meaning="rise of a trapezoidal pulse",
+            meaning="rise time of a trapezoidal pulse",
         ),
         Quantity(
             name="pulse.fall",
@@ -421,7 +423,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             display="us",
             closed=True,
             plausible=(0.0, 1e-3),
-            meaning="fall of a trapezoidal pulse",
+            meaning="fall time of a trapezoidal pulse",
         ),
         Quantity(
             name="pulse.t1",
@@ -436,7 +438,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             symbol="g_1",
             dimension="number",
             plausible=(0.1, 2.0),
-            meaning="level of the first peak over v_0/2",
+            meaning="level of the first peak, relative to v_0/2",
         ),
         Quantity(
             name="pulse.t2",
@@ -451,7 +453,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             symbol="g_2",
             dimension="number",
             plausible=(0.1, 2.0),
-            meaning="level of the second peak over v_0/2",
+            meaning="level of the second peak, relative to v_0/2",
         ),
         Quantity(
             name="pulse.valley",
@@ -459,17 +461,17 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="number",
             plausible=(0.0, 2.0),
             closed=True,
-            meaning="level half-way between the peaks of a two-peak pulse",
+            meaning="level midway between the peaks of a two-peak pulse",
         ),
         Quantity(
             name="pulse.gain",
             symbol="G",
             dimension="number",
             plausible=(0.5, 2.0),
-            meaning="true strain over that of a measured pulse",
+            meaning="gain of a measured pulse: true over measured strain",
         ),
-        *_law_of("contact", "", "softer face"),
-        *_moving("rig", "v", "speed at which the bodies close"),
+        *_law_of("contact", "", "softer body of a contact"),
+        *_moving("rig", "v", "closing speed"),
         Quantity(
             name="rig.angle",
             symbol="phi",
@@ -479,7 +481,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             upper=90.0 * _DEGREE,
             closed=True,
             plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
-            meaning="angle between the path and the surface, 90 deg: square on",
+            meaning="impact angle from the surface: 90 deg is normal impact",
         ),
         *_struck("target"),
         *_struck("anvil"),
@@ -492,7 +494,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             plausible=(1e-4, 0.1),
             meaning="radius of the other sphere",
         ),
-        *_moving("hammer", "v_h", "speed of the weight"),
+        *_moving("hammer", "v_h", "impact speed of the drop weight"),
         *_numbers_of("hammer"),
         _heavy("hammer"),
         Quantity(
@@ -501,7 +503,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="mm",
             plausible=(1e-3, 0.5),
-            meaning="diameter of a ball that falls",
+            meaning="diameter of the falling ball",
         ),
         _rounded("hammer"),
         *_numbers_of("rod"),
@@ -513,7 +515,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="force",
             display="kN",
             plausible=(1.0, 1e6),
-            meaning="force up to which the platens press",
+            meaning="maximum force of the platens",
         ),
         Quantity(
             name="platens.displacement",
@@ -521,7 +523,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="length",
             display="um",
             plausible=(1e-6, 1e-2),
-            meaning="way of the crosshead from first touch, in place of the force",
+            meaning="crosshead displacement after first contact: alternative to the force",
         ),
         Quantity(
             name="platens.speed",
@@ -529,7 +531,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="speed",
             display="mm/s",
             plausible=(1e-8, 1.0),
-            meaning="speed at which the platens close",
+            meaning="closing speed of the platens",
         ),
         Quantity(
             name="platens.loading_rate",
@@ -537,7 +539,7 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="loading_rate",
             display="kN/s",
             plausible=(1.0, 1e7),
-            meaning="rate of the force at its end, in place of the speed",
+            meaning="loading rate at the maximum force: alternative to the speed",
         ),
         Quantity(
             name="platens.machine_stiffness",
@@ -545,36 +547,35 @@ INPUTS: Final[dict[str, Quantity]] = {
             dimension="stiffness",
             display="kN/mm",
             plausible=(1e5, 1e10),
-            meaning="stiffness of the machine (absent: rigid)",
+            meaning="stiffness of the testing machine: rigid if omitted",
         ),
     )
 }
 
-#: what the status of a row means; only rows of 0 have numbers
+#: what the status of a row means; only rows with status 0 have values
 STATUS: dict[int, str] = {
     0: "ok",
-    1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a "
-    "sphere wider than its bar, "
-    "a contact wider than its rod, a plate that is punched, a face whose hardness is below its "
-    "onset)",
-    2: "the pulse is longer than the round trip of the incident bar, so the striker is still on it",
-    3: "the integrator could not reach the tolerance",
-    4: "too many reflections before the end of the record",
-    5: "too many steps before the end of the record",
-    6: "the answer is not finite",
-    11: "the bodies never close: a speed that is not positive",
-    12: "the record ended while the bodies were still pressed: give a later horizon",
+    1: "outside the domain of the model (invalid size, modulus, Poisson ratio or pulse; sphere "
+    "wider than its bar; contact wider than its rod; punched plate; hardness below the onset "
+    "pressure)",
+    2: "the pulse is longer than the round trip of the incident bar, with the striker still on it",
+    3: "the integrator did not reach the tolerance",
+    4: "too many reflections before the end of the evaluation window",
+    5: "too many steps before the end of the evaluation window",
+    6: "the result is not finite",
+    11: "the bodies never meet: the closing speed is not positive",
+    12: "the bodies were still in contact at the horizon; set a later model.horizon",
 }
-#: shortest pulse and round trip over t_c: a double tells times of the record apart to 1e-16 of it
+#: shortest pulse and round trip over t_c that double precision resolves
 _SHORTEST: Final = 1e-9
 
 
 def answered(status: Places) -> Flags:
-    """Whether rows have numbers that may be used, (n,)."""
+    """Rows with values, (n,)."""
     return np.asarray(status == 0)
 
 
-#: last parts of columns that serve validity checks only, where nothing yields
+#: last parts of columns that are used in validity checks only if the contact law is elastic
 _CHECKED_ONLY: Final = (
     "yield_strength",
     "insert_yield_strength",
@@ -584,7 +585,7 @@ _CHECKED_ONLY: Final = (
     "hardness",
     "pile_up",
 )
-#: what makes a striker another bar than the others
+#: columns of a striker that differs from the bars
 STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
 
@@ -592,8 +593,8 @@ STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.dia
 class Scales:
     """Scale factors and similarity numbers of n rows, theory (8) and (10), (R4) to (R6); SI.
 
-    `modulus`, `effective_radius` and `hertz_constant` are those of the face that is struck first, A
-    if both are.
+    `modulus`, `effective_radius` and `hertz_constant` are those of contact A, or B if there is no
+    A.
     """
 
     modulus: Array
@@ -618,17 +619,20 @@ class Scales:
 class Scene:
     """n scenes that share their structure and differ in their numbers.
 
-    columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, of
-    `pulses.SHAPES` or `measured`.  infinite: no wave comes back from the far ends.  rigid_contact:
-    the bars do not yield in the contact, 1/E* = (1 - nu²)/E.  first_loading_only: the record ends
-    when the first reflected wave returns; whole_record: that of bars goes on after the first loss
-    of contact, to the horizon, contacts regained included.  horizon: its end [s]; None: the rule of
-    docs/theory.md.  demands: further quantities, name -> criterion and its parameters.
-    hardness_at_onset: the hardness is the onset, row by row (Thornton's law).  record: the pulse of
-    `measured`, the same in every row but for its gain; `striker.speed` is then 2 c0 times its peak
-    strain and gain.  rig: of `rigs.RIGS`; shape, infinite, first_loading_only and record belong to
-    `bars`.  options: words of the study, ``target.kind``, ``anvil.kind``, ``hammer.shape``.
-    ValueError for a missing or misshapen column, an unknown word, or a record without an end.
+    columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, a key
+    of `pulses.SHAPES` or `measured`.  infinite: without reflected waves.  rigid_contact: the bars
+    are rigid in the contact, 1/E* = (1 - nu²)/E.  first_loading_only: the evaluation window ends
+    when the first reflected wave returns.  whole_record: between bars it extends to the horizon,
+    recontacts included.  horizon: its end [s]; None: the rule of docs/theory.md.  contact_law:
+    `hertz` or `plastic`.  hardness_at_onset: the hardness equals the onset pressure in every row
+    (Thornton's law).  record: the pulse of `measured`, the same in every row except for its gain;
+    `striker.speed` is then 2 c0 times its peak strain and gain.  rig: a key of `rigs.RIGS`; shape,
+    infinite, first_loading_only and record belong to rigs loaded by a wave.  options: words of the
+    study, ``target.kind``, ``anvil.kind``, ``hammer.shape``.  demands: further quantities, name ->
+    criterion and its parameters.
+
+    Raises ValueError for a missing, unknown or misshapen column, an unknown word, or an evaluation
+    window without an end.
     """
 
     columns: Mapping[str, Array]
@@ -646,28 +650,37 @@ class Scene:
     options: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        words = (
-            ("rig", self.rig, RIGS),
-            ("pulse shape", self.shape, SHAPES | {"measured": None}),
-            ("contact law", self.contact_law, FORMS["contact"]),
-        )
-        for what, found, allowed in words:
-            if found not in allowed:
-                raise ValueError(f"unknown {what} {found!r} (allowed: {', '.join(allowed)})")
-        if missing := self._absent:
-            raise ValueError(f"the scene lacks {', '.join(missing)}")
-        if unknown := [name for name in self.columns if name not in INPUTS]:
-            raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
-        for contradicts, why in _CONTRADICTIONS:
-            if contradicts(self):
-                raise ValueError(why.format(self))
-        rows = {np.shape(column) for column in self.columns.values()}
-        if len(rows) != 1 or len(next(iter(rows))) != 1:
-            raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
+        _check_word("rig", self.rig, RIGS)
+        _check_word("pulse shape", self.shape, (*SHAPES, "measured"))
+        _check_word("contact law", self.contact_law, FORMS["contact"])
+        missing = self._missing_columns()
+        if missing:
+            raise ValueError(f"columns are missing: {', '.join(missing)}")
+        unknown = [name for name in self.columns if name not in INPUTS]
+        if unknown:
+            raise ValueError(f"unknown columns: {', '.join(unknown)}")
+        self._check_pulse()
+        shapes = {np.shape(column) for column in self.columns.values()}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+            raise ValueError(
+                f"all columns must have the same shape (n,), not {sorted(map(str, shapes))}"
+            )
 
-    @property
-    def _absent(self) -> list[str]:
-        """Columns without which there is no such scene."""
+    def _check_pulse(self) -> None:
+        """Raise ValueError for a pulse, or an evaluation window, that contradicts itself."""
+        if (self.shape == "measured") != (self.record is not None):
+            raise ValueError("the shape 'measured' needs a record, and other shapes take none")
+        if self.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(self.columns):
+            raise ValueError(
+                f"a {self.shape} pulse does not depend on the striker's material or diameter"
+            )
+        if self.by_wave and self.shape == "step" and self.horizon is None and self.infinite:
+            raise ValueError("a step pulse in infinite bars needs a horizon")
+        if self.horizon is not None and not 0.0 < self.horizon < np.inf:
+            raise ValueError(f"horizon must be positive and finite, not {self.horizon!r} s")
+
+    def _missing_columns(self) -> list[str]:
+        """Required columns that are not given."""
         kinds = kinds_of(
             self.rig,
             self.shape,
@@ -675,17 +688,14 @@ class Scene:
             infinite=self.infinite,
             options=self.options,
         )
-        tables = ["sphere", *self.setup.tables, "rig"]
-        needs = [
-            (table, need)
-            for table in tables
-            for need in needs_of(FORMS[table].get(kinds.get(table, ""), ""))
-        ]
-        return [
-            f"{table}.{need[0]}"
-            for table, need in needs
-            if not any(f"{table}.{key}" in self.columns for key in need)
-        ]
+        missing = []
+        for table in ("sphere", *self.setup.tables, "rig"):
+            form = FORMS[table].get(kinds.get(table, ""), "")
+            for keys in needs_of(form):
+                names = [f"{table}.{key}" for key in keys]
+                if self.columns.keys().isdisjoint(names):
+                    missing.append(names[0])
+        return missing
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -706,21 +716,21 @@ class Scene:
 
     def column(self, name: str, default: Values = np.nan) -> Array:
         """A column, or `default` in every row."""
-        found = self.columns.get(name)
-        return np.full(len(self), default) if found is None else np.asarray(found, dtype=float)
+        column = self.columns.get(name)
+        if column is None:
+            return np.full(len(self), default)
+        return np.asarray(column, dtype=float)
 
     @cached_property
     def pulse(self) -> Pulse:
-        """The incident pulse of every row, times in seconds; one that is nothing where no wave
-        comes in.
-        """
+        """The incident pulse of every row, times in seconds; zero in rigs without a wave."""
         if not self.by_wave:
-            none = np.zeros(len(self))
+            zeros = np.zeros(len(self))
             return Pulse(
                 breaks=np.zeros((len(self), 2)),
                 coefficients=np.zeros((len(self), 1, 4)),
-                frequency=none,
-                valid=none == 0.0,
+                frequency=zeros,
+                valid=zeros == 0.0,
             )
         if self.record is not None:
             return self.record.pulse(len(self))
@@ -729,15 +739,13 @@ class Scene:
             for name, column in self.columns.items()
             if name.startswith("pulse.") and name != "pulse.duration"
         }
-        if (ratio := self.striker_ratio) is not None:
-            numbers["striker_ratio"] = ratio
+        if self.striker_ratio is not None:
+            numbers["striker_ratio"] = self.striker_ratio
         return build_pulse(self.shape, self.scales.duration, numbers)
 
     @cached_property
     def striker_ratio(self) -> Array | None:
-        """Impedance of the striker over that of the bars, (n,); None for a striker like the
-        bars.
-        """
+        """Impedance ratio of striker and bars, (n,); None for a striker of the bars' kind."""
         if STRIKER_COLUMNS.isdisjoint(self.columns):
             return None
         with np.errstate(all="ignore"):
@@ -746,23 +754,21 @@ class Scene:
 
     @property
     def _striker(self) -> tuple[Array, Array]:
-        """E and density of the striker, (n,) each: the bars' where it has none of its own."""
-        own = [
-            self.columns.get(f"striker.{key}", self.columns[f"bars.{key}"])
-            for key in ("E", "density")
-        ]
-        return own[0], own[1]
+        """E and density of the striker, (n,) each: the bars' if omitted."""
+        columns = self.columns
+        E = columns.get("striker.E", columns["bars.E"])
+        density = columns.get("striker.density", columns["bars.density"])
+        return E, density
 
     @cached_property
     def round_trips(self) -> Array:
-        """Round trips of the bars at A and B, (n, 2) [s]; infinite where there is no bar, or one
-        without length.
-        """
+        """Round trips of the bars at A and B, (n, 2) [s]; infinite without a bar, or its length."""
         if not self.by_wave:
-            none = np.full(len(self), np.inf)
-            return np.stack(
-                [none if one is None else one.round_trip for one in self.partners], axis=1
-            )
+            trips = np.full((len(self), 2), np.inf)
+            for pole, partner in enumerate(self.partners):
+                if partner is not None:
+                    trips[:, pole] = partner.round_trip
+            return trips
         E, density = self.columns["bars.E"], self.columns["bars.density"]
         lengths = [self.column(f"bars.{bar}_length", np.inf) for bar in ("incident", "receiving")]
         with np.errstate(all="ignore"):
@@ -770,12 +776,13 @@ class Scene:
 
     @cached_property
     def reflections(self) -> Array:
-        """Velocity reflection coefficients of the far ends, (n, 2); 0 where nothing comes back."""
+        """Velocity reflection coefficients of the far ends, (n, 2); 0 without a reflected wave."""
         if not self.by_wave:
-            none = np.zeros(len(self))
-            return np.stack(
-                [none if one is None else one.reflection for one in self.partners], axis=1
-            )
+            reflections = np.zeros((len(self), 2))
+            for pole, partner in enumerate(self.partners):
+                if partner is not None:
+                    reflections[:, pole] = partner.reflection
+            return reflections
         if self.infinite:
             return np.zeros((len(self), 2))
         return np.stack(
@@ -788,61 +795,56 @@ class Scene:
 
     @cached_property
     def first_echo(self) -> Array:
-        """Time at which the first reflected wave returns to the sphere, (n,) [s]; infinite if none
-        does.
-        """
-        return np.asarray(np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1))
+        """Arrival of the first reflected wave at the sphere, (n,) [s]; infinite without one."""
+        arrivals = np.where(self.reflections != 0.0, self.round_trips, np.inf)
+        return np.asarray(arrivals.min(axis=1))
 
     @cached_property
     def record_end(self) -> Array:
-        """End of the record, (n,) [s]; infinite where the rule of infinite bars, or parting, ends
-        it.
-        """
+        """Latest end of the evaluation window, (n,) [s]; infinite if another rule ends it."""
         if self.horizon is not None:
             ends = np.full(len(self), self.horizon)
         elif self.infinite or not self.by_wave:
             ends = np.full(len(self), np.inf)
         else:
             ends = 8.0 * self.round_trips.max(axis=1)
-        return np.minimum(ends, self.first_echo) if self.first_loading_only else ends
+        if self.first_loading_only:
+            ends = np.minimum(ends, self.first_echo)
+        return ends
 
     @cached_property
     def partners(self) -> tuple[Partner | None, Partner | None]:
-        """What stands behind the sphere (pole A) and ahead of it (B); None: nothing."""
+        """Counter-bodies at contact A (behind the sphere) and B (ahead), None without a contact."""
         return partners_of(self)
 
     @property
     def there(self) -> tuple[Partner, ...]:
-        """The partners that there are, A first."""
-        return tuple(one for one in self.partners if one is not None)
+        """The counter-bodies, A first."""
+        return tuple(partner for partner in self.partners if partner is not None)
 
     @property
     def contacts(self) -> int:
-        """Faces at which the sphere is pressed."""
+        """Number of contacts of the sphere."""
         return self.setup.contacts
 
     @property
     def struck(self) -> Partner:
-        """The partner whose face the scale factors are those of: the one that is struck first, A if
-        both are.
-        """
+        """The counter-body whose contact gives the scale factors: A, or B if there is no A."""
         return self.there[0]
 
     @cached_property
     def closing_speed(self) -> Array:
-        """Speed at which the bodies of a blow meet, square to the face, (n,) [m/s]."""
+        """Normal closing speed of an impact, (n,) [m/s]."""
         return closing_speed(self)
 
     @cached_property
     def start(self) -> Array:
-        """Speeds of sphere and partners A and B at first touch, (n, 3) [m/s], positive from A to
-        B.
-        """
+        """Speeds of sphere and counter-bodies A, B at first touch, (n, 3) [m/s], from A to B."""
         return speeds_at_touch(self)
 
     @cached_property
     def scales(self) -> Scales:
-        """Scale factors of every row; not finite where a row has no meaning."""
+        """Scale factors of every row; not finite in rows outside the domain."""
         c, face = self.columns, self.struck
         with np.errstate(all="ignore"):
             mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
@@ -851,10 +853,12 @@ class Scene:
                 speed = 0.5 * c["striker.speed"]
                 force = impedance * speed
             else:
-                speed, force = self._blow(mass)
+                speed, force = self._impact_scales(mass)
             approach = contact.approach_at_force(force, face.hertz_constant)
             time = approach / speed
-            momentum = impedance * time if self.by_wave else force * time
+            mass_number = mass * speed / (force * time)
+            if self.by_wave:
+                mass_number = mass / (impedance * time)
             return Scales(
                 modulus=face.modulus,
                 effective_radius=face.effective_radius,
@@ -864,14 +868,14 @@ class Scene:
                 force=force,
                 approach=approach,
                 time=time,
-                mass_number=(mass if self.by_wave else mass * speed) / momentum,
+                mass_number=mass_number,
                 duration=self._duration,
                 speed=speed,
             )
 
     @property
     def _duration(self) -> Array:
-        """Length of the pulse, (n,) [s]; infinite for a step, and where no wave comes in."""
+        """Length of the pulse, (n,) [s]; infinite for a step, and without a wave."""
         if not self.by_wave or self.shape == "step":
             return np.full(len(self), np.inf)
         if self.record is not None:
@@ -880,49 +884,35 @@ class Scene:
             width = 2.0 * self.column("striker.length") / bars.wave_speed(*self._striker)
         return self.columns.get("pulse.duration", np.asarray(width))
 
-    def _blow(self, mass: Array) -> tuple[Array, Array]:
-        """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), m the reduced mass of the sphere, or the
-        weight's; of platens 1, and a force of theirs."""
+    def _impact_scales(self, mass: Array) -> tuple[Array, Array]:
+        """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), of an impact.
+
+        m is the mass of the drop weight, or the reduced mass of sphere and counter-body.  For slow
+        loading V_c = 1, and P_c is the force at an approach of one radius.
+        """
         face, behind, beta = self.struck, self.partners[0], self.struck.hertz_constant
         if self.setup.by_press:
             return np.ones(len(self)), beta * self.columns["sphere.radius"] ** 1.5
         speed = self.closing_speed
-        moved = mass / (1.0 + mass / face.mass) if behind is None else behind.mass
+        if behind is None:
+            moved = mass / (1.0 + mass / face.mass)
+        else:
+            moved = behind.mass
         # one root for the three powers: m³ v⁶ beta²
         impulse = moved * speed * speed
         return speed, (beta * beta * impulse * impulse * impulse) ** 0.2
 
     @property
     def faces(self) -> Face | None:
-        """The law of the face that is struck first, of both of `bars`, where it yields, (n,) each;
-        None: elastic.
-        """
+        """The contact law of `struck` (of both bars), (n,) each; None if elastic."""
         return self.struck.face
 
     @cached_property
     def status(self) -> Places:
-        """Status of every row before anything is integrated, (n,): see `STATUS`."""
+        """Status of every row before the integration, (n,): see `STATUS`."""
         codes = np.zeros(len(self), dtype=np.int64)
-        for name, column in self.columns.items():
-            if name.partition(".")[2] in _CHECKED_ONLY and self.contact_law == "hertz":
-                continue
-            inside = np.asarray(INPUTS[name].allows(column))
-            if name.endswith(("end_radius", "face_radius", "onset_pressure", "hardness")):
-                inside |= column == np.inf
-            codes[~inside] = 1
         with np.errstate(all="ignore"):
-            scales = self.scales
-            for number in (scales.mass_number, scales.force, scales.approach, scales.time):
-                codes[~(np.isfinite(number) & (number > 0.0))] = 1
-            # what is shorter than this beside t_c is lost in the rounding of the times
-            codes[scales.duration < _SHORTEST * scales.time] = 1
-            for face in (one.face for one in self.there if one.face is not None):
-                codes[~face.valid] = 1
-            if any(one.kind == "bar" for one in self.there):
-                brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (
-                    self.reflections != 0.0
-                )
-                codes[brief.any(axis=1)] = 1
+            codes[~self._in_domain()] = 1
             if not self.by_wave:
                 codes[outside(self)] = 1
                 if self.setup.by_impact:
@@ -935,23 +925,30 @@ class Scene:
                 codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = 2
         return codes
 
+    def _in_domain(self) -> Flags:
+        """Rows whose numbers, scale factors and contact laws are valid, (n,)."""
+        inside = np.ones(len(self), dtype=bool)
+        for name, column in self.columns.items():
+            if name.partition(".")[2] in _CHECKED_ONLY and self.contact_law == "hertz":
+                continue
+            allowed = np.asarray(INPUTS[name].allows(column))
+            if name.endswith(("end_radius", "face_radius", "onset_pressure", "hardness")):
+                allowed |= column == np.inf
+            inside &= allowed
+        scales = self.scales
+        for number in (scales.mass_number, scales.force, scales.approach, scales.time):
+            inside &= np.isfinite(number) & (number > 0.0)
+        inside &= ~(scales.duration < _SHORTEST * scales.time)
+        for partner in self.there:
+            if partner.face is not None:
+                inside &= partner.face.valid
+        if any(partner.kind == "bar" for partner in self.there):
+            brief = self.round_trips < _SHORTEST * scales.time[:, None]
+            inside &= ~(brief & (self.reflections != 0.0)).any(axis=1)
+        return inside
 
-#: what the words of a scene and its columns may not be together, and why
-_CONTRADICTIONS: Final[tuple[tuple[Callable[[Scene], bool], str], ...]] = (
-    (
-        lambda s: (s.shape == "measured") != (s.record is not None),
-        "a record belongs to the shape 'measured', and that shape needs one",
-    ),
-    (
-        lambda s: s.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(s.columns),
-        "a {0.shape} pulse does not follow from the striker's material or diameter",
-    ),
-    (
-        lambda s: s.by_wave and s.shape == "step" and s.horizon is None and s.infinite,
-        "a step pulse never ends: the record needs a horizon",
-    ),
-    (
-        lambda s: s.horizon is not None and not 0.0 < s.horizon < np.inf,
-        "the horizon must be positive and finite, found {0.horizon!r} s",
-    ),
-)
+
+def _check_word(name: str, word: str, allowed: Collection[str]) -> None:
+    """Raise ValueError for a word that is not allowed."""
+    if word not in allowed:
+        raise ValueError(f"unknown {name} {word!r} (allowed: {', '.join(allowed)})")
