@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.fracture import Fractures
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
-    from uqsphere.mechanics.validity import Check
+    from uqsphere.mechanics.validity import ValidityCheck
 
 
 def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
@@ -228,7 +228,7 @@ def check_scene(study: Study) -> None:
 
 def checked_rows(
     study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str]
-) -> tuple[list[Check], dict[str, Places]]:
+) -> tuple[list[ValidityCheck], dict[str, Places]]:
     """The validity checks of rows (n, d), those of the ranges of criteria among the quantities, and
     the grade of every row, (n,), by the name of its check."""
     from uqsphere.mechanics.validity import check_ranges, check_validity, grades, rules_of
