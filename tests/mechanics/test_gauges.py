@@ -166,3 +166,8 @@ def test_records_show_jumps_and_say_what_overlaps(granite):
     assert default_positions(
         history_with(fidelity="massless", infinite=True, bars_incident_length=1e9).motion
     )[0][0]
+
+
+def test_a_massless_sphere_is_in_equilibrium_from_first_touch():
+    history = history_with(fidelity="massless", infinite=True)
+    assert equilibrium(history) == 0.0

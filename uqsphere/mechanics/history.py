@@ -512,26 +512,31 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
 
 
 def equilibrium(history: History, level: float = 0.05) -> float | None:
-    """When the two contact forces first agree within a level of `force_imbalance` [s]; None where
-    they never do before the largest force of the first loading."""
-    found = history.motion
-    loading = min(history.record_end, float(found.scene.first_echo[found.row]))
-    peak = largest(found, 0.0, loading)
+    """Time to force equilibrium [s]: both contact forces agree within a level of `force_imbalance`.
+
+    It is 0 for a massless sphere, whose forces are equal at any time, and None if there is no
+    equilibrium before the peak force of the first loading.
+    """
+    course = history.motion
+    if course.fidelity == "massless":
+        return 0.0
+    loading = min(history.record_end, float(course.scene.first_echo[course.row]))
+    peak = largest(course, 0.0, loading)
     if peak is None:
         return None
 
     def excess(times: Array) -> Array:
-        forces = found.forces_at(times)
-        # before first touch there is no equilibrium to speak of
-        return (
-            np.where(forces.sum(axis=1) > 0.0, force_imbalance(forces[:, 0], forces[:, 1]), 2.0)
-            - level
-        )
+        forces = course.forces_at(times)
+        imbalance = force_imbalance(forces[:, 0], forces[:, 1])
+        # without a force there is no equilibrium
+        return np.where(forces.sum(axis=1) > 0.0, imbalance, 2.0) - level
 
-    nodes = _nodes(found, 0.0, peak.time)
+    nodes = _nodes(course, 0.0, peak.time)
     outside = excess(nodes) > 0.0
     entries = np.flatnonzero(outside[:-1] & ~outside[1:])
-    return float(_zeros(excess, nodes[entries], nodes[entries + 1])[0]) if len(entries) else None
+    if len(entries) == 0:
+        return None
+    return float(_zeros(excess, nodes[entries], nodes[entries + 1])[0])
 
 
 # --- What a picture of the bars over place and time shows: how far it goes, the stress on a grid,

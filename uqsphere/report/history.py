@@ -114,10 +114,11 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
             )
         )
     if RIGS[study.rig].by_wave:
+        balanced = equilibrium(found)
         rows.append(
             (
                 "time to force equilibrium (forces within 5 % of their mean)",
-                _when(equilibrium(found)),
+                "always" if balanced == 0.0 else _when(balanced),
             )
         )
         for bar in BARS:
