@@ -1,5 +1,5 @@
-"""What the site takes from outside docs/: the README as its first page, and the files that pages
-link to: studies, published reports, notebooks, data."""
+"""What the site takes from outside docs/: the README as its first page, and the pages for
+contributors."""
 
 from __future__ import annotations
 
@@ -10,31 +10,34 @@ from typing import Any, Final
 from mkdocs.structure.files import File, Files
 
 ROOT: Final = Path(__file__).parents[2]
-#: a link to a file of the repository that is not a page of the site
-LINK: Final = re.compile(r"\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
+#: pages of the site by their files in the repository
+PAGES: Final = {
+    "README.md": "index.md",
+    ".github/CONTRIBUTING.md": "contributing.md",
+    ".github/SECURITY.md": "security.md",
+}
+LINK: Final = re.compile(r"\]\((?!https?:|#)([^)#]+\.md)(#[^)]*)?\)")
+PICTURE: Final = re.compile(r"\]\(docs/(figures/[^)]+)\)")
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the first page, made from the README."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    files.append(File.generated(config, "index.md", content=text.replace("](docs/", "](")))
+    """Add the pages that lie elsewhere."""
+    for source, page in PAGES.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        text = LINK.sub(lambda match, base=(ROOT / source).parent: _link(match, base), text)
+        files.append(File.generated(config, page, content=PICTURE.sub(r"](\1)", text)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
-    """Keep links between pages; a link to another file of the repository becomes a copy of it."""
+    """Turn links to pages outside docs/ into links to their copies."""
+    return LINK.sub(lambda match: _link(match, ROOT / "docs"), markdown)
 
-    def target(match: re.Match[str]) -> str:
-        path = match[1]
-        if path.endswith(".md") or files.get_file_from_path(path) is not None:
-            return match[0]
-        for base in (ROOT / "docs", ROOT):
-            source = (base / path).resolve()
-            if source.is_file() and ROOT in source.parents:
-                inside = f"files/{source.relative_to(ROOT).as_posix()}"
-                if files.get_file_from_path(inside) is None:
-                    files.append(File.generated(config, inside, content=source.read_bytes()))
-                return f"]({inside})"
+
+def _link(match: re.Match[str], base: Path) -> str:
+    path = (base / match[1]).resolve()
+    if not path.is_file() or ROOT not in path.parents:
         return match[0]
-
-    return LINK.sub(target, markdown)
+    source = path.relative_to(ROOT).as_posix()
+    page = PAGES.get(source, source.removeprefix("docs/"))
+    return f"]({page}{match[2] or ''})"
