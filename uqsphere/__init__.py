@@ -15,11 +15,22 @@ if TYPE_CHECKING:
     from uqsphere import analysis
     from uqsphere.models.evaluate import evaluate
     from uqsphere.propagation import run
+    from uqsphere.propagation.plan import fragility_curves
     from uqsphere.report.history import history
     from uqsphere.results import Run, open_run
     from uqsphere.study import Study, load_study
 
-__all__ = ["Run", "Study", "analysis", "evaluate", "history", "load_study", "open_run", "run"]
+__all__ = [
+    "Run",
+    "Study",
+    "analysis",
+    "evaluate",
+    "fragility_curves",
+    "history",
+    "load_study",
+    "open_run",
+    "run",
+]
 
 __version__ = "0.2.0"
 
@@ -28,6 +39,7 @@ _HOMES = {
     "Run": "uqsphere.results",
     "Study": "uqsphere.study",
     "evaluate": "uqsphere.models.evaluate",
+    "fragility_curves": "uqsphere.propagation.plan",
     "history": "uqsphere.report.history",
     "load_study": "uqsphere.study",
     "open_run": "uqsphere.results",

@@ -13,9 +13,11 @@ import pandas as pd
 import pytest
 from scipy.stats import weibull_min
 
+import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.contact import ContactDocument, face_approach, fit_contact, load_loading
+from uqsphere.labs.shpb.plan import PlanDocument, plan_test
 from uqsphere.mechanics.contact import hertz_constant
 
 TRUTH = {"modulus": 40e9, "onset": 1.0e9, "hardness": 2.5e9, "pile_up": 2.0}
@@ -184,7 +186,7 @@ def test_what_a_plan_cannot_use_is_refused(
 ) -> None:
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"'))
     for line, match in (
-        ('free = "striker.mass"', "is no number of the study"),
+        ('free = "striker.mass"', "free must be a number of the study"),
         ('between = ["1 kg", "2 kg"]', "between"),
         ('limits = ["none"]', "no limit of the study means fracture"),
         ("rows = 3", "rows"),
@@ -192,3 +194,57 @@ def test_what_a_plan_cannot_use_is_refused(
         (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
         assert main(["shpb", "plan", str(tmp_path / "plan.toml")]) == 2
         assert match in capsys.readouterr().err
+
+
+PELLETS = """
+title = "Pellets dropped on steel"
+seed = 3
+[sphere]
+E = { dist = "lognormal", mean = "20 GPa", cov = 0.3 }
+nu = 0.25
+density = "3700 kg/m3"
+radius = "6 mm"
+[rig]
+kind = "impact"
+drop_height = "1 m"
+[target]
+material = "steel"
+kind = "thick"
+[contact]
+law = "hertz"
+[limits.broken]
+criterion = "core_tension"
+strength = { file = "tests.csv", force = "force [kN]", diameter = "12 mm", platens = "rigid" }
+aim = "survive"
+[margins]
+solve = "rig.drop_height"
+between = ["0.05 m", "20 m"]
+for_probability = [0.01, 0.5]
+[analysis]
+quantities = ["P_max"]
+accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.05 }
+"""
+
+
+@pytest.mark.slow
+def test_plan_and_run_give_the_same_heights_for_tests_of_spheres_whose_modulus_scatters(
+    tmp_path: Path,
+) -> None:
+    """The scatter of E is in the forces of the tests already: `plan` does not count it twice."""
+    rng = np.random.default_rng(12)
+    forces = 2.2 * rng.weibull(5.0, 40)
+    lines = ["force [kN]", *(f"{force:.4g}" for force in forces)]
+    (tmp_path / "tests.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "pellets.toml").write_text(PELLETS)
+    asked = PlanDocument(study="pellets.toml", shares=(0.01, 0.5), rows=512)
+    reached = plan_test(asked, tmp_path)["reached"]["broken"]
+    run = uqsphere.run(uqsphere.load_study(tmp_path / "pellets.toml"))
+    frame = run.answers
+    margins = frame[(frame.answer == "margin") & (frame.subject == "limits.broken")]
+    assert len(reached) == 2
+    for wanted in reached:
+        height, low, high = wanted["value"]
+        at = pd.to_numeric(margins["at"], errors="coerce")
+        (margin,) = margins[at == wanted["share"]]["value"]
+        assert low <= height <= high
+        assert height == pytest.approx(margin, rel=0.03)

@@ -253,9 +253,14 @@ def _sampled(design: Design, model: Model, before: Tables | None, room: Sample |
     return room
 
 
-def along(design: Design, model: Model, before: Tables | None) -> Mapping[float, Sample]:
+def along(
+    design: Design,
+    model: Model,
+    before: Tables | None,
+    counts: Mapping[float, int] | None = None,
+) -> Mapping[float, Sample]:
     """The first points of the sample at each value of the free number, all values in one
-    evaluation.
+    evaluation; `counts`: of points by value, in place of those of a run.
 
     Where a margin is too inaccurate the values draw closer together about it, and have twice the
     points there.
@@ -264,11 +269,12 @@ def along(design: Design, model: Model, before: Tables | None) -> Mapping[float,
     if margins is None or margins.limit is not None:
         return {}
     known = {} if before is None else before.line
-    if before is None:
+    if counts is None and before is None:
         counts = dict.fromkeys(
             grid(margins, VALUES), max(first_count(design.study) // LINE_SHARE, 2)
         )
-    else:
+    elif counts is None:
+        assert before is not None
         twice = 2 * max(part.count for part in known.values())
         counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
     parts, moving = [], []
