@@ -449,7 +449,7 @@ def _run(options: argparse.Namespace) -> int:
     else:
         from uqsphere.report import summary
 
-        print(summary(finished.results.model_dump(mode="json"), _width()))
+        print(summary(finished.results, _width()))
         print(f"report: {folder / 'report.html'}")
     if finished.results.accuracy.stopped == "interrupted":
         return INTERRUPTED

@@ -4,6 +4,7 @@ of answers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -266,6 +267,23 @@ def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None
     faces = [partner.face for partner in scene_at(study, names, rows).there]
     known = [face.hardness for face in faces if face is not None]
     return np.maximum.reduce(known) if known and len(known) == len(faces) else None
+
+
+def onset_of(study: Study) -> float | None:
+    """The peak contact pressure at which the first contact starts to yield, every number at its
+    mean [Pa]; None where no onset is known.
+    """
+    from uqsphere.mechanics.rigs import law_of
+
+    if study.black_box:
+        return None
+    scene = scene_of(study, {}, 1)
+    tables = {partner.table for partner in scene.there}
+    onsets = [
+        float(law_of(scene.columns, table, rigid=scene.rigid_contact).onset[0]) for table in tables
+    ]
+    lowest = min(onsets, default=math.inf)
+    return lowest if math.isfinite(lowest) else None
 
 
 def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:

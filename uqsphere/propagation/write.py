@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ import numpy as np
 
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.models.scene import paper_lines
+from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import density
@@ -29,6 +30,7 @@ from uqsphere.results.answers import frame_of
 from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
     AccuracyEntry,
+    CorrelationEntry,
     DependenceEntry,
     FreeNumber,
     InputEntry,
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
 
 #: rows of samples.csv
 MOST_ROWS: Final = 16_384
+#: quantities whose correlation is stored, in pairs
+MOST_CORRELATED: Final = 4
 PACKAGES: Final = (
     "numpy",
     "scipy",
@@ -99,6 +103,7 @@ def results_of(
             modes={mode.called: _assumed(mode) for mode in design.modes},
             not_judged=dict(design.not_judged),
             dependence=[_dependence(tie) for tie in study.dependence],
+            correlations=_correlations(design, tables),
         ),
         inputs={name: _input(design, name) for name in inputs},
         answers=answers.rows,
@@ -187,7 +192,22 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         range=(low, median, high),
         method_of_indices=source.index_method(name) if design.inputs else "",
         density=density(values),
+        onset=onset_of(design.study) if name == "p_max" else None,
+        expansion_error=None if expansion is None else expansion.left,
     )
+
+
+def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
+    """Correlation of the quantities of interest, in pairs."""
+    names = [name for name in design.study.analysis.quantities if name in design.described]
+    entries = []
+    for first, second in itertools.combinations(names[:MOST_CORRELATED], 2):
+        columns = np.stack([tables.sample.answer(name).ravel() for name in (first, second)])
+        columns = columns[:, np.isfinite(columns).all(axis=0)]
+        if columns.shape[1] > 1 and (np.ptp(columns, axis=1) > 0.0).all():
+            value = float(np.corrcoef(columns)[0, 1])
+            entries.append(CorrelationEntry(of=[first, second], value=value))
+    return entries
 
 
 def _limit(limit: Limit) -> LimitEntry:

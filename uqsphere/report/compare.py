@@ -1,4 +1,4 @@
-"""Runs side by side: what was set otherwise, which answers moved, and by how much."""
+"""Runs side by side: decisions, settings that differ, and answers that changed."""
 
 from __future__ import annotations
 
@@ -7,146 +7,172 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from uqsphere.errors import UsageError
-from uqsphere.report.format import estimate, probability
+from uqsphere.quantities import format_probability, format_value
+from uqsphere.report.format import DASH, label, meaning, value
+from uqsphere.report.sentences import DecisionText, decision_text, plain_name
 from uqsphere.results import Run
+from uqsphere.results.types import InputEntry, Kind
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: answers that are probabilities
-PROBABILITIES = ("exceedance_probability", "failure_probability", "mode_share")
-#: answers that are compared
+#: answers that are probabilities, indices, and all that are compared
+PROBABILITIES = (Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.MODE_SHARE)
+INDICES = (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
 COMPARED = (
     *PROBABILITIES,
-    "mean",
-    "sd",
-    "quantile",
-    "margin",
-    "safety_factor",
-    "sobol_first",
-    "sobol_total",
+    Kind.MEAN,
+    Kind.SD,
+    Kind.QUANTILE,
+    Kind.MARGIN,
+    Kind.SAFETY_FACTOR,
+    *INDICES,
 )
+#: relative change that is worth a line
+WORTH = 1e-3
 
 
 def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
-    """Answers of several runs, merged: the first run against each other one, the largest practical
-    change first.
+    """Answers of several runs side by side, the largest significant change first.
 
-    Columns: subject, answer, at, then for each run NAME its value; change, the largest over the
-    first run's value (of a probability over its target where there is one), and significant,
-    whether that change lies outside the interval of the difference.
+    Columns: subject, answer, at, unit, for each run NAME its value; change, the largest against the
+    first run, over its value (of a probability over its target, if it has one); significant,
+    whether the values differ by more than their intervals.
 
     Raises UsageError for fewer than two runs.
     """
-
     if len(runs) < 2:
-        raise UsageError("compare takes two runs at least: uqsphere compare BEFORE AFTER")
+        raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
     keys = ["subject", "answer", "at"]
     tables: list[Any] = []
     for number, run in enumerate(runs):
         table = run.answers[run.answers["answer"].isin(COMPARED)].copy()
         table["at"] = table["at"].map(str)
-        tables.append(table.set_index(keys)[["value", "low", "high"]].add_suffix(f"_{number}"))
+        if number:
+            table = table.drop(columns="unit")
+        kept = [name for name in ("unit", "value", "low", "high") if name in table]
+        renamed = {name: f"{name}_{number}" for name in ("value", "low", "high")}
+        tables.append(table.set_index(keys)[kept].rename(columns=renamed))
     merged = tables[0].join(tables[1:], how="outer").reset_index()
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes, significant = [], []
     for _, row in merged.iterrows():
-        largest, sure = 0.0, False
-        for k in range(1, len(runs)):
-            change, outside = _change(row, k, targets.get(row["subject"]))
-            if abs(change) > abs(largest):
-                largest, sure = change, outside
-        changes.append(largest)
-        significant.append(sure)
+        pairs = [_change(row, k, targets.get(row["subject"])) for k in range(1, len(runs))]
+        change, outside = max(pairs, key=lambda pair: abs(pair[0]))
+        changes.append(change)
+        significant.append(outside)
     merged["change"], merged["significant"] = changes, significant
     for number, name in enumerate(names):
         merged[name] = merged[f"value_{number}"]
-    order = merged["change"].abs().sort_values(ascending=False, kind="stable").index
-    found: pd.DataFrame = merged.loc[order, [*keys, *names, "change", "significant"]].reset_index(
-        drop=True
-    )
-    return found
+    order = merged.assign(size=merged["change"].abs())
+    order = order.sort_values(["significant", "size"], ascending=False, kind="stable")
+    columns = [*keys, "unit", *names, "change", "significant"]
+    ordered: pd.DataFrame = order[columns].reset_index(drop=True)
+    return ordered
 
 
 def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:
     """Relative change of an answer from the first run to the k-th, and whether it is outside the
-    interval.
+    interval of the difference.
     """
     before, after = row["value_0"], row[f"value_{k}"]
     if not (math.isfinite(before) and math.isfinite(after)):
         return 0.0, False
-    difference = after - before
     scale = abs(before)
     if row["answer"] in PROBABILITIES:
         scale = target or max(abs(before), 1e-12)
-    elif row["answer"].startswith("sobol"):
+    elif row["answer"] in INDICES:
         scale = 1.0
-    half = math.hypot(
-        *(
-            0.5 * (row[f"high_{n}"] - row[f"low_{n}"]) if math.isfinite(row[f"high_{n}"]) else 0.0
-            for n in (0, k)
-        )
-    )
+    widths = [row[f"high_{number}"] - row[f"low_{number}"] for number in (0, k)]
+    half = 0.5 * math.hypot(*(width for width in widths if math.isfinite(width)))
+    difference = after - before
     return (difference / scale if scale > 0.0 else 0.0), abs(difference) > half
 
 
 def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -> str:
-    """What was set otherwise, and the answers that moved most, as text."""
+    """Decisions, settings that differ, and the answers that changed most, as text."""
     table = compare(runs, names)
-    lines = [
-        f"{name}: {run.results.study.title}"
-        + "".join(f"\n  set: {s}" for s in run.results.study.overrides)
-        for name, run in zip(names, runs, strict=True)
-    ]
-    lines += [f"  {text}" for text in _inputs_changed(runs, names)]
-    moved = table[table["change"].abs() > 1e-3]
-    lines.append("")
-    for _, row in moved.head(most).iterrows():
-        at = f" {row['at']}" if row["at"] else ""
-        texts = [_text(row, name) for name in names]
-        sure = "" if row["significant"] else ", inside the intervals"
-        lines.append(
-            f"{row['subject']} {row['answer'].replace('_', ' ')}{at}: {' -> '.join(texts)} "
-            f"({100.0 * row['change']:+.3g} %{sure})"
-        )
-    if len(moved) > most:
-        lines.append(f"... {len(moved) - most} more; --csv has all")
+    lines = [f"{name}: {run.results.study.title}" for name, run in zip(names, runs, strict=True)]
+    lines += _decisions(runs, names)
+    settings = _settings(runs, names)
+    if settings:
+        lines += ["", "settings that differ:", *(f"  {text}" for text in settings)]
+    moved = table[table["change"].abs() > WORTH]
+    sure, unsure = moved[moved["significant"]], moved[~moved["significant"]]
+    if not sure.empty:
+        lines += ["", "answers that changed:"]
+        lines += [f"  {_answer(row, runs, names)}" for _, row in sure.head(most).iterrows()]
+    if len(sure) > most:
+        lines.append(f"  ... {len(sure) - most} more; --csv has all")
+    if len(unsure):
+        lines.append(f"{len(unsure)} more changed by less than their 95 % intervals")
     if table[list(names)].notna().sum(axis=1).max() < 2:
-        lines.append(
-            "the runs have no answer in common: runs of one study with something set otherwise "
-            "are compared"
-        )
+        lines.append("the runs have no answer in common: compare runs of one study")
     elif moved.empty:
-        lines.append("no answer moved by more than 0.1 %")
+        lines.append("no answer changed by more than 0.1 %")
     return "\n".join(lines)
 
 
-def _text(row: Any, name: str) -> str:
-    entry = {
-        "value": None if math.isnan(row[name]) else row[name],
-        "low": None,
-        "high": None,
-        "note": "",
-    }
-    if row["answer"] in PROBABILITIES:
-        return probability(entry)
-    quantity = row["subject"] if row["answer"] in ("mean", "sd", "quantile") else ""
-    return estimate(entry, quantity)
-
-
-def _inputs_changed(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
-    from uqsphere.report.format import value
-
+def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
+    """For each aim, the number to use, the verdict and what governs, run by run."""
     lines = []
-    first = runs[0].results.inputs
+    aims = dict.fromkeys(one.aim for run in runs for one in run.results.decisions)
+    for aim in aims:
+        lines += ["", f"to {aim}:"]
+        for name, run in zip(names, runs, strict=True):
+            chosen = [one for one in run.results.decisions if one.aim == aim]
+            if not chosen:
+                lines.append(f"  {name}: no limit")
+                continue
+            text: DecisionText = decision_text(run.results, chosen[0])
+            governing = plain_name(chosen[0].governing)
+            lines.append(f"  {name}: {text.use}; {text.verdict}; {governing} governs")
+            lines.append(f"    {text.broken}")
+    return lines
+
+
+def _settings(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
+    """What --set changed, and inputs that differ from those of the first run."""
+    lines, first = list[str](), runs[0].results
+    for name, run in zip(names, runs, strict=True):
+        if run.results.study.overrides and run.results.study.overrides != first.study.overrides:
+            lines.append(f"--set {'; '.join(run.results.study.overrides)} ({name})")
     for name, run in zip(names[1:], runs[1:], strict=True):
         for path, entry in run.results.inputs.items():
-            before = first.get(path)
+            before = first.inputs.get(path)
             if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):
-                texts = [
-                    "–" if e is None else f"{value(e.mean, path)} ± {value(e.sd, path)}"
-                    for e in (before, entry)
-                ]
-                lines.append(f"{path}: {texts[0]} -> {texts[1]} ({name})")
+                lines.append(f"{path}: {_input(before, path)} -> {_input(entry, path)} ({name})")
     return lines
+
+
+def _input(entry: InputEntry | None, path: str) -> str:
+    if entry is None:
+        return DASH
+    mean = value(entry.mean, path, 4)
+    return mean if not entry.sd else f"{mean} ± {value(entry.sd, path)}"
+
+
+def _answer(row: Any, runs: Sequence[Run], names: Sequence[str]) -> str:
+    subject = label(row["subject"])
+    if subject == row["subject"]:
+        subject = meaning(subject)
+    kind = str(row["answer"]).replace("_", " ")
+    at = f" {row['at']}" if row["at"] else ""
+    texts = " -> ".join(_number(row, name, runs) for name in names)
+    return f"{subject}, {kind}{at}: {texts} ({100.0 * row['change']:+.3g} %)"
+
+
+def _number(row: Any, name: str, runs: Sequence[Run]) -> str:
+    """A value of the table with its unit."""
+    number = row[name]
+    if math.isnan(number):
+        return DASH
+    if row["answer"] in PROBABILITIES:
+        return format_probability(number)
+    quantity, free = "", runs[0].results.study.free
+    if row["answer"] in (Kind.MEAN, Kind.SD, Kind.QUANTILE):
+        quantity = row["subject"]
+    elif row["answer"] == Kind.MARGIN and free is not None:
+        quantity = free.path
+    return format_value(number, quantity) if quantity else f"{number:.4g}"

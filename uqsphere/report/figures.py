@@ -1,16 +1,12 @@
-"""Figures of a run, by matplotlib: fragility, densities, Sobol' indices, speed against error.
-
-Each `draw_...` takes axes and the results; `svg` makes a small, self-contained drawing of one of
-them.
-"""
+"""Figures of a run, by matplotlib: what each shows is read from the results, with its text."""
 
 from __future__ import annotations
 
 import io
-import math
 import re
-from collections.abc import Callable, Mapping
-from textwrap import fill
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,26 +14,30 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import all_together, find, label, meaning, of, short
+from uqsphere.report.format import capital, label, meaning, short, table_of, value
+from uqsphere.report.fragility import BLUE, GREEN, INK, PURPLE, RED, Chart, Curve, Mark, Tests
+from uqsphere.report.fragility import draw_fragility as draw_chart
+from uqsphere.report.pictures import Density, Indices, draw_convergence, draw_density, draw_indices
+from uqsphere.report.sentences import chart_title, decision_text
+from uqsphere.results.types import Decision, Kind, QuantityEntry, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
-Results = Mapping[str, Any]
-#: colours that people with any colour vision tell apart (Okabe and Ito 2008)
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-#: curves that one drawing has room for
-MOST_CURVES: Final = 12
-#: probabilities that the axis of a fragility curve is marked at
-TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
+#: colours of lines that share a figure
+COLOURS: Final = (BLUE, RED, GREEN, PURPLE, INK)
+#: curves that one chart has room for, rows of Sobol' indices, and letters of a name beside a row
+MOST_CURVES, MOST_INPUTS, MOST_LETTERS = 9, 8, 30
 STYLE: Final[dict[str, Any]] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "uqsphere",
-    "font.size": 9.0,
+    "font.size": 12.0,
     "font.family": "sans-serif",
+    "text.color": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.edgecolor": "#9aa0a8",
     "axes.grid": True,
     "grid.color": "#e4e4e4",
     "grid.linewidth": 0.6,
@@ -48,291 +48,345 @@ STYLE: Final[dict[str, Any]] = {
 }
 
 
-def svg(draw: Callable[[Axes], None], width: float = 6.6, height: float = 3.1) -> str:
-    """An SVG of what `draw` puts on axes: text stays text, no date, one id namespace per
-    drawing.
-    """
-    import matplotlib
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A figure of the page: its title, what it shows in words, and its SVG text."""
 
-    matplotlib.use("Agg")
+    title: str
+    text: str
+    svg: str
+
+
+# --- SVG ------------------------------------------------------------------------------------------
+
+
+def picture_svg(draw: Callable[[Figure], None], width: float, height: float) -> str:
+    """The SVG of what `draw` puts on a figure of `width` by `height` pixels; text stays text."""
+    import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
-        figure = Figure(figsize=(width, height), layout="constrained")
-        draw(figure.add_subplot())
-        text = io.StringIO()
+    matplotlib.use("Agg")
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # a user's matplotlibrc may ask for TeX
+        matplotlib.rcParams.update(STYLE)  # type: ignore[arg-type]
+        figure, text = Figure(figsize=(width / 72.0, height / 72.0), dpi=72), io.StringIO()
+        draw(figure)
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     body = re.sub(r"^.*?(?=<svg)", "", text.getvalue(), flags=re.S)
     # a curve outside the frame leaves a path without places
     body = re.sub(r"<metadata>.*?</metadata>|<path (?![^>]*\bd=)[^>]*/>", "", body, flags=re.S)
     # coordinates to a tenth of a point: a third of the bytes
-    return re.sub(r'\bd="[^"]*"', lambda found: re.sub(r"(\d+\.\d)\d+", r"\1", found[0]), body)
+    return re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\d+\.\d)\d+", r"\1", path[0]), body)
 
 
-def _likeliest(results: Results, subjects: list[str]) -> list[str]:
-    """Of too many limits and failure modes for a drawing those that are exceeded most often, in
-    their order.
-    """
-    rows = (row for row in results["answers"] if row["answer"] == "exceedance_probability")
-    often = {row["subject"]: row["value"] or 0.0 for row in rows}
-    kept = sorted(subjects, key=lambda subject: -often.get(subject, 0.0))[:MOST_CURVES]
-    return [subject for subject in subjects if subject in kept]
+def svg(draw: Callable[[Axes], None], width: float = 620.0, height: float = 310.0) -> str:
+    """The SVG of what `draw` puts on axes that fill the figure."""
+
+    def on_figure(figure: Figure) -> None:
+        figure.set_layout_engine("constrained")
+        draw(figure.add_subplot())
+
+    return picture_svg(on_figure, width, height)
 
 
-def draw_fragility(axes: Axes, results: Results, limit: str | None = None) -> None:
-    """Fracture probability over the free number, on normal paper: all limits and failure modes,
-    target and plan.
-    """
-    from scipy.special import ndtri
+# --- what a run's figures show --------------------------------------------------------------------
 
-    free = results["study"]["free"]
-    subjects = [
-        s
-        for s in dict.fromkeys(r["subject"] for r in results["answers"] if r["answer"] == "curve")
-        if limit is None or s in (f"limits.{limit}", f"modes.{limit}")
-    ]
+
+def chart_of(results: Results, limit: str | None = None) -> Chart | None:
+    """The fragility chart of a run, or of one limit; None for a run without curves."""
+    free, answers = results.study.free, table_of(results)
+    subjects = [row.subject for row in answers if row.answer == Kind.CURVE]
+    if limit is not None:
+        subjects = [name for name in subjects if name in (f"limits.{limit}", f"modes.{limit}")]
     if free is None or not subjects:
-        raise UsageError("this run has no curve: a study with [margins] has one")
-    unit, factor = display_unit(free["path"], free["planned"] or free["high"])
-    least = TICKS[0] / 3.0
-    curves = {
-        s: [
-            [float(r["at"]), r["value"], r["low"], r["high"]]
-            for r in of(results["answers"], s, "curve")
-        ]
-        for s in _likeliest(results, subjects)
-    }
-    joint = all_together(results)
-    if limit is None and joint is not None and joint.get("curve"):
-        curves["all together"] = joint["curve"]
-    for k, (subject, rows) in enumerate(curves.items()):
-        x, *p = np.array(rows, dtype=float).T
-        x *= factor
-        inside = (p[0] > least) & (p[0] < 1.0 - least)
-        # one value on either side of those drawn, so that a curve reaches the frame
-        near = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
-        middle, low, high = np.where(near, ndtri(np.clip(p, least, 1.0 - least)), np.nan)
-        own = subject.startswith("limits.")
-        colour, line = COLOURS[k % len(COLOURS)], "-" if own else "--" if "." in subject else "-."
-        if subject == "all together":
-            colour = "#000000"
-        dense, curve = _smooth(x, middle, logarithmic=free["low"] > 0.0)
-        axes.plot(dense, curve, line, color=colour, lw=2.0 if own else 1.2, label=label(subject))
-        if own:
-            axes.fill_between(x, low, high, where=inside, color=colour, alpha=0.25, lw=0)
-        entry = results["study"]["limits"].get(subject.removeprefix("limits."))
-        if entry and entry.get("test_points"):
-            places, shares = np.asarray(entry["test_points"], dtype=float)
-            axes.plot(
-                places * factor,
-                ndtri(np.clip(shares, least, 1.0 - least)),
-                "o",
-                ms=3.5,
-                color=colour,
-                label=f"tests of {label(subject)}",
-            )
-    targets = {
-        entry["allowable"]
-        for name, entry in results["study"]["limits"].items()
-        if entry["has_target"] and limit in (None, name)
-    }
-    for target in sorted(targets):
-        axes.axhline(ndtri(target), color="#555555", lw=0.8, ls=":")
-        axes.annotate(
-            f"target {format_probability(target)}",
-            (1.0, ndtri(target)),
-            xycoords=("axes fraction", "data"),
-            ha="right",
-            va="bottom",
-            fontsize=8,
-            color="#333333",
+        return None
+    governing = {decision.governing for decision in results.decisions if decision.use is not None}
+    curves = []
+    for subject in _most_exceeded(results, dict.fromkeys(subjects)):
+        points = [(row.at, _number(row.value)) for row in answers.where(subject, Kind.CURVE)]
+        x, p = np.array(points, dtype=float).T
+        kind: Any = "limit" if subject.startswith("limits.") else "assumed"
+        curves.append(Curve(name=label(subject), x=x, p=p, kind=kind, governs=subject in governing))
+    joint = _joint_curve(results)
+    if limit is None and joint is not None:
+        curves.append(joint)
+    planned = None
+    if free.planned is not None and free.low <= free.planned <= free.high:
+        planned = (free.planned, f"planned {format_value(free.planned, free.path, 3)}")
+    marks = [_mark(results, one) for one in results.decisions if one.use is not None]
+    return Chart(
+        free=free.path,
+        meaning=free.meaning,
+        ends=(free.low, free.high),
+        curves=curves,
+        tests=_tests(results, {curve.name for curve in curves}),
+        planned=planned,
+        marks=marks if limit is None else [],
+        targets=_targets(results, limit),
+        fracture=any(entry.fracture for entry in results.study.limits.values()),
+    )
+
+
+def _number(x: float | None) -> float:
+    return np.nan if x is None else x
+
+
+def _most_exceeded(results: Results, subjects: Sequence[str] | dict[str, None]) -> list[str]:
+    """Of too many curves for a chart those that are exceeded most often, in their order."""
+    answers, often = table_of(results), dict[str, float]()
+    for subject in subjects:
+        row = answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
+        often[subject] = row.value or 0.0 if row is not None else 0.0
+    kept = sorted(often, key=lambda subject: -often[subject])[:MOST_CURVES]
+    return [subject for subject in often if subject in kept]
+
+
+def _joint_curve(results: Results) -> Curve | None:
+    for decision in results.decisions:
+        if decision.aim == "survive" and decision.curve:
+            x = np.array([point.at for point in decision.curve])
+            p = np.array([_number(point.value) for point in decision.curve])
+            return Curve(name="all failure modes", x=x, p=p, kind="joint")
+    return None
+
+
+def _allowable(decision: Decision) -> float:
+    """Probability of exceedance at the target of a decision."""
+    target = decision.target or 0.0
+    return target if decision.aim == "survive" else 1.0 - target
+
+
+def _mark(results: Results, decision: Decision) -> Mark:
+    assert decision.use is not None
+    return Mark(
+        value=decision.use.value,
+        probability=_allowable(decision),
+        text=decision_text(results, decision).use.lower(),
+        least=decision.use.safe_end == "smallest",
+    )
+
+
+def _targets(results: Results, limit: str | None) -> list[tuple[float, str]]:
+    targets: dict[float, str] = {}
+    for name, entry in results.study.limits.items():
+        if entry.has_target and limit in (None, name):
+            sign = "≤" if entry.aim == "survive" else "≥"
+            targets[entry.allowable] = f"target {sign} {format_probability(entry.allowable)}"
+    return sorted(targets.items())
+
+
+def _tests(results: Results, shown: set[str]) -> Tests | None:
+    """Band and points of the first limit that has tests."""
+    for decision in results.decisions:
+        names = [name for name in decision.limits if name in results.study.limits]
+        tested = [name for name in names if results.study.limits[name].tests]
+        if not decision.band or not tested or tested[0] not in shown:
+            continue
+        ends = np.array([(point.at, point.low, point.high) for point in decision.band], dtype=float)
+        x, low, high = ends.T
+        if decision.aim == "break":
+            low, high = 1.0 - high, 1.0 - low
+        points = np.array(results.study.limits[tested[0]].test_points or np.empty((2, 0)))
+        places, shares = points[:2]
+        stopped = points[2] > 0.0 if len(points) > 2 else np.zeros(len(places), dtype=bool)
+        known = np.isfinite(low) & np.isfinite(high)
+        return Tests(
+            curve=tested[0],
+            x=x[known],
+            low=low[known],
+            high=high[known],
+            places=places,
+            shares=shares,
+            stopped=stopped,
         )
-    if free["planned"] is not None and free["low"] <= free["planned"] <= free["high"]:
-        axes.axvline(free["planned"] * factor, color="#555555", lw=0.8)
-        axes.annotate(
-            f"planned {format_value(free['planned'], free['path'], 3)}",
-            (free["planned"] * factor, 0.97),
-            xycoords=("data", "axes fraction"),
-            ha="left",
-            va="top",
-            fontsize=8,
-            color="#333333",
-            xytext=(3, 0),
-            textcoords="offset points",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
-        )
-    if free["low"] > 0.0:
-        axes.set_xscale("log")
-        _plain_logarithms(axes.xaxis, free["high"] / free["low"])
-    axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(t) for t in TICKS])
-    axes.set(
-        xlabel=f"{free['meaning']} [{unit}]" if unit else free["meaning"],
-        ylim=(ndtri(least), ndtri(1.0 - least)),
-        ylabel=_probability_name(results),
-        xlim=(free["low"] * factor, free["high"] * factor),
-    )
-    left = (
-        f"the {MOST_CURVES} of {len(subjects)} that are exceeded most often"
-        if len(subjects) > MOST_CURVES
-        else None
-    )
-    axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=2,
-        fontsize=8,
-        title=left,
-        title_fontsize=8,
-    )
+    return None
 
 
-def _smooth(x: Array, y: Array, *, logarithmic: bool) -> tuple[Array, Array]:
-    """The monotone cubic through the points that have a value, as margins are read off it."""
-    from scipy.interpolate import PchipInterpolator
-
-    known = np.isfinite(y)
-    if known.sum() < 3:
-        return x, y
-    places = np.log(x[known]) if logarithmic else x[known]
-    dense = np.linspace(places[0], places[-1], 200)
-    return np.exp(dense) if logarithmic else dense, PchipInterpolator(places, y[known])(dense)
-
-
-def _plain_logarithms(axis: Axis, ratio: float) -> None:
-    """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where
-    there is room.
-    """
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-
-    few = (
-        MaxNLocator(4)
-        if ratio < 5.0
-        else LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e3 else (1.0,))
-    )
-    axis.set_major_locator(few)
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
-    axis.set_minor_locator(NullLocator())
-
-
-def _probability_name(results: Results) -> str:
-    fracture = any(entry["fracture"] for entry in results["study"]["limits"].values())
-    return "fracture probability" if fracture else "probability of exceedance"
-
-
-def draw_density(axes: Axes, results: Results, quantity: str) -> None:
-    """Density of a quantity, with that of every strength that it is held against."""
-    entry = results["study"]["quantities"].get(quantity)
+def density_of(results: Results, quantity: str) -> Density | None:
+    """The density of a quantity, with the strengths that it is compared with; None without one."""
+    entry = results.study.quantities.get(quantity)
     if entry is None:
-        raise UsageError(
-            f"the run has no quantity {quantity!r} (known: "
-            f"{', '.join(results['study']['quantities'])})"
-        )
-    middle = entry["range"][1]
-    unit, factor = display_unit(quantity, middle or math.inf)
-    shown = []
-    if entry["density"]:
-        shown.append(("demand", entry["density"], COLOURS[0], "-"))
-    held = [
-        f"limits.{name}"
-        for name, limit in results["study"]["limits"].items()
-        if limit["quantity"] == quantity
+        known = ", ".join(results.study.quantities)
+        raise UsageError(f"the run does not contain the quantity {quantity!r} (known: {known})")
+    if not entry.density or None in entry.range:
+        return None
+    middle = entry.range[1] or 1.0
+    unit, factor = display_unit(quantity, middle)
+    x, y = np.array(entry.density, dtype=float)
+    quantiles = [
+        (end * factor, value(end, quantity).removesuffix(f" {unit}"))
+        for end in entry.range
+        if end is not None
     ]
-    limits = {
-        s.removeprefix("limits."): results["study"]["limits"][s.removeprefix("limits.")]
-        for s in _likeliest(results, held)
-    }
-    for k, (name, limit) in enumerate(limits.items()):
-        if limit["strength"].get("density"):
-            shown.append(
-                (f"strength, {name}", limit["strength"]["density"], COLOURS[1 + k % 5], "--")
-            )
-    for text, (places, density), colour, line in shown:
-        x, y = np.array(places, dtype=float) * factor, np.array(density, dtype=float) / factor
-        axes.plot(x, y, line, color=colour, label=text)
-        axes.fill_between(x, 0.0, y, color=colour, alpha=0.15, lw=0)
-    for k, (name, limit) in enumerate(limits.items()):
-        strength = limit["strength"]
-        if not strength.get("density") and strength["median"] is not None:
-            axes.axvline(
-                strength["median"] * factor,
-                color=COLOURS[1 + k % 5],
-                ls="--",
-                label=f"strength, {name}",
-            )
-    if not shown and middle is not None:
-        axes.axvline(middle * factor, color=COLOURS[0], label="demand (no scatter)")
-    text = fill(short(entry["meaning"]), 40)
-    axes.set(xlabel=f"{text} [{unit}]" if unit else text, ylabel="probability density")
-    axes.set_ylim(bottom=0.0)
-    axes.set_yticks([])
-    if len(axes.get_legend_handles_labels()[0]) > 1:
-        axes.legend(fontsize=8, loc="upper right")
-        axes.set_ylim(top=1.25 * axes.get_ylim()[1])
+    strengths = []
+    for name, limit in results.study.limits.items():
+        if limit.quantity == quantity and limit.strength.density:
+            places, heights = np.array(limit.strength.density, dtype=float)
+            strengths.append((name, np.array([places * factor, heights / factor])))
+    return Density(
+        x=x * factor,
+        y=y / factor,
+        quantiles=quantiles,
+        strengths=strengths[:3],
+        onset=_onset(results, quantity, unit, factor),
+    )
 
 
-def draw_sobol(axes: Axes, results: Results, quantity: str, most: int = 12) -> None:
-    """First-order and total Sobol' indices of a quantity with 95 % intervals, the largest first."""
-    rows = {
-        order: of(results["answers"], quantity, f"sobol_{order}") for order in ("first", "total")
-    }
-    known = [row for row in rows["total"] if row["value"] is not None]
-    if not known:
-        raise UsageError(f"the run has no Sobol' indices of {quantity!r}")
-    names = [row["at"] for row in sorted(known, key=lambda row: row["value"])][-most:]
-    for shift, order, colour in ((0.2, "first", COLOURS[0]), (-0.2, "total", COLOURS[5])):
-        each = [find(rows[order], quantity, f"sobol_{order}", name) for name in names]
-        v = np.array(
-            [row["value"] if row and row["value"] is not None else np.nan for row in each],
-            dtype=float,
-        )
-        ends = np.array(
-            [
-                [v[k] - row["low"], row["high"] - v[k]]
-                if row and row["low"] is not None
-                else [0.0, 0.0]
-                for k, row in enumerate(each)
+def _onset(results: Results, quantity: str, unit: str, factor: float) -> tuple[float, str] | None:
+    """Where a contact starts to yield on the axis of the peak pressure, and how many do."""
+    entry = results.study.quantities[quantity]
+    if entry.onset is None:
+        return None
+    shares = [check.share for check in results.checks if check.name == "dented"]
+    who = "in no impact"
+    if shares and shares[0] >= 1.0:
+        who = "in all impacts"
+    elif shares:
+        who = f"in {format_probability(shares[0])} of impacts"
+    return entry.onset * factor, f"yield from {entry.onset * factor:.3g} {unit}: {who}"
+
+
+def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
+    """Sobol' indices of some quantities, the inputs in one order: the largest total first."""
+    answers, largest = table_of(results), dict[str, float]()
+    for quantity in quantities:
+        for row in answers.where(quantity, Kind.SOBOL_TOTAL):
+            if row.value is not None:
+                largest[str(row.at)] = max(largest.get(str(row.at), 0.0), row.value)
+    inputs = sorted(largest, key=lambda name: -largest[name])[:MOST_INPUTS]
+    names = [_brief(meaning(name, results.inputs)) for name in inputs]
+    columns = []
+    for quantity in quantities:
+        orders = []
+        for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
+            rows = [answers.get(quantity, kind, name) for name in inputs]
+            ends = [
+                (np.nan,) * 3
+                if row is None
+                else [_number(x) for x in (row.value, row.low, row.high)]
+                for row in rows
             ]
-        ).T
-        axes.barh(
-            np.arange(len(names)) + shift,
-            v,
-            0.36,
-            color=colour,
-            error_kw={"lw": 0.9, "capsize": 2},
-            xerr=np.maximum(np.nan_to_num(ends), 0.0).tolist(),  # an array of one column warns
-            label="first-order" if order == "first" else "total",
-        )
-    axes.set_yticks(range(len(names)), [meaning(str(name), results["inputs"]) for name in names])
-    axes.set(xlim=(0.0, 1.05))
-    axes.set_title(
-        fill(short(results["study"]["quantities"][quantity]["meaning"]), 40),
-        fontsize=9,
-        loc="right",
-    )
-    axes.legend(fontsize=8, loc="upper right", bbox_to_anchor=(1.0, -0.22), ncols=2)
+            orders.append(np.array(ends, dtype=float).reshape(-1, 3).T)
+        if inputs and np.isfinite(orders[1][0]).any():
+            name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
+            columns.append(Indices(name=name, inputs=names, first=orders[0], total=orders[1]))
+    return columns
 
 
-def draw_convergence(axes: Axes, results: Results) -> None:
-    """Speed against error: the largest half-width over what is required, at each doubling of the
-    model runs.
-    """
-    rows = [(row["runs"], row["error"]) for row in results["accuracy"]["reached"] if row["error"]]
-    if not rows:
-        raise UsageError("the run has no history of its accuracy")
+def _brief(text: str) -> str:
+    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 1].rstrip()}…"
+
+
+def convergence_of(results: Results) -> tuple[Array, Array] | None:
+    """Model runs and largest error / tolerance at each size; None for a run of one size."""
+    rows = [(row.runs, row.error) for row in results.accuracy.reached if row.error]
+    if len(rows) < 2:
+        return None
     runs, error = np.array(rows, dtype=float).T
-    axes.loglog(runs, error, "o-", color=COLOURS[0])
-    axes.axhline(1.0, color="#555555", lw=0.8, ls=":")
-    axes.annotate(
-        "as required",
-        (0.0, 1.0),
-        xycoords=("axes fraction", "data"),
-        ha="left",
-        va="bottom",
-        fontsize=8,
-    )
-    for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
-        _plain_logarithms(axis, shown.max() / shown.min())
-    axes.set(xlabel="model runs (logarithmic)", ylabel="largest error / tolerance")
+    return runs, error
+
+
+# --- pictures of the page -------------------------------------------------------------------------
+
+
+def fragility_pictures(results: Results) -> list[Picture]:
+    """The fragility chart, for a wide screen and for a narrow one; empty for a run without it."""
+    chart = chart_of(results)
+    if chart is None:
+        return []
+    right = max([6.4 * len(curve.name) for curve in chart.curves] + [90.0])
+
+    def draw(figure: Figure, left: float, right: float, above: float, below: float) -> None:
+        width, height = figure.get_size_inches() * 72.0
+        room = (left / width, below / height)
+        size = (1.0 - (left + right) / width, 1.0 - (above + below) / height)
+        draw_chart(figure.add_axes((*room, *size)), chart)
+
+    title, text = chart_title(results), _chart_text(results, chart)
+    wide = partial(draw, left=62.0, right=min(right, 190.0) + 12.0, above=58.0, below=74.0)
+    narrow = partial(draw, left=58.0, right=92.0, above=84.0, below=92.0)
+    return [
+        Picture(title=title, text=text, svg=picture_svg(wide, 822.0, 430.0)),
+        Picture(title=title, text=text, svg=picture_svg(narrow, 370.0, 430.0)),
+    ]
+
+
+def _chart_text(results: Results, chart: Chart) -> str:
+    """What the fragility chart shows, for a reader who cannot see it."""
+    texts = [f"{chart_title(results)} over the {chart.meaning}"]
+    if chart.planned is not None:
+        place, _ = chart.planned
+        for curve in chart.curves:
+            p = float(np.interp(place, curve.x, curve.p))
+            texts.append(f"{curve.name} at the planned value: {format_probability(p)}")
+    texts += [mark.text for mark in chart.marks]
+    return "; ".join(texts)
+
+
+def density_picture(results: Results, quantity: str) -> Picture | None:
+    """The small picture of a distribution; None for a quantity that does not vary."""
+    density = density_of(results, quantity)
+    if density is None:
+        return None
+
+    def draw(figure: Figure) -> None:
+        draw_density(figure.add_axes((0.02, 0.19, 0.96, 0.79)), density)
+
+    entry = results.study.quantities[quantity]
+    unit = display_unit(quantity, entry.range[1] or 1.0)[0]
+    title = title_of(quantity, entry)
+    shares = zip(("5 %", "50 %", "95 %"), entry.range, strict=True)
+    ends = "; ".join(f"{share} at {value(end, quantity)}" for share, end in shares)
+    title = f"{title} [{unit}]" if unit else title
+    return Picture(title=title, text=f"Density: {ends}", svg=picture_svg(draw, 370.0, 190.0))
+
+
+def title_of(name: str, entry: QuantityEntry) -> str:
+    """A quantity as a heading: a name of the user's stays as it is."""
+    text = short(entry.meaning)
+    return text if text == name else capital(text)
+
+
+def sobol_picture(results: Results, quantities: Sequence[str]) -> Picture | None:
+    """Sobol' indices of up to three quantities in one chart, a row an input; None without any."""
+    columns = indices_of(results, quantities)
+    if not columns:
+        return None
+    rows = len(columns[0].inputs)
+    height = max(190.0, 50.0 + 26.0 * rows)
+
+    def draw(figure: Figure) -> None:
+        names = 6.2 * max(len(name) for name in columns[0].inputs) + 14.0
+        each = (480.0 - names) / len(columns)
+        for k, column in enumerate(columns):
+            left, width = names + each * k, each - 50.0
+            place = (left / 480.0, 26.0 / height, width / 480.0, 1.0 - 52.0 / height)
+            draw_indices(figure.add_axes(place), column, names=k == 0)
+
+    texts = []
+    for column in columns:
+        totals = zip(column.inputs, column.total[0], strict=True)
+        listed = ", ".join(f"{name} {total:.2f}" for name, total in totals)
+        texts.append(f"{column.name}: {listed}")
+    text = f"Total Sobol’ indices; {'; '.join(texts)}"
+    return Picture(title="Sobol’ indices", text=text, svg=picture_svg(draw, 480.0, height))
+
+
+def convergence_picture(results: Results) -> Picture | None:
+    """The largest error against model runs; None for a run of one size."""
+    points = convergence_of(results)
+    if points is None:
+        return None
+
+    def draw(figure: Figure) -> None:
+        draw_convergence(figure.add_axes((0.15, 0.22, 0.66, 0.74)), *points)
+
+    last = points[1][-1]
+    text = f"Largest error over tolerance, {last:.2g} at {points[0][-1]:,.0f} model runs"
+    return Picture(title="Convergence", text=text, svg=picture_svg(draw, 420.0, 210.0))
+
+
+# --- plots on axes --------------------------------------------------------------------------------
 
 
 class Plots:
@@ -342,20 +396,44 @@ class Plots:
         self._results = results
 
     def fragility(self, limit: str | None = None, ax: Axes | None = None) -> Axes:
-        """Fracture probability over the free number, of one limit or of all."""
-        return self._on(ax, lambda axes: draw_fragility(axes, self._results, limit))
+        """Probability of fracture over the free number, of one limit or of all.
+
+        Raises UsageError for a run without [margins].
+        """
+        chart = chart_of(self._results, limit)
+        if chart is None:
+            raise UsageError("the run has no curve: add [margins] to the study")
+        return self._on(ax, partial(draw_chart, chart=chart))
 
     def density(self, quantity: str, ax: Axes | None = None) -> Axes:
-        """Density of a quantity with that of its strengths."""
-        return self._on(ax, lambda axes: draw_density(axes, self._results, quantity))
+        """Density of a quantity with the strengths that it is compared with.
+
+        Raises UsageError for a quantity that the run does not contain, or that does not vary.
+        """
+        density = density_of(self._results, quantity)
+        if density is None:
+            raise UsageError(f"{quantity!r} does not vary: it has no density")
+        return self._on(ax, partial(draw_density, density=density))
 
     def sobol(self, quantity: str, ax: Axes | None = None) -> Axes:
-        """Sobol' indices of a quantity."""
-        return self._on(ax, lambda axes: draw_sobol(axes, self._results, quantity))
+        """Sobol' indices of a quantity.
+
+        Raises UsageError for a quantity without indices.
+        """
+        columns = indices_of(self._results, [quantity])
+        if not columns:
+            raise UsageError(f"the run has no Sobol' indices of {quantity!r}")
+        return self._on(ax, partial(draw_indices, indices=columns[0]))
 
     def convergence(self, ax: Axes | None = None) -> Axes:
-        """Speed against error."""
-        return self._on(ax, lambda axes: draw_convergence(axes, self._results))
+        """The largest error over its tolerance, against model runs.
+
+        Raises UsageError for a run of one size.
+        """
+        points = convergence_of(self._results)
+        if points is None:
+            raise UsageError("the run has one size of the sample: there is no convergence to plot")
+        return self._on(ax, lambda axes: draw_convergence(axes, *points))
 
     @staticmethod
     def _on(ax: Axes | None, draw: Callable[[Axes], None]) -> Axes:

@@ -1,155 +1,116 @@
-"""Answers as text: one formatter for values, estimates and probabilities, for page, terminal and
-figures alike.
-"""
+"""Answers as text, for page, terminal and figures alike; and what stands in one row."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Final, Protocol
 
 from uqsphere.quantities import (
+    format_conservative,
     format_estimate,
     format_index,
+    format_probability,
     format_probability_estimate,
     format_value,
     lookup,
 )
+from uqsphere.results.answers import Answers
+from uqsphere.results.types import Answer, Doubt, InputEntry, Kind, LimitEntry, Range, Results
+from uqsphere.units import UNITS
 
-Row = Mapping[str, Any]
-Results = Mapping[str, Any]
-
-
-def find(rows: Sequence[Row], subject: str, answer: str, at: float | str = "") -> Row | None:
-    """The row of an answer, None where there is none."""
-    return next(
-        (r for r in rows if r["subject"] == subject and r["answer"] == answer and r["at"] == at),
-        None,
-    )
-
-
-def of(rows: Sequence[Row], subject: str, answer: str) -> list[Row]:
-    """All rows of an answer."""
-    return [row for row in rows if row["subject"] == subject and row["answer"] == answer]
+DASH: Final = "–"
+_UNITS: Final = sorted({unit for units in UNITS.values() for unit in units if unit}, key=len)
+#: a number in front of its unit, with a blank that may break
+_SPLIT: Final = re.compile(
+    r"(?<=\d) (?=(?:%|" + "|".join(re.escape(unit) for unit in _UNITS[::-1]) + r")(?![\w/]))"
+)
 
 
-def verdicts(results: Results) -> list[tuple[str, Mapping[str, Any]]]:
-    """Limits with their verdict, those that say the same together; those without a target where
-    none has one.
+class Estimated(Protocol):
+    """A number with its interval: an answer, a range, a point of a curve."""
+
+    @property
+    def value(self) -> float | None: ...
+    @property
+    def low(self) -> float | None: ...
+    @property
+    def high(self) -> float | None: ...
+
+
+def table_of(results: Results) -> Answers:
+    """The answers of a run, to be looked up."""
+    return Answers(rows=list(results.answers))
+
+
+def keep_units(text: str) -> str:
+    """A text in which no line breaks between a number and its unit.
+
+    >>> keep_units("2.5 GPa to 3 GPa, 5 % of 3 metres")
+    '2.5\\xa0GPa to 3\\xa0GPa, 5\\xa0% of 3 metres'
     """
-    known = results["verdicts"]
-    groups: dict[tuple[str, str], list[str]] = {}
-    for name, one in ({n: v for n, v in known.items() if v["target"] is not None} or known).items():
-        groups.setdefault((one["headline"], one["detail"]), []).append(name)
-    return [(", ".join(names), known[names[0]]) for names in groups.values()]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mode:
-    """A limit, a failure mode beside it, or all of them together (no `entry`): rows of the answers
-    that stand side by side, `index` being the reliability index and `margin` the free number at the
-    target."""
-
-    subject: str
-    name: str
-    entry: Mapping[str, Any]
-    fracture: Row | None
-    index: float | None
-    margin: Row | None
-
-
-def failure_modes(results: Results) -> list[Mode]:
-    """Limits of the study, failure modes beside them, and all together where there are several."""
-    study, answers, modes = results["study"], results["answers"], list[Mode]()
-    for kind in ("limits", "modes"):
-        for name, entry in study[kind].items():
-            subject = f"{kind}.{name}"
-            rows = (row for row in of(answers, subject, "margin") if isinstance(row["at"], float))
-            margin = next(
-                (row for row in rows if abs(row["at"] - entry["allowable"]) <= 1e-9), None
-            )
-            modes.append(
-                Mode(
-                    subject=subject,
-                    name=label(subject),
-                    entry=entry,
-                    margin=margin,
-                    fracture=find(answers, subject, "exceedance_probability"),
-                    index=(find(answers, subject, "reliability_index") or {}).get("value"),
-                )
-            )
-    joint = all_together(results)
-    if joint is not None:
-        modes.append(
-            Mode(
-                subject="",
-                name="all together",
-                entry={},
-                fracture=joint["probability"],
-                index=joint["reliability_index"]["value"],
-                margin=joint.get("margin"),
-            )
-        )
-    return modes
-
-
-def all_together(results: Results) -> Mapping[str, Any] | None:
-    """What the failure modes say together: the first verdict that rests on several."""
-    return next(
-        (verdict["all_modes"] for _, verdict in verdicts(results) if verdict.get("all_modes")), None
-    )
+    return _SPLIT.sub("\N{NO-BREAK SPACE}", text)
 
 
 def value(number: float | None, name: str, digits: int = 3) -> str:
-    """A number of a quantity with its unit; a dash where there is none.
+    """A number of a quantity with its unit; a dash if there is none.
 
     >>> value(2.5541e9, "p_max"), value(None, "p_max")
     ('2.55 GPa', '–')
     """
-    return "–" if number is None else format_value(number, name, digits)
+    return DASH if number is None else format_value(number, name, digits)
 
 
-def estimate(row: Row | None, name: str = "", most: int = 4) -> str:
-    """Value (low to high) with the unit; a dash with the reason where there is no value.
+def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
+    """Value (low to high) with the unit; a dash with the reason if there is no value.
 
-    >>> estimate({"value": 0.5, "low": 0.49, "high": 0.51, "note": ""})
+    >>> estimate(Range(value=0.5, low=0.49, high=0.51))
     '0.500 (0.490 to 0.510)'
     """
     if row is None:
-        return "–"
-    if row["value"] is None:
-        return f"– ({row['note']})" if row["note"] else "–"
-    return format_estimate(row["value"], row["low"], row["high"], name, most)
+        return DASH
+    if row.value is None:
+        note = getattr(row, "note", "")
+        return f"{DASH} ({note})" if note else DASH
+    return format_estimate(row.value, row.low, row.high, name, most)
 
 
-def index(row: Row | None) -> str:
-    """A Sobol' index with its interval, to three decimals.
+def index(row: Estimated | None) -> str:
+    """A Sobol' index with its interval, to three decimals."""
+    if row is None or row.value is None:
+        return DASH
+    return format_index(row.value, row.low, row.high)
 
-    >>> small = {"value": 4e-5, "low": 0.0, "high": 9e-5}
-    >>> index({"value": 0.98412, "low": 0.981, "high": 0.987}), index(small)
-    ('0.984 (0.981 to 0.987)', '0.000')
+
+def probability(row: Estimated | None) -> str:
+    """A probability in per cent with its interval; a bound if only that is known.
+
+    >>> probability(Range(value=0.0, low=0.0, high=1e-3)), probability(None)
+    ('below 0.1 %', '–')
     """
-    if row is None or row["value"] is None:
-        return "–"
-    return format_index(row["value"], row["low"], row["high"])
+    if row is None or (row.value is None and row.high is None):
+        return DASH
+    return format_probability_estimate(row.value, row.low, row.high)
 
 
-def probability(row: Row | None) -> str:
-    """A probability in per cent with its interval; an upper bound where nothing was seen.
+def plain_probability(row: Estimated) -> str:
+    """A probability without its interval; a bound if the estimate is 0 or 1.
 
-    >>> probability({"value": 0.02017, "low": 0.0199, "high": 0.0204, "note": ""})
-    '2.02 % (1.99 to 2.04 %)'
-    >>> probability({"value": None, "low": 0.0, "high": 1e-5, "note": "too few"})
-    'below 1e-05'
+    >>> plain_probability(Range(value=1.0, low=0.9998, high=1.0))
+    'above 99.98 %'
     """
-    if row is None:
-        return "–"
-    if row["value"] is None and row["low"] is None and row["high"] is None:
-        return "–"
-    return format_probability_estimate(row["value"], row["low"], row["high"])
+    return format_probability(row.value, row.high, row.low)
 
 
-def meaning(name: str, inputs: Mapping[str, Any] | None = None) -> str:
+def complement(p: Range) -> Range:
+    """The probability of the opposite event."""
+    low = None if p.high is None else 1.0 - p.high
+    high = None if p.low is None else 1.0 - p.low
+    return Range(value=None if p.value is None else 1.0 - p.value, low=low, high=high, note=p.note)
+
+
+def meaning(name: str, inputs: Mapping[str, InputEntry] | None = None) -> str:
     """What a number is called by people.
 
     >>> meaning("limits.crushing.strength")
@@ -159,12 +120,12 @@ def meaning(name: str, inputs: Mapping[str, Any] | None = None) -> str:
         limit, _, part = name.removeprefix("limits.").rpartition(".")
         return f"{part.replace('_', ' ')} ({limit.removesuffix(' (assumed)')})"
     if inputs and name in inputs:
-        return short(str(inputs[name]["meaning"]))
+        return short(inputs[name].meaning)
     return short(lookup(name).meaning)
 
 
 def short(text: str) -> str:
-    """What a quantity is called, without what it is made of.
+    """What a quantity is called, without its definition.
 
     >>> short("equivalent contact duration: impulse over peak")
     'equivalent contact duration'
@@ -172,11 +133,88 @@ def short(text: str) -> str:
     return text.partition(":")[0]
 
 
-def label(subject: str) -> str:
-    """A limit or failure mode by its own name.
+def capital(text: str) -> str:
+    """A text that begins a sentence.
 
-    >>> label("limits.crushing"), label("modes.ring crack")
-    ('crushing', 'ring crack (assumed)')
+    >>> capital("peak P_max")
+    'Peak P_max'
+    """
+    return text[:1].upper() + text[1:]
+
+
+def label(subject: str) -> str:
+    """A limit or failure mode by its own name, with a star if its strength is assumed.
+
+    >>> label("limits.crushing"), label("modes.ring crack"), label("")
+    ('crushing', 'ring crack*', 'all failure modes')
     """
     kind, _, name = subject.partition(".")
-    return f"{name} (assumed)" if kind == "modes" else name or subject
+    return f"{name}*" if kind == "modes" else name or subject or "all failure modes"
+
+
+# --- one line a limit -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeRow:
+    """A limit, or a failure mode beside it: what stands in its row.
+
+    exceedance : probability that the demand exceeds the strength (of fracture, for most)
+    best : free number at the target, best estimate; doubts : its rows of the certificate
+    """
+
+    subject: str
+    entry: LimitEntry
+    exceedance: Answer | None
+    index: Answer | None
+    best: Answer | None
+    doubts: Sequence[Doubt]
+    least: bool
+
+    def number(self, path: str) -> str:
+        """The free number at the target by this limit: its conservative end."""
+        margins = [doubt.margin for doubt in self.doubts if doubt.margin is not None]
+        if any(doubt.margin_note == "nowhere" for doubt in self.doubts):
+            return "none"
+        if not margins:
+            return "whole range" if self.doubts else DASH
+        worst = max(margins) if self.least else min(margins)
+        return format_conservative(worst, path, least=self.least)
+
+    def span(self, path: str) -> str:
+        """The range of the free number at the target over what is open."""
+        margins = [doubt.margin for doubt in self.doubts if doubt.margin is not None]
+        if len(set(margins)) < 2:
+            return DASH
+        return f"{value(min(margins), path)} to {value(max(margins), path)}"
+
+
+def mode_rows(results: Results) -> list[ModeRow]:
+    """Limits of the study, and failure modes beside them."""
+    answers, rows = table_of(results), list[ModeRow]()
+    doubts = [doubt for decision in results.decisions for doubt in decision.doubts]
+    entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
+    entries |= {f"modes.{name}": entry for name, entry in results.study.modes.items()}
+    for subject, entry in entries.items():
+        margins = [row for row in answers.where(subject, Kind.MARGIN) if isinstance(row.at, float)]
+        best = [row for row in margins if abs(float(row.at) - entry.allowable) <= 1e-9]
+        rows.append(
+            ModeRow(
+                subject=subject,
+                entry=entry,
+                exceedance=answers.get(subject, Kind.EXCEEDANCE_PROBABILITY),
+                index=answers.get(subject, Kind.RELIABILITY_INDEX),
+                best=best[0] if best else None,
+                doubts=[doubt for doubt in doubts if doubt.subject == subject],
+                least=_is_least(results, entry),
+            )
+        )
+    return rows
+
+
+def _is_least(results: Results, entry: LimitEntry) -> bool:
+    """Whether larger values of the free number are safe for a limit."""
+    for decision in results.decisions:
+        if decision.aim == entry.aim and decision.use is not None:
+            return decision.use.safe_end == "smallest"
+    return entry.aim == "break"

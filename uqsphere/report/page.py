@@ -1,444 +1,563 @@
 """The page of a run: what results.json holds, in one template, with figures by matplotlib.
 
-The page computes nothing: every number and every word of judgement is in the results.
+The page computes nothing: every number is in the results.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from functools import partial
-from importlib import resources
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.quantities import lookup
+from uqsphere.quantities import format_probability, format_value
 from uqsphere.report import figures
+from uqsphere.report.figures import Picture
 from uqsphere.report.format import (
-    Mode,
-    Results,
+    DASH,
+    ModeRow,
+    capital,
+    complement,
     estimate,
-    failure_modes,
-    find,
     index,
+    keep_units,
+    label,
     meaning,
-    of,
+    mode_rows,
     probability,
     short,
+    table_of,
     value,
-    verdicts,
+)
+from uqsphere.report.sentences import (
+    METHODS,
+    NO_LIMIT,
+    STOPPED,
+    check_text,
+    decision_texts,
+    doubt_text,
+    exceedance_name,
+    shortfall_text,
 )
 from uqsphere.results.folder import read_results, write_files
+from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Range, Results
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-#: a number without an interval
-_BARE = {"low": None, "high": None, "note": ""}
-#: limits and quantities that get figures of their own; the tables have all of them
-MOST_FIGURES = 6
-MOST_ROWS, MOST_INPUTS = 16, 40
+#: quantities on the first screen, those with pictures, and rows of a table
+FIRST, MOST_PICTURES = 2, 6
+MOST_ROWS, MOST_INPUTS, MOST_SHORTFALLS = 16, 40, 8
+#: files beside the page that it links to, where they are
+LINKED = ("answers.csv", "samples.csv", "results.json", "study.toml")
 
 
-def page(results: Results) -> str:
-    """The page of a run as one self-contained HTML text."""
-    html, _ = _rendered(results)
-    return html
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of the page: caption, heads, rows of texts, and the rows that are marked."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    marked: Sequence[int] = field(default=())
+    note: str = ""
+
+
+def page(results: Results, files: Sequence[str] = ()) -> str:
+    """The page of a run as one self-contained HTML text, with links to `files` beside it."""
+    return _render(results, _pictures(results), files)
 
 
 def write_page(folder: Path) -> Path:
-    """Write report.html and the figures of a result folder, from what is stored there.
+    """Write report.html and the figures of a results directory, from what is stored there.
 
-    Raises FolderError where the folder holds no results, AccessError where it cannot be written.
+    Raises FolderError where it holds no results, AccessError where it cannot be written.
     """
-    html, drawn = _rendered(read_results(folder).model_dump(mode="json"))
+    results = read_results(folder)
+    pictures = _pictures(results)
+    files = [name for name in LINKED if (folder / name).is_file()]
+    files += [f"figures/{name}.svg" for name in pictures]
     header = '<?xml version="1.0" encoding="utf-8"?>\n'
-    files = {
-        "report.html": html,
-        **{f"figures/{name}.svg": header + text for name, text in drawn.items()},
-    }
-    write_files(folder, files)
+    contents = {f"figures/{name}.svg": header + one.svg for name, one in pictures.items()}
+    write_files(folder, {"report.html": _render(results, pictures, files), **contents})
     return folder / "report.html"
 
 
-def _rendered(results: Results) -> tuple[str, dict[str, str]]:
-    from jinja2 import Environment
-    from markupsafe import Markup
+def render(template: str, **variables: Any) -> str:
+    """A template of this package as HTML in which units keep their numbers."""
+    from jinja2 import Environment, PackageLoader
 
-    drawn = _figures(results)
-    template = resources.files("uqsphere.report").joinpath("page.html").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["stacked"] = _stacked
-    html = environment.from_string(template).render(
-        study=results["study"],
-        verdicts=verdicts(results),
-        modes=_modes(results),
+    environment = Environment(
+        loader=PackageLoader("uqsphere", "report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"cell": _cell, "linked": _linked, "inline": _inline}
+    html = environment.get_template(template).render(**variables)
+    # texts only: the places of a path have blanks too
+    return re.sub(r">[^<]+<", lambda text: keep_units(text[0]), html)
+
+
+def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]) -> str:
+    study, accuracy = results.study, results.accuracy
+    margins = [_margins(results), _fracture(results), *_drivers(results)]
+    return render(
+        "page.html",
+        title=study.title,
+        study=study,
+        decisions=decision_texts(results),
+        no_limit=NO_LIMIT,
+        chart=[name for name in pictures if name.startswith("fragility")],
+        first=_first(results, pictures),
+        pictures=pictures,
+        certificates=[_certificate(results, decision) for decision in results.decisions],
+        limits=_limits(results),
         quantities=_quantities(results),
+        notes=_quantity_notes(results),
         indices=_indices(results),
-        margins=_margins(results),
-        checks=results["checks"],
-        accuracy=_accuracy(results),
-        inputs=_inputs(results),
-        fixed=_fixed(results),
-        drivers=_drivers(results),
+        checks=results.checks,
+        check_text=check_text,
         assumptions=_assumptions(results),
-        fracture=_fracture(results),
-        versions=results["versions"],
+        margins=[table for table in margins if table is not None],
+        paper=_paper(results),
+        accuracy=accuracy,
+        stopped=STOPPED[accuracy.stopped],
+        reached=_reached(results),
+        shortfalls=[shortfall_text(one) for one in accuracy.inaccurate[:MOST_SHORTFALLS]],
+        inputs=_random_inputs(results),
+        fixed=_fixed_inputs(results),
         dependence=_dependence(results),
-        missing=_missing(results),
-        meaning=meaning,
-        figures={name: Markup(_embedded(text, name, alt)) for name, (alt, text) in drawn.items()},
+        versions=results.versions,
+        files=files,
     )
-    return html, {name: text for name, (_, text) in drawn.items()}
 
 
-def _stacked(text: str) -> Markup:
-    """An estimate with its interval below it, none of them broken in the middle."""
+# --- HTML -----------------------------------------------------------------------------------------
+
+
+def _cell(text: str) -> Markup:
+    """A text of a table; an estimate with its interval below it, both unbroken."""
     from markupsafe import Markup
 
-    found = re.fullmatch(r"(.*?) \((.+ to .+?)\)(.*)", text)
-    if found is None:
-        return (
-            Markup('<span class="v">{}</span>').format(text)
-            if len(text) < 24
-            else Markup("{}").format(text)
-        )
-    return Markup('<span class="v">{}</span><br><small class="v soft">{}</small>').format(
-        found[1] + found[3], found[2]
-    )
+    parts = re.fullmatch(r"(.*?) \((.+ to .+?)\)(.*)", text)
+    if parts is not None:
+        stacked = Markup('<span class="v">{}</span><br><small class="v soft">{}</small>')
+        return stacked.format(parts[1] + parts[3], parts[2])
+    if len(text) < 24:
+        return Markup('<span class="v">{}</span>').format(text)
+    return _linked(text)
 
 
-def _embedded(text: str, name: str, alt: str) -> str:
-    """An SVG with a text for who cannot see it, and ids of its own: several stand in one page."""
-    from markupsafe import escape
+def _linked(text: str) -> Markup:
+    """A text whose DOIs are links."""
+    from markupsafe import Markup, escape
 
-    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
+    pattern = r"(?:https://doi\.org/|doi:?\s?)?\b(10\.\d{4,9}/[^\s,;)]+[^\s,;).])"
+    return Markup(
+        re.sub(pattern, r'<a href="https://doi.org/\1">doi:\1</a>', str(escape(text)))
+    )  # the pattern has no character that is escaped
+
+
+def _inline(picture: Picture, name: str, screen: str = "") -> Markup:
+    """An SVG with alternative text, and ids of its own: several stand in one page."""
+    from markupsafe import Markup, escape
+
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', picture.svg)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
     text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
-    return text.replace("<svg ", f'<svg role="img" aria-label="{escape(alt)}" ', 1)
-
-
-def _figures(results: Results) -> dict[str, tuple[str, str]]:
-    """By name, what each figure shows in words, and its SVG text."""
-    answers, drawn = results["answers"], dict[str, tuple[str, str]]()
-    free = results["study"]["free"]
-    if free and any(row["answer"] == "curve" for row in answers):
-        alt = f"Fragility: probability over {free['meaning']}"
-        drawn["fragility"] = (
-            alt,
-            figures.svg(partial(figures.draw_fragility, results=results), 5.0, 3.3),
-        )
-    for number, (name, entry) in enumerate(
-        list(results["study"]["quantities"].items())[:MOST_FIGURES], 1
-    ):
-        draw = partial(figures.draw_density, results=results, quantity=name)
-        drawn[f"density-{number}"] = (
-            f"Density of {short(entry['meaning'])}",
-            figures.svg(draw, 3.25, 2.3),
-        )
-        known = [row for row in of(answers, name, "sobol_total") if row["value"] is not None]
-        if known:
-            draw = partial(figures.draw_sobol, results=results, quantity=name)
-            alt = f"Sobol’ indices of {short(entry['meaning'])}"
-            drawn[f"sobol-{number}"] = (
-                alt,
-                figures.svg(draw, 3.25, 1.0 + 0.32 * min(len(known), 12)),
-            )
-    if len([row for row in results["accuracy"]["reached"] if row["error"]]) > 1:
-        draw = partial(figures.draw_convergence, results=results)
-        drawn["convergence"] = (
-            "Largest error over tolerance, against model runs",
-            figures.svg(draw, 3.25, 2.0),
-        )
-    return drawn
-
-
-def _modes(results: Results) -> list[dict[str, str]]:
-    """The table of limits and failure modes."""
-    rows, answers = [], results["answers"]
-    path = (results["study"]["free"] or {}).get("path", "")
-    for mode in failure_modes(results):
-        entry = mode.entry
-        tests = find(answers, mode.subject, "failure_probability", "tests")
-        ends = (
-            []
-            if tests is None
-            else [probability({**_BARE, "value": tests[end]}) for end in ("low", "high")]
-        )
-        sources = {"assumed": "library, not this rock", "tests": f"{entry.get('tests')} tests"}
-        rows.append(
-            {
-                "name": mode.name,
-                "mode": entry.get("mode", "together"),
-                "demand": short(lookup(entry["quantity"]).meaning) if entry else "",
-                "p": probability(mode.fracture),
-                "tests": " to ".join(ends),
-                "missed": probability(find(answers, mode.subject, "failure_probability"))
-                if entry.get("aim") == "break"
-                else "",
-                "index": "–" if mode.index is None else f"{mode.index:.2f}",
-                "margin": "not in the range"
-                if mode.margin and mode.margin["value"] is None
-                else estimate(mode.margin, path, 3),
-                "strength": entry["strength"]["text"] if entry else "–",
-                "source": next((text for key, text in sources.items() if entry[key]), "study")
-                if entry
-                else "–",
-            }
-        )
-    return rows
-
-
-def _quantities(results: Results) -> list[dict[str, Any]]:
-    """Distributions: one row a quantity, with its caution where a check says that it does not
-    hold.
-    """
-    rows, answers = [], results["answers"]
-    for number, (name, entry) in enumerate(results["study"]["quantities"].items()):
-        quantiles = {row["at"]: row for row in of(answers, name, "quantile")}
-        unknown = [
-            row["note"] for row in quantiles.values() if row["value"] is None and row["note"]
-        ]
-        rows.append(
-            {
-                "name": name,
-                "meaning": short(entry["meaning"]),
-                "definition": entry["meaning"].partition(": ")[2],
-                "number": number + 1,
-                "mean": estimate(find(answers, name, "mean"), name),
-                "sd": estimate(find(answers, name, "sd"), name, 3),
-                "quantiles": {p: estimate(row, name) for p, row in quantiles.items()},
-                "caution": unknown[0] if unknown else "",
-                "strengths": [
-                    n for n, e in results["study"]["limits"].items() if e["quantity"] == name
-                ],
-            }
-        )
-    return rows
-
-
-def _indices(results: Results) -> dict[str, Any]:
-    """First-order and total Sobol' indices: a row an input, the largest total first, and two
-    columns a quantity.
-    """
-    answers, columns, largest = results["answers"], [], dict[str, float]()
-    methods = {
-        "chaos": "from polynomial chaos corrected by model runs",
-        "pairs": "from pairs of model runs",
-    }
-    for number, (name, entry) in enumerate(results["study"]["quantities"].items()):
-        total = of(answers, name, "sobol_total")
-        if total:
-            columns.append(
-                {
-                    "name": name,
-                    "number": number + 1,
-                    "meaning": short(entry["meaning"]),
-                    "method": methods.get(entry["method_of_indices"], ""),
-                    "note": next((row["note"] for row in total if row["value"] is None), ""),
-                }
-            )
-        for row in total:
-            largest[row["at"]] = max(
-                largest.get(row["at"], -1.0), row["value"] if row["value"] is not None else -1.0
-            )
-    ranked = sorted(largest, key=lambda at: -largest[at])
-    rows = [
-        (
-            meaning(at, results["inputs"]),
-            [
-                index(find(answers, column["name"], f"sobol_{order}", at))
-                for column in columns
-                for order in ("first", "total")
-            ],
-        )
-        for at in ranked[:MOST_ROWS]
-    ]
-    return {"columns": columns, "rows": rows, "more": max(len(ranked) - MOST_ROWS, 0)}
-
-
-def _margins(results: Results) -> dict[str, Any] | None:
-    """The free number at the probabilities that were asked for, a column for each of the study's
-    own limits.
-    """
-    free, answers = results["study"]["free"], results["answers"]
-    names = [
-        name
-        for name in results["study"]["limits"]
-        if free and any(row["value"] is not None for row in of(answers, f"limits.{name}", "margin"))
-    ]
-    at = sorted(
-        {
-            row["at"]
-            for name in names
-            for row in of(answers, f"limits.{name}", "margin")
-            if isinstance(row["at"], float)
-        }
+    kind = f' class="{screen}"' if screen else ""
+    return Markup(
+        text.replace("<svg ", f'<svg{kind} role="img" aria-label="{escape(picture.text)}" ', 1)
     )
-    rows = []
-    for p in at:
-        found = [find(answers, f"limits.{name}", "margin", p) for name in names]
-        rows.append(
-            (probability({**_BARE, "value": p}), [estimate(row, free["path"]) for row in found])
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def _pictures(results: Results) -> dict[str, Picture]:
+    """The figures of a run by name."""
+    charts = figures.fragility_pictures(results)
+    pictures = dict(zip(("fragility", "fragility-narrow"), charts, strict=False))
+    quantities = list(results.study.quantities)
+    drawn = {
+        f"density-{number}": figures.density_picture(results, name)
+        for number, name in enumerate(quantities[:MOST_PICTURES], 1)
+    }
+    drawn["sobol"] = figures.sobol_picture(results, quantities[:FIRST])
+    drawn["convergence"] = figures.convergence_picture(results)
+    return pictures | {name: one for name, one in drawn.items() if one is not None}
+
+
+def _first(results: Results, pictures: dict[str, Picture]) -> list[str]:
+    """Pictures of the row below the decision."""
+    names = [f"density-{k}" for k in range(1, FIRST + 1)]
+    return [name for name in (*names, "sobol") if name in pictures]
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def _certificate(results: Results, decision: Decision) -> Table | None:
+    """What the number to use rests on: a row a doubt, the conservative ones first."""
+    free = results.study.free
+    if free is None or not decision.doubts:
+        return None
+    least = decision.use is not None and decision.use.safe_end == "smallest"
+
+    def order(doubt: Doubt) -> float:
+        if doubt.margin is None:
+            return float("inf") if doubt.margin_note == "everywhere" else -float("inf")
+        return -doubt.margin if least else doubt.margin
+
+    notes = {"everywhere": "whole range", "nowhere": "none", "": DASH}
+    rows, marked = list[Sequence[str]](), list[int]()
+    for doubt in sorted(decision.doubts, key=order)[:MOST_ROWS]:
+        margin = notes[doubt.margin_note]
+        if doubt.margin is not None:
+            margin = value(doubt.margin, free.path)
+        if doubt.governs:
+            marked.append(len(rows))
+        ends = [_event(decision, p) for p in (doubt.at_number, doubt.at_plan)]
+        rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *ends))
+    name = exceedance_name(results).lower()
+    return Table(
+        caption=f"To {decision.aim}",
+        head=(
+            "limit and what is open",
+            f"{free.meaning} at the target",
+            f"{name} at the number to use",
+            f"{name} at the plan",
+        ),
+        rows=rows,
+        marked=marked,
+        note="bold: governs; * strength assumed, from the library",
+    )
+
+
+def _event(decision: Decision, p: Range) -> str:
+    return probability(complement(p) if decision.aim == "break" else p)
+
+
+def _limits(results: Results) -> Table | None:
+    """One line a limit or failure mode."""
+    rows, free = mode_rows(results), results.study.free
+    if not rows:
+        return None
+    head = ["limit (demand)", f"{exceedance_name(results).lower()} at the plan", "β"]
+    if free is not None:
+        meaning = free.meaning
+        head += [f"{meaning} to use", "best estimate", "range by what is open"]
+    body = []
+    for row in rows:
+        cells = [
+            f"{label(row.subject)}: {short(_meaning(row))}",
+            probability(row.exceedance),
+            DASH if row.index is None or row.index.value is None else f"{row.index.value:.2f}",
+        ]
+        if free is not None:
+            best = DASH
+            if row.best is not None:
+                best = "outside margins.between"
+                if row.best.value is not None:
+                    best = value(row.best.value, free.path)
+            cells += [row.number(free.path), best, row.span(free.path)]
+        body.append((*cells, row.entry.strength.text, _strength_source(row)))
+    governing = {decision.governing for decision in results.decisions}
+    return Table(
+        caption="Limits and failure modes",
+        head=(*head, "strength", "its source"),
+        rows=body,
+        marked=[k for k, row in enumerate(rows) if row.subject in governing],
+        note="bold: governs; * strength assumed, from the library; 95 % sampling intervals",
+    )
+
+
+def _meaning(row: ModeRow) -> str:
+    return meaning(row.entry.quantity)
+
+
+def _strength_source(row: ModeRow) -> str:
+    entry = row.entry
+    source = entry.source
+    if entry.assumed:
+        checked = "" if entry.source_checked else ", source not checked"
+        source = f"library, not this rock{checked}"
+    elif entry.tests:
+        source = f"{entry.tests} tests"
+    more = [text for text in (entry.platens, entry.size_law) if text]
+    return "; ".join([source, *more])
+
+
+def _quantities(results: Results) -> Table:
+    """Distributions: one row a quantity."""
+    answers, rows = table_of(results), []
+    names = list(results.study.quantities)
+    places: dict[float, None] = {}
+    for name in names:
+        for row in answers.where(name, Kind.QUANTILE):
+            places[float(row.at)] = None
+    for name, entry in results.study.quantities.items():
+        quantiles = [estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places]
+        mean = estimate(answers.get(name, Kind.MEAN), name)
+        sd = estimate(answers.get(name, Kind.SD), name, 3)
+        rows.append((figures.title_of(name, entry), mean, sd, *quantiles))
+    return Table(
+        caption="Distributions at the plan",
+        head=("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
+        rows=rows,
+        note="with 95 % sampling intervals",
+    )
+
+
+def _quantity_notes(results: Results) -> list[str]:
+    """What quantities are, how they are correlated, and how well their expansions fit."""
+    notes = []
+    for entry in results.study.quantities.values():
+        definition = entry.meaning.partition(": ")[2]
+        if definition:
+            notes.append(f"{capital(short(entry.meaning))}: {definition}.")
+    for tie in results.study.correlations[:1]:
+        names = " and ".join(meaning(name) for name in tie.of)
+        notes.append(f"Correlation of {names}: {tie.value:.3f}.")
+    errors = []
+    for name, entry in results.study.quantities.items():
+        if entry.expansion_error is not None:
+            errors.append(f"{meaning(name)} {format_probability(entry.expansion_error)}")
+    if errors:
+        notes.append(
+            "Share of the variance that the polynomial chaos does not explain, at model runs that "
+            f"it was not fitted to: {', '.join(errors)}; the answers are corrected for it."
         )
-    return {"names": names, "rows": rows} if rows else None
+    return notes
 
 
-def _assumptions(results: Results) -> list[tuple[str, str, str]]:
-    """Failure probabilities with something taken otherwise."""
-    return [
-        (mode.name, row["at"].removeprefix("assumed: "), probability(row))
-        for mode in failure_modes(results)
-        for row in of(results["answers"], mode.subject, "failure_probability")
-        if str(row["at"]).startswith("assumed: ")
+def _indices(results: Results) -> Table | None:
+    """First-order and total Sobol' indices: a row an input, the largest total first."""
+    answers, largest = table_of(results), dict[str, float]()
+    columns = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
+    for name in columns:
+        for row in answers.where(name, Kind.SOBOL_TOTAL):
+            total = -1.0 if row.value is None else row.value
+            largest[str(row.at)] = max(largest.get(str(row.at), -1.0), total)
+    if not columns:
+        return None
+    ranked = sorted(largest, key=lambda at: -largest[at])
+    body = []
+    for at in ranked[:MOST_ROWS]:
+        cells = [
+            index(answers.get(name, kind, at))
+            for name in columns
+            for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
+        ]
+        body.append((meaning(at, results.inputs), *cells))
+    methods = {METHODS[results.study.quantities[name].method_of_indices] for name in columns}
+    note = "first order S: the input alone; total T: with its interactions; 95 % intervals"
+    if len(ranked) > MOST_ROWS:
+        note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
+    heads = [
+        f"{short(results.study.quantities[name].meaning)}, {s}" for name in columns for s in "ST"
     ]
+    return Table(
+        caption=f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
+        head=("input", *heads),
+        rows=body,
+        note=note,
+    )
 
 
-def _drivers(results: Results) -> dict[str, Any] | None:
-    """What drives each failure probability, a column a mode, and the most probable failure by the
-    study's limits.
-    """
-    answers, inputs = results["answers"], results["inputs"]
+def _assumptions(results: Results) -> Table | None:
+    """Failure probabilities under other assumptions, one at a time."""
+    rows, answers = [], table_of(results)
+    for mode in mode_rows(results):
+        for row in answers.where(mode.subject, Kind.FAILURE_PROBABILITY):
+            if str(row.at).startswith("assumed: "):
+                what = str(row.at).removeprefix("assumed: ")
+                rows.append((label(mode.subject), what, probability(row)))
+    if not rows:
+        return None
+    return Table(
+        caption="Sensitivity of the failure probability to assumptions (one at a time)",
+        head=("limit", "assumed", "failure probability"),
+        rows=rows,
+    )
+
+
+def _margins(results: Results) -> Table | None:
+    """The free number at the probabilities that were asked for, a column a limit of the study."""
+    free, answers = results.study.free, table_of(results)
+    if free is None:
+        return None
+    names, places = [], set[float]()
+    for name in results.study.limits:
+        rows = [
+            row for row in answers.where(f"limits.{name}", Kind.MARGIN) if row.value is not None
+        ]
+        if rows:
+            names.append(name)
+            places |= {row.at for row in rows if isinstance(row.at, float)}
+    body = []
+    for p in sorted(places):
+        cells = [
+            estimate(answers.get(f"limits.{name}", Kind.MARGIN, p), free.path) for name in names
+        ]
+        body.append((format_probability(p), *cells))
+    if not body:
+        return None
+    return Table(
+        caption=f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
+        head=("probability", *names),
+        rows=body,
+    )
+
+
+def _drivers(results: Results) -> list[Table]:
+    """Sensitivity of each failure probability, and design points."""
+    answers, inputs = table_of(results), results.inputs
     changes: dict[str, dict[str, float]] = {}
     modes = []
-    for mode in failure_modes(results):
-        moved = {row["at"]: row["value"] or 0.0 for row in of(answers, mode.subject, "driver")}
+    for mode in mode_rows(results):
+        moved = {str(row.at): row.value or 0.0 for row in answers.where(mode.subject, Kind.DRIVER)}
         if any(moved.values()):
             modes.append(mode)
             for name, change in moved.items():
-                changes.setdefault("" if name.endswith(".strength") else name, {})[mode.name] = (
-                    100.0 * change
-                )
-    points = [
-        (mode, {row["at"]: row["value"] for row in of(answers, mode.subject, "design_point")})
-        for mode in modes
-    ]
-    points = [(mode, known) for mode, known in points if known]
-
-    def at(mode: Mode, known: Mapping[str, float | None], name: str) -> str:
-        if name:
-            return value(known.get(name), name)
-        strength = known.get(f"{mode.subject}.strength")
-        return value(None if mode.entry["tests"] else strength, mode.entry["quantity"])
-
+                key = "" if name.endswith(".strength") else name
+                changes.setdefault(key, {})[mode.subject] = 100.0 * change
+    if not changes:
+        return []
     ranked = sorted(changes, key=lambda name: -max(map(abs, changes[name].values())))[:MOST_ROWS]
-    rows = [
-        (
-            meaning(name, inputs) if name else "strength of the mode",
-            [
-                f"{changes[name][mode.name]:+.2g}" if mode.name in changes[name] else "–"
-                for mode in modes
-            ],
-            [at(mode, known, name) for mode, known in points],
+    drivers, points = [], []
+    pointed = [mode for mode in modes if answers.where(mode.subject, Kind.DESIGN_POINT)]
+    for name in ranked:
+        head = meaning(name, inputs) if name else "strength"
+        moved = changes[name]
+        cells = [f"{moved[mode.subject]:+.2g}" if mode.subject in moved else DASH for mode in modes]
+        drivers.append((head, *cells))
+        points.append((head, *(_design_point(results, mode, name) for mode in pointed)))
+    tables = [
+        Table(
+            caption="Sensitivity of the failure probability",
+            head=("input", *(label(mode.subject) for mode in modes)),
+            rows=drivers,
+            note="percentage points per standard deviation shift of the input's mean",
         )
-        for name in ranked
     ]
-    heads = [
-        mode.name + (": P(not broken)" if mode.entry["aim"] == "break" else "") for mode in modes
-    ]
-    return (
-        {"modes": heads, "points": [mode.name for mode, _ in points], "rows": rows}
-        if rows
-        else None
+    if pointed:
+        heads = [label(mode.subject) for mode in pointed]
+        tables.append(
+            Table(
+                caption="Most probable failure (design point)", head=("input", *heads), rows=points
+            )
+        )
+    return tables
+
+
+def _design_point(results: Results, mode: ModeRow, name: str) -> str:
+    places = {
+        str(row.at): row.value for row in table_of(results).where(mode.subject, Kind.DESIGN_POINT)
+    }
+    if name:
+        return value(places.get(name), name)
+    if mode.entry.tests:  # in terms of the test force
+        return DASH
+    return value(places.get(f"{mode.subject}.strength"), mode.entry.quantity)
+
+
+def _fracture(results: Results) -> Table | None:
+    """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
+    answers = table_of(results)
+    joint = answers.get("fracture", Kind.EXCEEDANCE_PROBABILITY)
+    if joint is None:
+        return None
+    rows = [("fracture probability, any limit of the study", probability(joint))]
+    for row in answers.where("fracture", Kind.MODE_SHARE):
+        rows.append((f"first failure mode: {row.at}", probability(row)))
+    for kind, name, quantity in (
+        (Kind.TIME_AT_FRACTURE, "time", "contact_duration"),
+        (Kind.FORCE_AT_FRACTURE, "force", "P_max"),
+    ):
+        median = answers.get("fracture", kind, 0.5)
+        if median is not None:
+            rows.append((f"{name} at fracture, median", estimate(median, quantity)))
+    return Table(caption="Fracture by any limit of the study", head=("", ""), rows=rows)
+
+
+def _paper(results: Results) -> Table | None:
+    """The paper's numbers as printed, beside the corrected ones."""
+    if not results.paper:
+        return None
+    rows = []
+    for row in results.paper:
+        numbers = [
+            DASH if x is None else f"{x:.4g} {row.unit if row.unit != '1' else ''}".strip()
+            for x in (row.printed, row.corrected)
+        ]
+        rows.append((row.name, *numbers, row.note))
+    return Table(
+        caption="The paper’s formulas, as printed and corrected",
+        head=("formula", "as printed", "corrected", "what is wrong as printed"),
+        rows=rows,
     )
 
 
-def _fracture(results: Results) -> list[tuple[str, str]]:
-    """Fracture by any limit: its probability, the share of each, and the state in which it
-    comes.
-    """
-    answers = results["answers"]
-    found = find(answers, "fracture", "exceedance_probability")
-    if found is None:
-        return []
-    rows = [("fracture probability by any limit of the study", probability(found))]
-    rows += [
-        (f"broken by {row['at']} first", probability(row))
-        for row in of(answers, "fracture", "mode_share")
+def _reached(results: Results) -> Table:
+    rows = [
+        (f"{row.runs:,}", DASH if row.error is None else f"{row.error:.2g}")
+        for row in results.accuracy.reached
     ]
-    for name, quantity in (("time", "contact_duration"), ("force", "P_max")):
-        row = find(answers, "fracture", f"{name}_at_fracture", 0.5)
-        if row is not None:
-            rows.append((f"{name} at fracture, median", estimate(row, quantity)))
-    return rows
-
-
-def _accuracy(results: Results) -> dict[str, Any]:
-    accuracy = results["accuracy"]
-    stopped = {
-        "accurate": "as accurate as required",
-        "budget": "the budget of model runs ended it",
-        "time": "the time budget ended it",
-        "no gain": "more runs would not have made it more accurate",
-        "interrupted": "it was interrupted",
-    }
-    return {
-        "runs": f"{accuracy['runs']:,}",
-        "reused": accuracy["reused"],
-        "seconds": f"{accuracy['seconds']:.3g}",
-        "stopped": stopped.get(accuracy["stopped"], accuracy["stopped"]),
-        "reached": [
-            (f"{row['runs']:,}", "–" if row["error"] is None else f"{row['error']:.2g}")
-            for row in accuracy["reached"]
-        ],
-        "missed": [
-            f"{meaning(m['subject'])}, {m['answer'].replace('_', ' ')}: half-width "
-            f"{m['reached']:.2g}, required "
-            f"{m['required']:.2g}"
-            for m in accuracy["inaccurate"]
-            if m["reached"] is not None
-        ],
-        "required": accuracy["required"],
-    }
-
-
-def _missing(results: Results) -> str:
-    """What a failure probability is of: a sphere that must break fails where it does not."""
-    aims = {mode.entry["aim"] for mode in failure_modes(results) if mode.entry}
-    if "break" not in aims:
-        return "Failure probability"
-    return (
-        "P(not broken)"
-        if aims == {"break"}
-        else "Failure probability (of not breaking, where that is the aim)"
+    return Table(
+        caption="Convergence: largest error / tolerance",
+        head=("model runs", "error / tolerance"),
+        rows=rows,
     )
 
 
 def _dependence(results: Results) -> list[str]:
     """What depends on what, and how strongly."""
-    ties = results["study"].get("dependence", ())
     return [
-        f"{' and '.join(meaning(name, results['inputs']) for name in tie['of'])}: {tie['text']}"
-        for tie in ties
+        f"{capital(' and '.join(meaning(name, results.inputs) for name in tie.of))}: {tie.text}"
+        for tie in results.study.dependence
     ]
 
 
-def _inputs(results: Results) -> Sequence[tuple[str, ...]]:
-    """Random inputs: name, distribution, mean, standard deviation, 5–95 % range and source."""
-    return [
-        (
-            meaning(name, results["inputs"]),
-            entry["distribution"],
-            value(entry["mean"], name, 4),
-            value(entry["sd"], name),
-            f"{value(entry['p05'], name)} to {value(entry['p95'], name)}",
-            _source(entry),
-        )
-        for name, entry in results["inputs"].items()
-        if not entry["fixed"]
-    ][:MOST_INPUTS]
+def _random_inputs(results: Results) -> Table | None:
+    """Random inputs: distribution, mean, standard deviation, 5–95 % range and source."""
+    rows = []
+    for name, entry in results.inputs.items():
+        if not entry.fixed:
+            ends = f"{value(entry.p05, name)} to {value(entry.p95, name)}"
+            mean, sd = value(entry.mean, name, 4), value(entry.sd, name)
+            rows.append(
+                (meaning(name, results.inputs), entry.distribution, mean, sd, ends, _source(entry))
+            )
+    if not rows:
+        return None
+    return Table(
+        caption="Random inputs",
+        head=("input", "distribution", "mean", "sd", "5–95 % range", "source"),
+        rows=rows[:MOST_INPUTS],
+    )
 
 
-def _fixed(results: Results) -> dict[str, list[tuple[str, str]]]:
-    """Fixed inputs, name and value, by their source."""
-    found: dict[str, list[tuple[str, str]]] = {}
-    for name, entry in [item for item in results["inputs"].items() if item[1]["fixed"]][
-        :MOST_INPUTS
-    ]:
-        row = meaning(name, results["inputs"]), value(entry["mean"], name, 4)
-        found.setdefault(_source(entry), []).append(row)
-    return found
+def _fixed_inputs(results: Results) -> Table | None:
+    """Fixed inputs by their source."""
+    by_source: dict[str, list[tuple[str, str]]] = {}
+    for name, entry in results.inputs.items():
+        if entry.fixed:
+            row = (meaning(name, results.inputs), _plain(entry, name))
+            by_source.setdefault(_source(entry), []).append(row)
+    rows = [(*row, source) for source, group in by_source.items() for row in group]
+    if not rows:
+        return None
+    return Table(caption="Fixed inputs", head=("input", "value", "source"), rows=rows[:MOST_INPUTS])
 
 
-def _source(entry: Mapping[str, Any]) -> str:
-    return str(entry["source"]) + ("" if entry["source_checked"] else " (source not checked)")
+def _plain(entry: InputEntry, name: str) -> str:
+    if entry.mean is None:
+        return DASH
+    return format_value(entry.mean, name, 4)
+
+
+def _source(entry: InputEntry) -> str:
+    return entry.source if entry.source_checked else f"{entry.source} (source not checked)"

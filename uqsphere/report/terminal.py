@@ -1,129 +1,127 @@
-"""The terminal's summary of a run: the sentence to act on, failure modes, quantities and indices,
-in 40 lines.
-"""
+"""The terminal's summary of a run, in 40 lines."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 
 from uqsphere.report.format import (
-    Results,
+    DASH,
     estimate,
-    failure_modes,
-    find,
+    label,
     meaning,
-    of,
+    mode_rows,
     probability,
     short,
+    table_of,
     value,
-    verdicts,
 )
+from uqsphere.report.sentences import NO_LIMIT, STOPPED, decision_texts, exceedance_name
+from uqsphere.results.types import Kind, Results
 
-#: lines at most, and rows of each table
-LINES, ROWS = 40, 8
+#: lines at most, rows of each table, and columns of indices
+LINES, ROWS, COLUMNS = 40, 8, 3
 
 
 def summary(results: Results, width: int = 79) -> str:
     """The summary as text of at most 40 lines."""
-    lines = textwrap.wrap(results["study"]["title"], width)
-    for names, verdict in verdicts(results):
-        lines += [
-            "",
-            *textwrap.wrap(f"{names}: {verdict['headline']} {verdict['detail']}".strip(), width),
-        ]
-        lines += textwrap.wrap(f"Next: {verdict['next']}", width) if verdict["next"] else []
-    if modes := _modes(results):
-        lines += [
-            "",
-            *_table(("failure mode", "probability", "beta", "at the target"), modes[:ROWS], width),
-        ]
-        if any(row[0].endswith("*") for row in modes):
-            lines.append("* by a strength of the library, not of this rock")
-    lines += ["", *_table(("quantity", "mean", "5-95 % range"), _quantities(results)[:ROWS], width)]
-    if indices := _indices(results):
-        lines += [
-            "",
-            *_table(("Sobol' index, total", *results_names(results)), indices[:ROWS], width),
-        ]
-    if paper := _paper(results):
-        lines += ["", *_table(("formula of the paper", "printed", "corrected"), paper, width)]
-    accuracy = results["accuracy"]
-    error = accuracy["reached"][-1]["error"] if accuracy["reached"] else None
-    tail = f"{accuracy['runs']:,} model runs, {accuracy['seconds']:.3g} s"
+    lines = textwrap.wrap(results.study.title, width)
+    for decision in decision_texts(results):
+        lines.append("")
+        for text in decision.lines():
+            lines += textwrap.wrap(text, width)
+    if not results.study.limits:
+        lines += ["", *textwrap.wrap(NO_LIMIT, width)]
+    for check in results.checks:
+        if check.grade == "failure":
+            lines += textwrap.wrap(f"Check failed: {check.text}", width)
+    lines += _modes(results, width)
+    lines += _paper(results, width)
+    lines += _quantities(results, width)
+    lines += _indices(results, width)
+    accuracy = results.accuracy
+    tail = f"{accuracy.runs:,} model runs, {accuracy.seconds:.3g} s; {STOPPED[accuracy.stopped]}"
+    error = accuracy.reached[-1].error if accuracy.reached else None
     if error is not None:
-        tail += f", largest error / tolerance {error:.2g} ({accuracy['stopped']})"
+        tail += f" (largest error / tolerance {error:.2g})"
     lines += ["", *textwrap.wrap(tail, width)]
-    return "\n".join(
-        lines if len(lines) <= LINES else [*lines[: LINES - 1], "... the rest is in the report"]
+    if len(lines) > LINES:
+        lines = [*lines[: LINES - 1], "... the rest is in the report"]
+    return "\n".join(lines)
+
+
+def _modes(results: Results, width: int) -> list[str]:
+    free, rows = results.study.free, []
+    for row in mode_rows(results):
+        cells = [label(row.subject), probability(row.exceedance)]
+        cells.append(
+            DASH if row.index is None or row.index.value is None else f"{row.index.value:.2f}"
+        )
+        if free is not None:
+            best = None if row.best is None else row.best.value
+            cells += [row.number(free.path), value(best, free.path)]
+        rows.append(cells)
+    if not rows:
+        return []
+    head = ["failure mode", exceedance_name(results).lower(), "beta"]
+    if free is not None:
+        head += ["to use", "best estimate"]
+    lines = ["", *table(head, rows[:ROWS], width)]
+    if results.study.modes:
+        lines.append("* assumed: library strength, not measured on this rock")
+    return lines
+
+
+def _quantities(results: Results, width: int) -> list[str]:
+    answers, rows = table_of(results), []
+    for name, entry in results.study.quantities.items():
+        low, _, high = entry.range
+        ends = DASH if low is None else f"{value(low, name)} to {value(high, name)}"
+        rows.append((short(entry.meaning), estimate(answers.get(name, Kind.MEAN), name), ends))
+    return ["", *table(("quantity", "mean", "5-95 % range"), rows[:ROWS], width)]
+
+
+def _indices(results: Results, width: int) -> list[str]:
+    answers = table_of(results)
+    names = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
+    names = names[:COLUMNS]
+    if not names:
+        return []
+    rows = []
+    for row in sorted(
+        answers.where(names[0], Kind.SOBOL_TOTAL), key=lambda row: -(row.value or 0.0)
+    ):
+        cells = [meaning(str(row.at), results.inputs)]
+        for name in names:
+            total = answers.get(name, Kind.SOBOL_TOTAL, row.at)
+            known = total is not None and total.value is not None
+            cells.append(f"{total.value:.3f}" if known and total is not None else DASH)
+        if set(cells[1:]) != {DASH}:
+            rows.append(cells)
+    return ["", *table(("Sobol' index, total", *names), rows[:ROWS], width)] if rows else []
+
+
+def _paper(results: Results, width: int) -> list[str]:
+    rows = []
+    for row in results.paper:
+        unit = "" if row.unit == "1" else row.unit
+        texts = [
+            DASH if x is None else f"{x:.4g} {unit}".rstrip() for x in (row.printed, row.corrected)
+        ]
+        rows.append((row.name, *texts))
+    return (
+        ["", *table(("formula of the paper", "printed", "corrected"), rows, width)] if rows else []
     )
 
 
-def results_names(results: Results) -> list[str]:
-    """Quantities that have indices."""
-    return [
-        name
-        for name in results["study"]["quantities"]
-        if of(results["answers"], name, "sobol_total")
-    ][:3]
-
-
-def _modes(results: Results) -> list[tuple[str, ...]]:
-    path = (results["study"]["free"] or {}).get("path", "")
-    return [
-        (
-            mode.name.replace(" (assumed)", "*"),
-            probability(mode.fracture),
-            "–" if mode.index is None else f"{mode.index:.2f}",
-            "–" if mode.margin is None else value(mode.margin["value"], path),
-        )
-        for mode in failure_modes(results)
-    ]
-
-
-def _quantities(results: Results) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for name, entry in results["study"]["quantities"].items():
-        low, _, high = entry["range"]
-        ends = "–" if low is None else f"{value(low, name)} to {value(high, name)}"
-        rows.append(
-            (short(entry["meaning"]), estimate(find(results["answers"], name, "mean"), name), ends)
-        )
-    return rows
-
-
-def _indices(results: Results) -> list[tuple[str, ...]]:
-    names = results_names(results)
-    if not names:
-        return []
-    first = of(results["answers"], names[0], "sobol_total")
-    ranked = sorted(first, key=lambda row: -(row["value"] or 0.0))
-    rows: list[tuple[str, ...]] = []
-    for row in ranked:
-        cells = [find(results["answers"], name, "sobol_total", row["at"]) for name in names]
-        if any(cell is not None and cell["value"] is not None for cell in cells):
-            texts = ["–" if c is None or c["value"] is None else f"{c['value']:.3f}" for c in cells]
-            rows.append((meaning(row["at"], results["inputs"]), *texts))
-    return rows
-
-
-def _paper(results: Results) -> list[tuple[str, ...]]:
-    """The paper's printed values beside the corrected ones."""
-    rows: list[tuple[str, ...]] = []
-    for row in results.get("paper", ()):
-        cells = [f"{row['printed']:.4g} {row['unit']}", "–"]
-        if row["corrected"] is not None:
-            cells[1] = f"{row['corrected']:.4g} {row['unit']}"
-        rows.append((row["name"], *(cell.rstrip() for cell in cells)))
-    return rows
-
-
-def _table(header: tuple[str, ...], rows: list[tuple[str, ...]], width: int) -> list[str]:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[str]:
     """Columns side by side; the first one gives way where the terminal is narrow."""
-    cells = [header, *rows]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    cells = [head, *rows]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
     room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
     widths[0] = max(min(widths[0], room), 8)
-    return [
-        "  ".join(text[:w].ljust(w) for text, w in zip(row, widths, strict=True)).rstrip()
-        for row in cells
-    ]
+    lines = []
+    for row in cells:
+        texts = [text[:w].ljust(w) for text, w in zip(row, widths, strict=True)]
+        lines.append("  ".join(texts).rstrip())
+    return lines

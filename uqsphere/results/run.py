@@ -155,7 +155,7 @@ class Run:
         """Plots on matplotlib axes: `density`, `sobol`, `fragility`, `convergence`."""
         from uqsphere.report.figures import Plots
 
-        return Plots(self.results.model_dump(mode="json"))
+        return Plots(self.results)
 
     def _subject(self, limit: str) -> str:
         subjects = dict.fromkeys(row.subject for row in self.results.answers)

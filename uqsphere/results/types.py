@@ -252,6 +252,14 @@ class QuantityEntry(Part):
     range: tuple[Finite, Finite, Finite] = Field(description="5 %, 50 % and 95 % quantiles")
     method_of_indices: IndexMethod
     density: Sequence[Sequence[Finite]] | None = Field(description="values and their densities")
+    onset: Finite = Field(
+        default=None,
+        description="of a contact pressure: where the first contact starts to yield, at the means",
+    )
+    expansion_error: Finite = Field(
+        default=None,
+        description="share of the variance that the polynomial chaos leaves, at rows left out",
+    )
 
 
 class InputEntry(Part):
@@ -267,6 +275,13 @@ class InputEntry(Part):
     p95: Finite
     fixed: bool
     distribution: str
+
+
+class CorrelationEntry(Part):
+    """Correlation of two quantities over the sample."""
+
+    of: list[str]
+    value: float
 
 
 class DependenceEntry(Part):
@@ -292,6 +307,9 @@ class StudyEntry(Part):
     modes: dict[str, LimitEntry] = Field(description="failure modes with assumed strengths")
     not_judged: dict[str, str] = Field(description="failure modes that are not judged, and why")
     dependence: list[DependenceEntry]
+    correlations: list[CorrelationEntry] = Field(
+        default=[], description="correlation of the quantities of interest, in pairs"
+    )
 
 
 # --- decisions ------------------------------------------------------------------------------------

@@ -1,0 +1,358 @@
+"""Every sentence that a report says of a decision, a doubt, a caveat, a check or a run's end.
+
+Results hold values and codes; words are made of them here, for page, terminal, compare and sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from uqsphere.mechanics.failure_modes import FAILURE_MODES
+from uqsphere.quantities import format_conservative, format_probability, round_conservative
+from uqsphere.report.format import (
+    capital,
+    complement,
+    meaning,
+    plain_probability,
+    probability,
+    value,
+)
+from uqsphere.results.types import (
+    Caveat,
+    CheckEntry,
+    Decision,
+    Doubt,
+    LimitVerdict,
+    Range,
+    Results,
+    Shortfall,
+    Stop,
+)
+
+#: why a run ended
+STOPPED: Final[dict[Stop, str]] = {
+    "": "running",
+    "accurate": "all accuracy targets met",
+    "budget": "stopped at the model-run budget",
+    "time": "stopped at the time budget",
+    "interrupted": "interrupted by the user",
+    "no gain": "stopped: more runs no longer reduce the error",
+}
+#: how Sobol' indices were estimated
+METHODS: Final = {
+    "chaos": "from polynomial chaos corrected by model runs",
+    "pairs": "from pairs of model runs",
+    "": "",
+}
+NO_LIMIT: Final = "No limit state is defined; the run reports distributions and sensitivities only."
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionText:
+    """What a report says of one decision.
+
+    use : the number to use, with its side: "Use at most 0.12 m/s"
+    say : the sentence to act on, of at most 45 words
+    broken : probability at the plan, and the target
+    next : what to do; gains : what a number of tests would buy; open : why it is not established
+    """
+
+    aim: str
+    verdict: str
+    use: str
+    say: str
+    broken: str
+    next: str
+    gains: Sequence[tuple[str, str]]
+    open: Sequence[str]
+
+    def lines(self) -> list[str]:
+        """The text of a terminal: one paragraph a line."""
+        lines = [f"{self.aim}: {self.verdict}. {self.use}. {self.say}", self.broken]
+        if self.open:
+            lines.append(f"Open: {'; '.join(self.open)}.")
+        lines.append(f"Next: {self.next}")
+        if self.gains:
+            lines[-1] += " " + "; ".join(f"{tests}: {number}" for tests, number in self.gains) + "."
+        return lines
+
+
+def decision_texts(results: Results) -> list[DecisionText]:
+    """The words of every decision of a run."""
+    if not results.decisions:
+        return [_verdict_text(name, one) for name, one in results.verdicts.items()]
+    return [decision_text(results, decision) for decision in results.decisions]
+
+
+def _verdict_text(name: str, verdict: LimitVerdict) -> DecisionText:
+    use, _, say = verdict.headline.rstrip(".").partition(". ")
+    return DecisionText(
+        aim=name,
+        verdict=verdict.verdict,
+        use=use,
+        say=f"{say}." if say else "",
+        broken=verdict.detail,
+        next=verdict.next,
+        gains=[],
+        open=[],
+    )
+
+
+def decision_text(results: Results, decision: Decision) -> DecisionText:
+    """The words of a decision."""
+    writer = _Writer(results, decision)
+    return DecisionText(
+        aim=f"To {decision.aim}",
+        verdict=decision.verdict,
+        use=writer.use(),
+        say=writer.sentence(),
+        broken=writer.at_the_plan(),
+        next=writer.next(),
+        gains=[(f"{gain.tests} tests", writer.number(gain.median)) for gain in decision.next.gains],
+        open=[caveat_text(caveat) for caveat in decision.caveats],
+    )
+
+
+class _Writer:
+    """Words of one decision of a run."""
+
+    def __init__(self, results: Results, decision: Decision) -> None:
+        self.results, self.decision = results, decision
+        self.free = results.study.free
+        self.least = decision.aim == "break"
+        if decision.use is not None:
+            self.least = decision.use.safe_end == "smallest"
+
+    def number(self, x: float | None) -> str:
+        """A value of the free number, rounded to its conservative side."""
+        if x is None or self.free is None:
+            return "none"
+        return format_conservative(x, self.free.path, least=self.least)
+
+    def allowed(self, x: float) -> str:
+        return f"at {'least' if self.least else 'most'} {self.number(x)}"
+
+    def use(self) -> str:
+        """The number to use, or that there is none."""
+        if self.decision.use is not None:
+            return f"Use {self.allowed(self.decision.use.value)}"
+        if self.free is None:
+            return capital(self.event(self.governing_range()))
+        return "No value to use"
+
+    def sentence(self) -> str:
+        """What governs the number, its margin to the plan, and what else would be allowed."""
+        decision, parts = self.decision, list[str]()
+        if self.free is None:
+            if decision.target is None:
+                return "No target is set."
+            return f"{self.target()}. Add [margins] for a number to use."
+        if decision.use is None:
+            parts.append(self.why_none())
+        parts.append(self.plan())
+        if decision.use is not None:
+            parts.append(self.governs())
+        own = decision.own
+        if own is not None and (decision.use is None or own != decision.use.value):
+            parts.append(f"By your own limits: {self.allowed(own)}.")
+        return " ".join(part for part in parts if part)
+
+    def plan(self) -> str:
+        """The planned value, and how it stands to the number to use."""
+        assert self.free is not None
+        planned, use = self.free.planned, self.decision.use
+        if planned is None:
+            return ""
+        text = f"Planned {self.free.meaning}: {value(planned, self.free.path)}"
+        if use is None or use.value <= 0.0 or planned <= 0.0:
+            return f"{text}."
+        rounded = round_conservative(use.value, use.path, least=self.least)
+        factor = planned / rounded if self.least else rounded / planned
+        if factor < 1.0:
+            return f"{text}, no margin."
+        return f"{text}, safety factor {factor:.3g}."
+
+    def governs(self) -> str:
+        """What sets the number to use."""
+        decision, library = self.decision, self.decision.library
+        name = plain_name(decision.governing)
+        if library is not None:
+            ends = [end for end in (library.weak, library.strong) if end is not None]
+            text = f"{capital(name)} governs, with a strength of the library"
+            if len(ends) == 2:
+                low, high = sorted(ends)
+                return f"{text} (its range: {self.number(low)} to {self.number(high)})."
+            return f"{text}."
+        doubts = [doubt for doubt in decision.doubts if doubt.governs]
+        if not doubts:
+            return f"{capital(name)} governs."
+        return f"{capital(name)} governs, {_considering(doubts[0])}."
+
+    def why_none(self) -> str:
+        """Why there is no number to use."""
+        assert self.free is not None
+        decision = self.decision
+        ends = " and ".join(value(x, self.free.path) for x in (self.free.low, self.free.high))
+        if decision.blocked_by:
+            name = plain_name(decision.blocked_by)
+            return f"{capital(name)} exceeds its target everywhere between {ends}."
+        return f"The target is not crossed between {ends}."
+
+    def event(self, p: Range) -> str:
+        """A failure probability as the probability of fracture."""
+        if self.decision.aim == "break":
+            p = complement(p)
+        return f"{self.event_name()} {plain_probability(p)}"
+
+    def event_name(self) -> str:
+        limits = self.results.study.limits
+        fracture = any(limits[name].fracture for name in self.decision.limits if name in limits)
+        return "fracture probability" if fracture else "probability of exceedance"
+
+    def governing_range(self) -> Range:
+        return self.decision.all_modes or self.decision.probability
+
+    def at_the_plan(self) -> str:
+        """The probability at the plan, by all modes and by the study's limits, and the target."""
+        decision = self.decision
+        where = "" if self.free is None or self.free.planned is None else " at the planned value"
+        text = capital(self.event_name()) + where
+        own = _as_event(decision, decision.probability)
+        if decision.all_modes is not None:
+            joint = _as_event(decision, decision.all_modes)
+            text += f": {plain_probability(joint)} with all failure modes, "
+            text += f"{plain_probability(own)} by your own limits"
+        else:
+            text += f": {probability(own)}"
+        if decision.target is None:
+            return f"{text}."
+        return f"{text}. {self.target()}."
+
+    def target(self) -> str:
+        target = self.decision.target
+        if target is None:
+            return "No target is set"
+        if self.decision.aim == "break":
+            return f"Target: at least {format_probability(1.0 - target)}"
+        return f"Target: at most {format_probability(target)}"
+
+    def next(self) -> str:
+        """What to do about the doubt that governs."""
+        remedy = self.decision.next
+        text = _REMEDIES[remedy.code].format(subject=plain_name(remedy.subject))
+        if remedy.code == "measure the strength":
+            text = f"Measure the {_strength_name(self.results, remedy.subject)} of this rock"
+        if remedy.gains:
+            return f"{text}. The number to use would be about:"
+        if remedy.at_best is not None:
+            return f"{text}: {self.allowed(remedy.at_best)} at best."
+        return f"{text}."
+
+
+_REMEDIES: Final = {
+    "nothing": "No open issues for this target",
+    "set a target": "Set limits.{subject}.target for a verdict",
+    "change the plan": (
+        "Change the planned value or the target; further measurements cannot change this verdict"
+    ),
+    "tighten the accuracy": "Run again with a smaller analysis.accuracy.probability",
+    "widen the range": "Widen margins.between, or reduce the demand",
+    "measure the strength": "Measure the strength of this rock in {subject}",
+    "test more": "Test more spheres for {subject}",
+    "test the lower tail": (
+        "Test more spheres for {subject}: the lower tail of the strength decides"
+    ),
+    "yielding contacts": 'Let the contacts yield: [contact] law = "plastic"',
+    "check the input": "Check {subject}",
+    "replace the synthetic tests": "Replace the synthetic tests by measured ones",
+    "leave the model's range": "Choose a plan within the model's range: {subject}",
+}
+
+
+def _as_event(decision: Decision, p: Range) -> Range:
+    return complement(p) if decision.aim == "break" else p
+
+
+def plain_name(subject: str) -> str:
+    """A limit or failure mode by its own name.
+
+    >>> plain_name("modes.core tension"), plain_name("")
+    ('core tension', 'all failure modes together')
+    """
+    for kind in ("limits.", "modes."):
+        if subject.startswith(kind):
+            return subject.removeprefix(kind)
+    return subject or "all failure modes together"
+
+
+def _strength_name(results: Results, subject: str) -> str:
+    """The property that a strength of the library is: "fracture toughness"."""
+    name = plain_name(subject)
+    entry = results.study.modes.get(name)
+    for mode in FAILURE_MODES.values():
+        if mode.name in (name, entry.mode if entry else ""):
+            return f"{mode.strength.replace('_', ' ')} ({name})"
+    return f"strength ({name})"
+
+
+def _considering(doubt: Doubt) -> str:
+    """What was considered for the number to use: the doubt that governs, in a clause."""
+    clauses = {
+        "computation": "with the sampling uncertainty of the run",
+        "tests": f"with what its {doubt.tests} tests leave open",
+        "distribution": f"with a {doubt.option} strength",
+        "contact law": "with contacts that yield",
+        "carrier": f"with its strength transferred by {doubt.option}",
+        "tie": "with its strength independent of the inputs",
+        "assumed strength": "with a strength of the library",
+    }
+    return clauses[doubt.code]
+
+
+def doubt_text(doubt: Doubt) -> str:
+    """A row's head in the table of what the number rests on."""
+    heads = {
+        "computation": "as computed (95 % sampling interval)",
+        "tests": f"few tests ({doubt.tests})",
+        "distribution": f"{doubt.option} strength instead",
+        "contact law": "contacts that yield",
+        "carrier": f"strength transferred by {doubt.option}",
+        "tie": "strength independent of the inputs",
+        "assumed strength": "library strength" + (f", {doubt.option}" if doubt.option else ""),
+    }
+    return heads[doubt.code]
+
+
+def caveat_text(caveat: Caveat) -> str:
+    """Why a verdict is not established, in a clause."""
+    name = plain_name(caveat.subject)
+    if caveat.code == "assumed strength":
+        return f"{name} rests on a strength of the library, not of this rock"
+    if caveat.code == "synthetic tests":
+        return f"the tests of {name} are synthetic, not measured"
+    return caveat.text or f"{caveat.code}: {name}"
+
+
+def check_text(check: CheckEntry) -> str:
+    """A check, with its effect."""
+    return f"{check.text} – {check.effect}" if check.effect else check.text
+
+
+def shortfall_text(shortfall: Shortfall) -> str:
+    """An answer that is less accurate than required."""
+    what = f"{meaning(shortfall.subject)}, {shortfall.answer.replace('_', ' ')}"
+    reached = "–" if shortfall.reached is None else f"{shortfall.reached:.2g}"
+    return f"{what}: half-width {reached}, required {shortfall.required:.2g}"
+
+
+def chart_title(results: Results) -> str:
+    """What the fragility chart shows."""
+    fracture = any(entry.fracture for entry in results.study.limits.values())
+    return "Probability of fracture" if fracture else "Probability of exceedance"
+
+
+def exceedance_name(results: Results) -> str:
+    """What the probability of a limit is of."""
+    return chart_title(results).replace("Probability of fracture", "Fracture probability")
