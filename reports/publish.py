@@ -18,14 +18,17 @@ REPORTS = {
     "granite": ("granite", "granite of 20 mm between steel bars: at which speed is it crushed?"),
     "limestone-drop": ("limestone_drop_weight", "limestone of 16 mm under a drop weight"),
     "glass-bead": ("glass_bead_small_bar", "glass bead of 2 mm between slender bars, to be broken"),
+    "quartz": ("quartz_load_cell", "quartz of 10 mm in the impact load cell, to be broken"),
     "ishigami": ("ishigami", "a function whose Sobol' indices are known"),
 }
-KEPT = ("report.html", "answers.csv", "results.json", "study.toml")
+KEPT = ("answers.csv", "results.json", "study.toml")
 
 
 def publish(name: str) -> str:
     """Run a study and keep its page; the line of the list that tells of it."""
     import uqsphere
+    from uqsphere.report import write_page
+    from uqsphere.results.folder import write_files
     from uqsphere.study import shipped_studies
 
     study, question = REPORTS[name]
@@ -33,13 +36,14 @@ def publish(name: str) -> str:
     model = f"{source.with_suffix('.py')}:{study}" if source.with_suffix(".py").exists() else None
     with tempfile.TemporaryDirectory() as place:
         run = uqsphere.run(uqsphere.load_study(source), model, out=Path(place) / name)
-        (HERE / name).mkdir(exist_ok=True)
-        for file in KEPT:
-            shutil.copyfile(Path(place) / name / file, HERE / name / file)
-    verdicts = "; ".join(f"{limit}: {v['verdict']}" for limit, v in run.verdicts.items())
+        files = {file: (Path(place) / name / file).read_bytes() for file in KEPT}
+    shutil.rmtree(HERE / name, ignore_errors=True)
+    write_files(HERE / name, files)
+    write_page(HERE / name)  # with links to the files that are kept
+    decisions = [f"to {one.aim}: {one.verdict}" for one in run.results.decisions]
     return (
         f"| [{name}]({name}/report.html) | {question} | {run.results.accuracy.runs:,} | "
-        f"{verdicts} |"
+        f"{'; '.join(decisions)} |"
     )
 
 

@@ -121,8 +121,8 @@ def draw_fragility(axes: Axes, chart: Chart) -> None:
         axes.axhline(height, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
         right.append(_Label(height, text, INK))
     below = _draw_marks(axes, chart, factor)
-    _beside(axes, above, "above")
-    rows = _beside(axes, below, "below")
+    _label_edge(axes, above, "above")
+    rows = _label_edge(axes, below, "below")
     _right(axes, right)
     label = f"{chart.meaning} [{unit}]" if unit else chart.meaning
     axes.set_xlabel(label, labelpad=6.0 + LINE * rows)
@@ -256,8 +256,8 @@ def _draw_marks(axes: Axes, chart: Chart, factor: float) -> list[_Label]:
     return labels
 
 
-def _beside(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "below"]) -> int:
-    """Texts above or below the frame, each beside a leader, in rows so that none is crossed; the
+def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "below"]) -> int:
+    """Write texts above or below the frame, each beside a leader, in rows so that none is crossed; the
     number of rows.
     """
     from matplotlib.transforms import ScaledTranslation

@@ -353,7 +353,7 @@ def _indices(results: Results) -> Table | None:
         ]
         body.append((meaning(at, results.inputs), *cells))
     methods = {METHODS[results.study.quantities[name].method_of_indices] for name in columns}
-    note = "first order S: the input alone; total T: with its interactions; 95 % intervals"
+    note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
     heads = [

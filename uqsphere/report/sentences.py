@@ -54,7 +54,7 @@ class DecisionText:
     """What a report says of one decision.
 
     use : the number to use, with its side: "Use at most 0.12 m/s"
-    say : the sentence to act on, of at most 45 words
+    sentence : the sentence to act on, of at most 45 words
     broken : probability at the plan, and the target
     next : what to do; gains : what a number of tests would buy; open : why it is not established
     """
@@ -62,7 +62,7 @@ class DecisionText:
     aim: str
     verdict: str
     use: str
-    say: str
+    sentence: str
     broken: str
     next: str
     gains: Sequence[tuple[str, str]]
@@ -70,7 +70,7 @@ class DecisionText:
 
     def lines(self) -> list[str]:
         """The text of a terminal: one paragraph a line."""
-        lines = [f"{self.aim}: {self.verdict}. {self.use}. {self.say}", self.broken]
+        lines = [f"{self.aim}: {self.verdict}. {self.use}. {self.sentence}", self.broken]
         if self.open:
             lines.append(f"Open: {'; '.join(self.open)}.")
         lines.append(f"Next: {self.next}")
@@ -87,12 +87,12 @@ def decision_texts(results: Results) -> list[DecisionText]:
 
 
 def _verdict_text(name: str, verdict: LimitVerdict) -> DecisionText:
-    use, _, say = verdict.headline.rstrip(".").partition(". ")
+    use, _, rest = verdict.headline.rstrip(".").partition(". ")
     return DecisionText(
         aim=name,
         verdict=verdict.verdict,
         use=use,
-        say=f"{say}." if say else "",
+        sentence=f"{rest}." if rest else "",
         broken=verdict.detail,
         next=verdict.next,
         gains=[],
@@ -107,7 +107,7 @@ def decision_text(results: Results, decision: Decision) -> DecisionText:
         aim=f"To {decision.aim}",
         verdict=decision.verdict,
         use=writer.use(),
-        say=writer.sentence(),
+        sentence=writer.sentence(),
         broken=writer.at_the_plan(),
         next=writer.next(),
         gains=[(f"{gain.tests} tests", writer.number(gain.median)) for gain in decision.next.gains],
