@@ -257,7 +257,7 @@ def _draw_marks(axes: Axes, chart: Chart, factor: float) -> list[_Label]:
 
 
 def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "below"]) -> int:
-    """Write texts above or below the frame, each beside a leader, in rows so that none is crossed; the
+    """Write texts above or below the frame, in rows, so that no leader crosses one; returns the
     number of rows.
     """
     from matplotlib.transforms import ScaledTranslation
