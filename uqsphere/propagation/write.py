@@ -186,6 +186,7 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
     finite = values[np.isfinite(values)]
     ends = np.quantile(finite, [0.05, 0.5, 0.95]) if finite.size else np.full(3, np.nan)
     low, median, high = (float(end) for end in ends)
+    expansion = tables.expansions.get(name)
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
