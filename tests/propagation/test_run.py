@@ -179,9 +179,13 @@ def test_a_range_that_misses_the_target_is_told_and_drawn(
     run = uqsphere.run(
         study(margins={"solve": "a", "between": between}), linear, out=tmp_path / "out"
     )
-    verdict = run.verdicts["high"]
-    assert verdict.use is None
-    assert "widen margins.between" in verdict.detail
+    decision = run.results.decisions[0]
+    assert decision.use is None
+    assert bool(decision.blocked_by) == (between[0] > 0.0)
+    assert {doubt.margin_note for doubt in decision.doubts} == {
+        "nowhere" if decision.blocked_by else "everywhere"
+    }
+    assert decision.next.code == "widen the range"
     assert (tmp_path / "out" / "figures" / "fragility.svg").exists()
 
 
@@ -228,11 +232,11 @@ def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> 
         run, history = uqsphere.run(short), trace(scene_of(short, {}, 1))
         pressure = run.answers.query("subject == 'p_max' and answer == 'mean'")["value"].item()
         assert pressure == pytest.approx(getattr(history, peak).pressure, rel=1e-3)
-        verdicts.append(run.verdicts["crushing"])
+        verdicts.append(run.results.decisions[0])
         later = [check for check in run.results.checks if check.name == "later_loading"]
         assert len(later) == (whole == "false")
     assert [verdict.verdict for verdict in verdicts] == ["not established", "not met"]
-    assert "model.whole_record" in verdicts[0].next
+    assert verdicts[0].next.subject == "later_loading"
 
 
 @pytest.mark.parametrize(
@@ -317,8 +321,10 @@ def test_contacts_that_yield_turn_a_verdict_of_hertz_with_their_own_numbers() ->
         plastic.probability("crushing")["value"], rel=0.02
     )
     assert taken["margin"] == pytest.approx(plastic.margin("crushing", 0.6)["value"], rel=0.02)
-    assert [reason.code for reason in hertz.verdicts["crushing"].reasons] == ["contact law"]
-    assert plastic.verdicts["crushing"].verdict == "met"
+    assert hertz.results.decisions[0].verdict == "undecided"
+    yields = next(row for row in hertz.results.decisions[0].doubts if row.code == "contact law")
+    assert yields.at_plan.value == pytest.approx(taken["failure_probability"], rel=1e-9)
+    assert plastic.results.decisions[0].verdict == "met"
 
 
 # --- accuracy, budget, interruption ---------------------------------------------------------------
@@ -530,20 +536,23 @@ def test_both_quantities_of_the_mission_have_distributions_and_indices(granite: 
         assert granite.results.study.quantities[quantity].density
 
 
-def test_the_verdict_names_what_decides_it(granite: Run) -> None:
-    verdict = granite.verdicts["crushing"]
-    assert verdict.verdict == "not established"
-    assert verdict.reasons[0].code == "assumed strength"
-    assert verdict.use.value < 0.5
-    assert "Use at most" in verdict.headline
-    assert "no margin" in verdict.headline
-    # a speed to use is rounded down from the low end of its interval, also that of the study's own
-    # limit
-    low = granite.margin("crushing", 0.01)["low"]
-    assert f"crushing only: at most {math.floor(100.0 * low) / 100.0:g} m/s" in verdict.detail
-    assert verdict.use.value <= min(
-        granite.margin(mode, 0.01)["low"] for mode in ("core tension", "ring crack")
-    )
+def test_a_number_that_a_library_strength_governs_comes_with_its_range_and_the_studys_own(
+    granite: Run,
+) -> None:
+    decision = granite.results.decisions[0]
+    assert decision.verdict == "not established"
+    assert [caveat.code for caveat in decision.caveats] == ["assumed strength"]
+    assert decision.governing == "modes.core tension"
+    assert decision.library is not None
+    assert decision.use is not None
+    weak, middle, strong = (getattr(decision.library, end) for end in ("weak", "middle", "strong"))
+    assert weak < middle < strong <= decision.own
+    assert middle == decision.use.value < 0.5
+    # a mode that adds up with others allows less than by itself
+    assert middle <= granite.margin("core tension", 0.01)["value"]
+    assert decision.own <= granite.margin("crushing", 0.01)["value"]
+    assert decision.next.code == "measure the strength"
+    assert decision.next.at_best >= strong
 
 
 def test_a_folder_of_another_study_is_refused(granite: Run) -> None:

@@ -522,6 +522,7 @@ RULES: Final[tuple[Rule, ...]] = (
             s, a, lambda face, depth: face.pressed(depth).dent / face.effective_radius
         ),
         warning=0.01,
+        failure=0.045,  # a contact of 0.3 times the effective radius: a² = 2 R · dent
         laws=("plastic",),
         words="the residual indentation is not shallow: up to {worst} of the effective radius "
         "(limit {limit})",

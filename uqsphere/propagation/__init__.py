@@ -22,7 +22,6 @@ from uqsphere.errors import UqsphereError, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
 from uqsphere.propagation import surrogate
-from uqsphere.propagation.assumptions import assumptions
 from uqsphere.propagation.chaos import MOST_ROWS
 from uqsphere.propagation.checks import checks
 from uqsphere.propagation.design import Design
@@ -36,7 +35,7 @@ from uqsphere.propagation.limits import limits
 from uqsphere.propagation.progress import Progress, watched
 from uqsphere.propagation.rare import design_points
 from uqsphere.propagation.tables import Tables
-from uqsphere.propagation.verdict import verdicts
+from uqsphere.propagation.verdict import assumed_answers, decision_of, judge
 from uqsphere.propagation.write import Cost, results_of, samples_of, written
 from uqsphere.results import Answers, Run
 from uqsphere.results.folder import Log, clear, locked, read_results
@@ -155,12 +154,12 @@ def _run(
             tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=progress)
         else:
             tables = grow(design, evaluator, seconds=budget, progress=progress)
+        judged, tables = judge(design, evaluator, tables)
         answers = Answers()
         for analysis in ANALYSES:
             answers += analysis(design, tables)
         answers += salib_indices(design, tables, evaluator)
-        assumed = assumptions(design, tables)
-        answers += assumed.answers
+        answers += assumed_answers(judged)
         for runs, error in tables.reached:
             answers.row(
                 "run",
@@ -171,12 +170,12 @@ def _run(
                 method="half-width over what is required",
             )
         checked = checks(design, tables, evaluator.notes)
-        judged = verdicts(design, tables, answers, assumed, checked)
+        decisions = [decision_of(one, checked) for one in judged]
         took = time.monotonic() - started
         cost = Cost(
             runs=evaluator.evaluations + evaluator.reused, reused=evaluator.reused, seconds=took
         )
-        results = results_of(design, tables, answers, judged, checked, cost)
+        results = results_of(design, tables, answers, decisions, checked, cost)
     log.write(f"ended: {tables.stopped} after {took:.1f} s")
     return written(folder, study, results, samples_of(design, tables), _live(design, tables))
 

@@ -6,16 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.line import Line
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import CheckEntry, Grade
+from uqsphere.study import Limit
 from uqsphere.uq import Law
 
 #: rows that are checked
@@ -132,6 +135,51 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             )
         )
     found += _heavy_tails(design, tables)
+    return found
+
+
+#: checks of the contact that hold a number in rows of the worst grade
+_RANGE: Final = ("small_contact", "deep_dent", "plastic_range")
+#: those that hold it wherever faces yield that are taken for elastic, with no law of their yield
+_YIELD: Final = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
+
+
+def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None) -> list[Check]:
+    """The checks of the contact's range in the rows of a line at one value of the free number, with
+    the share of each limit's failures that lie in rows beyond it.
+    """
+    design, sample = line.design, line.samples[0]
+    names, columns = list(design.inputs), [sample.input(name).ravel() for name in design.inputs]
+    margins = design.study.margins
+    moves = value is not None and margins is not None and margins.limit is None
+    if moves and margins is not None and margins.solve not in names:
+        names.append(margins.solve)
+        columns.append(np.full(sample.size, value))
+    rows = np.stack(columns, axis=1) if columns else np.zeros((sample.size, 0))
+    results, grades = checked_rows(design.judged, names, rows, design.columns)
+    own = {limit.name: limit for limit in design.judged.limits}
+    elastic = design.study.options.get("contact.law", "hertz") == "hertz"
+    found = []
+    for result in results:
+        worst = 3 if result.check in _RANGE else 2
+        if result.check not in (*_RANGE, *_YIELD) or (worst == 2 and not elastic):
+            continue
+        beyond = grades.get(result.check, np.zeros(sample.size)) >= worst
+        failures = {}
+        for limit in limits:
+            state = line.state(own[limit.name])
+            weights = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
+            if weights.sum() > 0.0:
+                failures[limit.name] = float((weights * beyond).sum() / weights.sum())
+        found.append(
+            Check(
+                name=result.check,
+                text=result.text,
+                share=float(beyond.mean()),
+                grade="failure",
+                failures=failures,
+            )
+        )
     return found
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.models.scene import absent_quantity
+from uqsphere.propagation.evidence import Evidence, judged_by_tests, refuted_text
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, means_fracture
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
@@ -35,6 +36,7 @@ class Design:
     modes : failure modes that the file has no limit for, judged with strengths of the library
     not_judged : other failure modes, and why they are not judged
     columns : quantities that are evaluated at every point
+    evidence : what the crushing tests of the study say of the library's strengths
     """
 
     study: Study
@@ -42,6 +44,7 @@ class Design:
     modes: tuple[AssumedMode, ...]
     not_judged: Mapping[str, str]
     columns: tuple[str, ...]
+    evidence: tuple[Evidence, ...] = ()
 
     @classmethod
     def of(cls, study: Study) -> Design:
@@ -53,7 +56,9 @@ class Design:
             for mode in found.assumed
             if (why := absent_quantity(wide, mode.limit.quantity))
         }
-        modes = tuple(mode for mode in found.assumed if mode.called not in unanswered)
+        answered = [mode for mode in found.assumed if mode.called not in unanswered]
+        evidence, modes = judged_by_tests(study, answered)
+        refuted = {one.mode: refuted_text(one) for one in evidence if one.refuted}
         wide = _with_limits(study, [mode.limit for mode in modes])
         columns = dict.fromkeys(
             [*study.analysis.quantities, *(limit.quantity for limit in wide.limits)]
@@ -61,9 +66,10 @@ class Design:
         return cls(
             study=study,
             judged=wide,
-            modes=modes,
-            not_judged={**found.not_judged, **unanswered},
+            modes=tuple(modes),
+            not_judged={**found.not_judged, **unanswered, **refuted},
             columns=tuple(columns),
+            evidence=tuple(evidence),
         )
 
     @property

@@ -7,18 +7,27 @@ from those that break.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.models.scene import fractures_of
-from uqsphere.propagation.assumptions import _common_factor
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.results import Answers
+from uqsphere.study import Limit, strength_name
 from uqsphere.uq import random_generator
 from uqsphere.uq.estimate import share as share_of
 from uqsphere.uq.limit_state import exceedance
-from uqsphere.uq.union import draw_breaking, make_union, union_state, weighted_quantile
+from uqsphere.uq.union import (
+    draw_breaking,
+    make_union,
+    residual_correlation,
+    union_state,
+    weighted_quantile,
+)
 
 #: spheres of each replicate whose loading is followed, of the first so many points
 SPECIMENS, MOST = 16, 512
@@ -75,3 +84,20 @@ def fracture(design: Design, tables: Tables) -> Answers:
             estimate = weighted_quantile(known, drawn.weights, p, METHOD, first.size)
             answers.add("fracture", f"{name}_at_fracture", p, estimate, unit=unit, runs=first.size)
     return answers
+
+
+def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
+    """Cholesky factor of the correlation that strengths have with each other, given all that is
+    drawn.
+    """
+    joint, covariance = design.joint, np.eye(len(limits))
+    names = [strength_name(limit.name) for limit in limits]
+    random = [k for k, name in enumerate(names) if name in joint.names]
+    if joint.correlation is None or len(random) < 2:
+        return covariance
+    at = [joint.names.index(names[k]) for k in random]
+    given = [joint.names.index(name) for name in design.drawn.names]
+    own, across = joint.correlation[np.ix_(at, at)], joint.correlation[np.ix_(given, at)]
+    within = joint.correlation[np.ix_(given, given)]
+    covariance[np.ix_(random, random)] = own - across.T @ np.linalg.solve(within, across)
+    return residual_correlation(covariance)

@@ -25,9 +25,10 @@ from uqsphere.propagation.chaos import expansions
 from uqsphere.propagation.design import REPLICATES, VALUES, Design, is_strength, normal_scores
 from uqsphere.propagation.distributions import described
 from uqsphere.propagation.fragility import margin_and_scale
-from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
+from uqsphere.propagation.free_number import grid, shares_of, values_at
 from uqsphere.propagation.indices import of_quantity
 from uqsphere.propagation.limits import failure
+from uqsphere.propagation.line import evaluated_at
 from uqsphere.propagation.progress import Progress, share_done
 from uqsphere.propagation.sampled import by_chaos_accurate
 from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
@@ -277,39 +278,7 @@ def along(
         assert before is not None
         twice = 2 * max(part.count for part in known.values())
         counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
-    parts, moving = [], []
-    for value, count in counts.items():
-        start = known[value].count if value in known else 0
-        points = design.points(
-            count - start, start, joint=moved(design.study, value).inputs().only(design.drawn.names)
-        )
-        parts.append(points)
-        moving.append(
-            points.input(margins.solve)
-            if margins.solve in points.names
-            else np.full(points.scores.shape[:2], value)
-        )
-    if not parts:
-        return known
-    whole = Sample.at(
-        design.drawn.names,
-        np.concatenate([p.scores for p in parts], axis=1),
-        np.concatenate([p.inputs for p in parts], axis=1),
-    )
-    answered = evaluate(design, model, whole, {margins.solve: np.concatenate(moving, axis=1)})
-    ends = np.cumsum([part.count for part in parts])
-    new = {
-        value: answered.rows(int(end) - part.count, int(end))
-        for value, part, end in zip(counts, parts, ends, strict=True)
-    }
-    return {
-        value: new[value]
-        if value not in known
-        else known[value].join(new[value])
-        if value in new
-        else known[value]
-        for value in sorted({*known, *new})
-    }
+    return evaluated_at(design, model, known, counts)
 
 
 def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:

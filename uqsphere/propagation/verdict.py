@@ -1,537 +1,510 @@
-"""The verdict on every limit: met, not met, undecided, or not established with its reasons, and the
-number to use.
-
-A verdict is not established where something that the study takes for granted could turn it: a
-contact law, an assumed strength of another failure mode, the few tests behind a strength, a model
-outside its range, synthetic data.
+"""What a decision is worth: the number to use, the verdict at the plan with the caveats that hold
+it, the certificate of what the number rests on, and what to do next.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Final
 
-from uqsphere.propagation.assumptions import (
-    MOST,
-    OTHER_DISTRIBUTIONS,
-    Assumptions,
-    along_line,
-    together,
-)
+from uqsphere.arrays import Array
+from uqsphere.models.model import Model
+from uqsphere.propagation.caveats import caveats_of
 from uqsphere.propagation.checks import Check
+from uqsphere.propagation.contact_law import YieldingRows, yielding_design
+from uqsphere.propagation.decision import Settled, Settling
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.failure_modes import means_fracture
-from uqsphere.propagation.fragility import curve_by, planned_value
-from uqsphere.propagation.limits import failure, failure_given_inputs, state_of
+from uqsphere.propagation.doubts import (
+    ASSUMED,
+    CARRIER,
+    COMPUTATION,
+    CONTACT,
+    DISTRIBUTION,
+    TESTS,
+    TIE,
+    Aim,
+    Doubt,
+    alternatives,
+)
+from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
+from uqsphere.propagation.fragility import planned_value
+from uqsphere.propagation.limits import failure
+from uqsphere.propagation.line import line_of, plan_of, refined
 from uqsphere.propagation.tables import Tables
-from uqsphere.quantities import format_conservative, format_probability, format_value, lookup
-from uqsphere.results import Answers
-from uqsphere.results.types import AllModes, LimitVerdict, NumberToUse, Range, VerdictWord
-from uqsphere.results.types import Reason as ReasonEntry
-from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Estimate, Law, Sample, complement, from_replicates, target_met
-from uqsphere.uq.fitting import count_tests
-from uqsphere.uq.limit_state import reliability_index
+from uqsphere.quantities import lookup
+from uqsphere.results import Answers, types
+from uqsphere.study import Limit
+from uqsphere.uq import Estimate, Law, from_replicates, target_met
+from uqsphere.uq.estimate import SURE, spread
+from uqsphere.uq.fitting import count_tests, is_fitted
 
-if TYPE_CHECKING:
-    from uqsphere.arrays import Array
-
-WORDS: dict[bool | None, VerdictWord] = {True: "met", False: "not met", None: "undecided"}
+#: points of a replicate that doubts are asked on at the plan
+_AT_PLAN: Final = 256
 
 
-@dataclass(frozen=True)
-class Reason:
-    """Why a verdict is not established, and what would settle it."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """One aim, judged.
 
-    code: str
-    text: str
-    remedy: str
+    line : along the free number; None without one
+    plan : at the plan
+    probability : failure probability at the plan by limit: by the study's own limits
+    all_modes : the same by all failure modes; empty where there are no others
+    """
+
+    aim: Aim
+    settling: Settling
+    line: Settled | None
+    plan: Settled
+    probability: dict[str, Estimate]
+    all_modes: dict[str, Estimate]
+    planned: float | None
 
 
-def verdicts(
-    design: Design, tables: Tables, answers: Answers, assumed: Assumptions, checks: Sequence[Check]
-) -> dict[str, LimitVerdict]:
-    """The verdict on every limit of the study."""
-    return {
-        limit.name: _verdict(design, tables, answers, assumed, checks, limit)
-        for limit in design.limits
-    }
-
-
-def _verdict(
-    design: Design,
-    tables: Tables,
-    answers: Answers,
-    assumed: Assumptions,
-    checks: Sequence[Check],
-    limit: Limit,
-) -> LimitVerdict:
-    judged = _judged_together(design, limit)
-    p = failure(design, tables, limit)
-    if len(judged) > 1:
-        p = _added(
-            p, together(design, tables.sample, judged) - together(design, tables.sample, [limit])
+def judge(design: Design, model: Model, tables: Tables) -> tuple[list[Judged], Tables]:
+    """Every aim of a study, with the number to use, and the tables with the rows that were added to
+    the line.
+    """
+    found: list[Judged] = []
+    yields = yielding_design(design)
+    for word in dict.fromkeys(limit.aim for limit in design.limits):
+        aim = aim_of(design, word)
+        settling = Settling(
+            design=design,
+            model=model,
+            others=alternatives(aim),
+            yielding=None if yields is None else YieldingRows(design=yields, known={}),
         )
-    target = limit.target if limit.has_target else None
-    reasons = (
-        _reasons(design, tables, answers, assumed, checks, limit, judged, p)
-        if target is not None
-        else []
+        head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
+        plan = settling.once(aim, plan_of(design, head))
+        line, settled = line_of(design, tables), None
+        if line is not None:
+            grows = tables.surrogate is None and tables.stopped != "interrupted"
+            settled = settling.accurately(aim, line) if grows else settling.once(aim, line)
+            planned = planned_value(design)
+            if grows and planned is not None and _is_missed_between(settled, plan, planned):
+                line = refined(settled.line, model, {planned: plan.line.rows.count})
+                settled = settling.accurately(aim, line)
+            if tables.line:
+                pairs = zip(settled.line.values, settled.line.samples, strict=True)
+                tables = replace(tables, line=dict(pairs))
+        own = plan
+        if aim.modes:
+            own = settling.once(replace(aim, modes=()), plan.line)
+        found.append(
+            Judged(
+                aim=aim,
+                settling=settling,
+                line=settled,
+                plan=plan,
+                probability=_at_plan(design, tables, own),
+                all_modes=_at_plan(design, tables, plan) if aim.modes else {},
+                planned=planned_value(design),
+            )
+        )
+    return found, tables
+
+
+def _is_missed_between(settled: Settled, plan: Settled, planned: float) -> bool:
+    """Whether the plan misses a target on the side that the curve calls safe: the curve turns back
+    between its values.
+    """
+    number = settled.number
+    if number is None or not settled.line.values[0] < planned < settled.line.values[-1]:
+        return False
+    if math.isfinite(number) and (planned < number) == settled.least:
+        return False
+    for limit in settled.aim.limits:
+        p = float(plan.curves.base(limit)[1].mean())
+        near = settled.line.at(settled.curves.base(limit)[1].mean(axis=1), planned)
+        error = spread(plan.curves.base(limit)[1][0])
+        missed = p > limit.allowable if settled.aim.survive else p < limit.allowable
+        if missed and abs(p - near) > SURE * error:
+            return True
+    return False
+
+
+def aim_of(design: Design, word: types.Aim) -> Aim:
+    """The limits of an aim, those without a target only where none has one, and the failure modes
+    that add up with them.
+    """
+    limits = [limit for limit in design.limits if limit.aim == word]
+    limits = [limit for limit in limits if limit.has_target] or limits
+    modes: tuple[AssumedMode, ...] = ()
+    if word == "survive" and any(means_fracture(limit) for limit in limits):
+        modes = tuple(mode for mode in design.modes if mode.counts)
+    return Aim(design=design, word=word, limits=tuple(limits), modes=modes)
+
+
+def _at_plan(design: Design, tables: Tables, plan: Settled) -> dict[str, Estimate]:
+    """The failure probability of each limit at the plan with the other failure modes."""
+    found = {}
+    for limit in plan.aim.limits:
+        estimate = failure(design, tables, limit)
+        alone, joint = plan.curves.base(limit)
+        if plan.curves.adds_up(limit):
+            estimate = _added(estimate, (joint - alone)[0])
+        found[limit.name] = estimate
+    return found
+
+
+def _added(estimate: Estimate, more: Array) -> Estimate:
+    """A probability with what other failure modes add to it in each replicate (R,)."""
+    added = from_replicates(more, estimate.method, estimate.evaluations)
+    if estimate.value is None or added.value is None:
+        return estimate if added.value is None else added
+    value = min(max(estimate.value + added.value, 0.0), 1.0)
+    low = (estimate.low or 0.0) + (added.low or 0.0)
+    high = (1.0 if estimate.high is None else estimate.high) + (added.high or 0.0)
+    return replace(
+        estimate, value=value, low=min(max(low, 0.0), value), high=max(min(high, 1.0), value)
     )
-    word: VerdictWord = (
-        "no target"
-        if target is None
-        else "not established"
-        if reasons
-        else WORDS[target_met(p, target)]
-    )
-    assumed_modes = design.modes if limit.aim == "survive" and means_fracture(limit) else ()
-    modes = [*judged, *(mode.limit for mode in assumed_modes)]
-    governing = max(modes, key=lambda one: failure(design, tables, one).value or 0.0)
-    joint, curve = _joint(design, tables, answers, limit, judged, modes, p)
-    number = _number_to_use(design, answers, limit, modes, joint)
+
+
+# --- the decision ---------------------------------------------------------------------------------
+
+
+def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
+    """The decision of an aim, as the results have it."""
+    settled = judged.line or judged.plan
+    design, aim, governing = judged.aim.design, judged.aim, settled.governing
+    lead = governing.limit.name if governing.code != ASSUMED else aim.limits[0].name
+    caveats = caveats_of(settled, judged.settling.yielding, checks)
+    verdict = _verdict(judged, caveats)
+    blocked = judged.line is not None and judged.line.number is None
+    own = settled
+    if aim.modes and judged.line is not None:
+        own = judged.settling.once(replace(aim, modes=()), judged.line.line)
     all_modes = None
-    if joint:
-        all_modes = AllModes(
-            **{name: _range(estimate) for name, estimate in joint.items()},
-            reliability_index=Range(value=reliability_index(joint["probability"].value)),
-            curve=curve,
-        )
-    use = None
-    if number is not None:
-        keys = ("value", "low", "high", "safe_end", "path", "text")
-        use = NumberToUse(**{key: number[key] for key in keys})
-    headline, detail = _headline(design, answers, limit, p, word, reasons, number, joint)
-    return LimitVerdict(
-        verdict=word,
-        aim=limit.aim,
-        target=target,
-        probability=_range(p),
+    if judged.all_modes:
+        all_modes = _range(judged.all_modes[lead])
+    return types.Decision(
+        aim=aim.word,
+        limits=[limit.name for limit in aim.limits],
+        modes=[mode.called for mode in aim.modes],
+        verdict=verdict,
+        target=governing.limit.target if any(limit.has_target for limit in aim.limits) else None,
+        governing=design.subject(governing.limit),
+        use=_use(judged),
+        blocked_by=design.subject(governing.limit) if blocked else "",
+        own=own.number if judged.line is not None else None,
+        probability=_range(judged.probability[lead]),
         all_modes=all_modes,
-        governing=design.subject(number["governing"] if number else governing),
-        reasons=[ReasonEntry(code=reason.code, text=reason.text) for reason in reasons],
-        use=use,
-        safety_factor=None if number is None else number["factor"],
-        next=_next(word, limit, reasons),
-        headline=headline,
-        detail=detail,
+        curve=_curve(settled, governing.limit),
+        band=_band(settled),
+        doubts=_certificate(judged),
+        caveats=caveats,
+        library=_library(judged, own),
+        next=_remedy(judged, verdict, caveats),
     )
 
 
-def _range(estimate: Estimate) -> Range:
-    return Range(
+def _range(estimate: Estimate) -> types.Range:
+    return types.Range(
         value=estimate.value, low=estimate.low, high=estimate.high, note=estimate.reason or ""
     )
 
 
-def _joint(
-    design: Design,
-    tables: Tables,
-    answers: Answers,
-    limit: Limit,
-    judged: Sequence[Limit],
-    modes: Sequence[Limit],
-    p: Estimate,
-) -> tuple[dict[str, Estimate], list[list[float]]]:
-    """Failure probability by all modes together, the free number at the target, the curve; empty
-    for a single mode.
-    """
-    if limit.aim != "survive" or len(modes) < 2:
-        return {}, []
-    head = tables.sample.head(min(tables.sample.count, MOST))
-    found = {
-        "probability": _added(p, together(design, head, modes) - together(design, head, judged))
-    }
-    curve: list[list[float]] = []
-    if answers.where(design.subject(limit), "curve"):
-        target = limit.target
-        along = curve_by(design, tables, along_line(design, modes), (target,))
-        curve, found["margin"] = along.curve, along.values[target]
-    return found, curve
-
-
-def _judged_together(design: Design, limit: Limit) -> list[Limit]:
-    """The limit, and for a sphere that must survive all other limits of the study that mean its
-    fracture.
-    """
-    if not means_fracture(limit) or limit.aim != "survive":
-        return [limit]
-    others = [one for one in design.fracture if one.name != limit.name and one.aim == "survive"]
-    same = (limit.quantity, limit.strength)
-    return [limit, *(one for one in others if (one.quantity, one.strength) != same)]
-
-
-def _added(own: Estimate, more: Array) -> Estimate:
-    """A probability with what further failures (R, n) add to it."""
-    added = from_replicates(more.mean(axis=1), own.method, own.evaluations)
-    if own.value is None or added.value is None:
-        return own if added.value is None else added
-    low, high = (own.low or 0.0) + (added.low or 0.0), (own.high or 1.0) + (added.high or 0.0)
-    value = _clipped(own.value + added.value)
-    return replace(own, value=value, low=min(max(low, 0.0), value), high=max(min(high, 1.0), value))
-
-
-# --- reasons --------------------------------------------------------------------------------------
-
-
-def _reasons(
-    design: Design,
-    tables: Tables,
-    answers: Answers,
-    assumed: Assumptions,
-    checks: Sequence[Check],
-    limit: Limit,
-    judged: Sequence[Limit],
-    p: Estimate,
-) -> list[Reason]:
-    """What is taken for granted and would turn the verdict if it were otherwise."""
-    target, whole, verdict = limit.target, p.value or 0.0, target_met(p, limit.target)
-    found: list[Reason] = []
-
-    def turned(value: float) -> bool:
-        return verdict is not None and (value < target) is not verdict
-
-    if means_fracture(limit) and assumed.plastic is not None:
-        base = tables.sample.head(assumed.plastic.count)
-        other = _failing(design, assumed.plastic, limit, judged) - _failing(
-            design, base, limit, judged
-        )
-        value = _clipped(whole + float(other.mean()))
-        if turned(value):
-            text = f"where contacts yield, the failure probability is {format_probability(value)}"
-            found.append(Reason("contact law", text, 'set [contact] law = "plastic"'))
-    if means_fracture(limit) and limit.aim == "survive":
-        found += _assumed_modes(design, tables, judged, whole, turned)
-    for one in judged:
-        rest, law = whole - (failure(design, tables, one).value or 0.0), strength_of(one)
-        if one.name in assumed.tests:
-            low, high = (_clipped(rest + end) for end in assumed.tests[one.name])
-            if (low < target) is not (high < target) or turned(low):
-                n = count_tests(law) if isinstance(law, Law) else 0
-                text = (
-                    f"the {n} tests of {one.name} leave {format_probability(low)} to "
-                    f"{format_probability(high)} open"
-                )
-                found.append(Reason("tests", text, _more_tests(n, (low, high), target)))
-        for row in answers.where(design.subject(one), "failure_probability"):
-            name = str(row.at).removeprefix("assumed: ")
-            if name not in OTHER_DISTRIBUTIONS:
-                continue
-            value = _clipped(rest + (row.value or 0.0))
-            if turned(value):
-                text = (
-                    f"with a {name} of the same mean and scatter, {format_probability(value)} fail"
-                )
-                found.append(
-                    Reason(
-                        "distribution", text, f"test the strength of {one.name} in its lower tail"
-                    )
-                )
-    for check in checks:
-        share = check.failures.get(limit.name)
-        if share is not None and share > target and check.grade == "failure":
-            text = (
-                f"the model does not hold in {format_probability(share)} of the failures: "
-                f"{check.text}"
-            )
-            found.append(Reason("model", text, check.remedy))
-    synthetic = {strength_name(one.name) for one in judged} | set(design.inputs)
-    if synthetic & set(design.study.made_up):
-        found.append(
-            Reason(
-                "synthetic",
-                "the tests are synthetic data",
-                "replace synthetic tests by measured ones",
-            )
-        )
-    return found
-
-
-def _clipped(probability: float) -> float:
-    return min(max(probability, 0.0), 1.0)
-
-
-def _failing(design: Design, sample: Sample, limit: Limit, judged: Sequence[Limit]) -> Array:
-    """Probability (R, n) that the aim is missed given the inputs."""
-    if len(judged) > 1:
-        return together(design, sample, judged)
-    return failure_given_inputs(state_of(design, limit, sample), limit.aim)
-
-
-def _assumed_modes(
-    design: Design,
-    tables: Tables,
-    judged: Sequence[Limit],
-    whole: float,
-    turned: Callable[[float], bool],
-) -> list[Reason]:
-    """The failure modes whose assumed strengths would turn the verdict, each by itself or all of
-    them together.
-    """
-    if not design.modes:
-        return []
-    sample = tables.sample.head(min(tables.sample.count, 256))
-    base = together(design, sample, judged)
-    deciding, worst = [], base
-    for mode in design.modes:
-        each = [
-            failure_given_inputs(state_of(design, mode.limit, sample, law), "survive")
-            for law in (mode.weak, mode.limit.strength, mode.strong)
-        ]
-        if any(turned(_clipped(whole + float(((1.0 - base) * chance).mean()))) for chance in each):
-            deciding.append(mode.called)
-        worst = worst + (1.0 - worst) * max(each, key=lambda chance: float(chance.mean()))
-    names, plural = _listed(deciding), "s" * (len(deciding) > 1)
-    text = f"it depends on the assumed strength{plural} for {names}"
-    value = _clipped(whole + float((worst - base).mean()))
-    if not deciding:
-        if not turned(value):
-            return []
-        names, plural = _listed([mode.called for mode in design.modes]), "s"
-        text = f"the assumed strengths for {names} together allow up to {format_probability(value)}"
-    return [
-        Reason("assumed strength", text, f"measure the strength{plural} for {names} on this rock")
-    ]
-
-
-def _more_tests(n: int, ends: Sequence[float], target: float) -> str:
-    """How many tests in all would settle a target: the range of the log-odds shrinks with the root
-    of their number.
-    """
-    logit = [math.log(max(x, 1e-12) / max(1.0 - x, 1e-12)) for x in (*ends, target)]
-    middle, half = 0.5 * (logit[0] + logit[1]), 0.5 * (logit[1] - logit[0])
-    distance = abs(middle - logit[2])
-    needed = n * (half / distance) ** 2 if distance > 0.0 else math.inf
-    if needed > 1000:
-        return "the target is too close to call by more tests: change the plan"
-    return f"test more: about {max(math.ceil(needed), n + 1)} tests in all would settle the target"
-
-
-# --- the number to use ----------------------------------------------------------------------------
-
-
-def _number_to_use(
-    design: Design,
-    answers: Answers,
-    limit: Limit,
-    modes: Sequence[Limit],
-    joint: dict[str, Estimate],
-) -> dict[str, Any] | None:
-    """The conservative value of the free number: by all modes, at the unsafe end of what the tests
-    leave open.
-    """
-    margins = design.study.margins
-    if margins is None:
+def _use(judged: Judged) -> types.Use | None:
+    """The number to use; None where there is none, or no end to what is safe."""
+    settled, margins = judged.line, judged.aim.design.study.margins
+    if settled is None or margins is None or settled.number is None:
         return None
-    wanted = limit.allowable
-    survive = limit.aim == "survive"
-    planned = planned_value(design)
-    candidates: list[tuple[float, Limit]] = []
-    yielding = answers.get(design.subject(limit), "margin", "assumed: contacts yield")
-    if yielding is not None and yielding.value is not None:
-        candidates.append((yielding.value, limit))
-    for one in modes:
-        safe = _conservative_margin(answers, design.subject(one), wanted, survive=survive)
-        if safe is not None:
-            candidates.append((safe, one))
-    if not candidates:
+    number = settled.number
+    if math.isinf(number):
         return None
-    pick = min if _rising(answers, design.subject(limit)) == survive else max
-    value, governing = pick(candidates, key=lambda pair: pair[0])
-    row = answers.get(design.subject(governing), "margin", wanted)
-    best = Range() if row is None else Range(value=row.value, low=row.low, high=row.high)
-    by = _called(design, governing)
-    all_modes = joint.get("margin")
-    if all_modes is not None:
-        if all_modes.value is None:
-            return None  # a mode that is over the target everywhere has no margin of its own
-        # all modes together ask for a little less than the worst of them
-        safe = all_modes.low if pick is min else all_modes.high
-        if safe is not None and pick(value, safe) != value:
-            value, best, by = safe, _range(all_modes), "all failure modes together"
     factor = None
-    if planned and value > 0.0:
-        factor = value / planned if pick is min else planned / value
-    return {
-        "value": value,
-        "low": best.low,
-        "high": best.high,
-        "best": best.value,
-        "by": by,
-        "safe_end": "largest" if pick is min else "smallest",
-        "path": margins.solve,
-        "text": format_conservative(value, margins.solve, least=pick is not min),
-        "governing": governing,
-        "factor": factor,
-    }
+    planned = judged.planned
+    if planned and number > 0.0 and planned > 0.0:
+        factor = planned / number if settled.least else number / planned
+    margins_found = [doubt.margin for doubt in settled.doubts if doubt.margin is not None]
+    finite = [margin for margin in margins_found if math.isfinite(margin)]
+    return types.Use(
+        path=margins.solve,
+        value=number,
+        safe_end="smallest" if settled.least else "largest",
+        planned=planned,
+        safety_factor=factor,
+        best=types.Range(value=_best_estimate(settled), low=min(finite), high=max(finite)),
+    )
 
 
-def _conservative_margin(
-    answers: Answers, subject: str, probability: float, *, survive: bool
-) -> float | None:
-    """The safe end of the free number at a probability, of the computation and of what the tests
-    leave open.
-    """
-    row, tests = (answers.get(subject, "margin", at) for at in (probability, "tests"))
-    if row is None or row.value is None:
-        return None
-    ends = [
-        getattr(one, end)
-        for one in (row, tests)
-        if one is not None and one.value is not None
-        for end in ("low", "high")
+def _best_estimate(settled: Settled) -> float | None:
+    """The number by the curves as the study has them, without any doubt."""
+    aim, line = settled.aim, settled.line
+    found = [
+        line.crossing(
+            settled.curves.base(limit)[1].mean(axis=1), limit.allowable, keeps_below=aim.survive
+        )
+        for limit in aim.limits
     ]
-    known = [end for end in ends if end is not None] or [row.value]
-    return float(min(known) if _rising(answers, subject) == survive else max(known))
+    known = [value for value in found if value is not None]
+    if len(known) < len(found):
+        return None
+    return max(known) if settled.least else min(known)
 
 
-def _rising(answers: Answers, subject: str) -> bool:
-    """Whether exceedance rises with the free number."""
-    curve = answers.where(subject, "curve")
-    return not curve or (curve[-1].value or 0.0) >= (curve[0].value or 0.0)
+def _curve(settled: Settled, limit: Limit) -> list[types.CurvePoint]:
+    """The failure probability along the line, with the other failure modes."""
+    if len(settled.line.values) < 2:
+        return []
+    lead = limit if any(limit is one for one in settled.aim.limits) else settled.aim.limits[0]
+    means = settled.curves.base(lead)[1].mean(axis=1)
+    return [
+        types.CurvePoint(at=at, value=float(p if settled.aim.survive else 1.0 - p))
+        for at, p in zip(settled.line.values, means, strict=True)
+    ]
 
 
-# --- words ----------------------------------------------------------------------------------------
+def _band(settled: Settled) -> list[types.CurvePoint]:
+    """What the tests leave open of the failure probability along the line: of the doubt that
+    governs, else of the first one by tests.
+    """
+    by_tests = [doubt for doubt in settled.doubts if doubt.opposite is not None]
+    by_tests.sort(key=lambda doubt: doubt.key != settled.governing.key)
+    if len(settled.line.values) < 2 or not by_tests:
+        return []
+    ends = [by_tests[0].curve, by_tests[0].opposite]
+    points = []
+    for k, at in enumerate(settled.line.values):
+        low, high = sorted(float(end[k]) for end in ends if end is not None)
+        if not settled.aim.survive:
+            low, high = 1.0 - high, 1.0 - low
+        points.append(types.CurvePoint(at=at, value=None, low=low, high=high))
+    return points
 
 
-def _next(word: str, limit: Limit, reasons: Sequence[Reason]) -> str:
-    """What to do next; a measurement only where it can settle what is open."""
-    if not reasons:
-        return {
-            "no target": f"Set limits.{limit.name}.target for a verdict.",
-            "met": "Nothing is open for this target.",
-            "not met": "Change the plan, or the target: measuring more settles nothing.",
-            "undecided": "Run again with a tighter analysis.accuracy.probability.",
-        }[word]
-    order = ("contact law", "model", "assumed strength", "tests", "distribution", "synthetic")
-    remedy = min(reasons, key=lambda reason: order.index(reason.code)).remedy
-    return remedy[:1].upper() + remedy[1:] + "." if remedy else ""
-
-
-def _headline(
-    design: Design,
-    answers: Answers,
-    limit: Limit,
-    p: Estimate,
-    word: str,
-    reasons: Sequence[Reason],
-    number: dict[str, Any] | None,
-    joint: dict[str, Estimate],
-) -> tuple[str, str]:
-    """The sentence to act on, and what stands behind it."""
-    of = (
-        "the limits of the study"
-        if len(_judged_together(design, limit)) > 1
-        else "the limit of the study"
+def _library(judged: Judged, own: Settled) -> types.LibraryRange | None:
+    """What the library's range of a failure mode that governs would make of the number."""
+    settled = judged.line
+    if settled is None or settled.governing.code != ASSUMED:
+        return None
+    name = settled.governing.limit.name
+    mode = next(mode for mode in settled.aim.modes if mode.limit.name == name)
+    weak, strong = (
+        judged.settling.once(settled.aim.with_strength(name, law), settled.line).number
+        for law in (mode.weak, mode.strong)
     )
-    what, rest = _probability_text(limit, p, joint, of), list[str]()
-    margins, curve = design.study.margins, answers.where(design.subject(limit), "curve")
-    safe = _conservative_margin(
-        answers,
-        design.subject(limit),
-        limit.allowable,
-        survive=limit.aim == "survive",
-    )
-    if number is None:
-        first = [f"{what}."]
-        if margins is None:
-            rest += ["The study asks for no value to use: it has no [margins]."] * (
-                limit.has_target
-            )
-        elif joint.get("margin") is not None and safe is not None:
-            most = _rising(answers, design.subject(limit))
-            rest.append(
-                (
-                    f"No value to use: by all failure modes, {joint['margin'].reason}; widen "
-                    "margins.between. "
-                )
-                + _by_one(limit, safe, margins.solve, most=most)
-            )
-        elif curve:
-            path = margins.solve
-            (low, p_low), (high, p_high) = (
-                (float(end.at), end.value) for end in (curve[0], curve[-1])
-            )
-            rest.append(
-                f"No value to use: between {format_value(low, path, 3)} and "
-                f"{format_value(high, path, 3)} the "
-                f"probability of exceedance runs from {format_probability(p_low)} to "
-                f"{format_probability(p_high)}; widen margins.between."
-            )
-    else:
-        path, planned, most = number["path"], planned_value(design), number["safe_end"] == "largest"
-        value = format_conservative(number["value"], path, least=not most)
-        first = [f"Use at {'most' if most else 'least'} {value} ({lookup(path).meaning})."]
-        if planned is not None:
-            factor, inside = number["factor"], (number["value"] >= planned) is most
-            margin = (
-                "no margin"
-                if not inside
-                else "a margin"
-                if factor is None
-                else f"safety factor {factor:.3g}"
-            )
-            first.append(f"Planned {format_value(planned, path, 3)}: {margin}.")
-        if number["best"] is not None:
-            best = format_value(number["best"], path, 3)
-            at = (
-                ""
-                if limit.has_target
-                else f" for a probability of {format_probability(limit.target)}"
-            )
-            rest.append(
-                f"That is the conservative, {'lower' if most else 'upper'} end of its "
-                f"interval{at}; best "
-                f"estimate {best}, by {number['by']}."
-            )
-        if number["by"] != limit.name and safe is not None:
-            rest.append(_by_one(limit, safe, path, most=most))
-        rest.append(f"At the plan: {what[:1].lower()}{what[1:]}.")
-    if word == "not established":
-        rest.append("Not established: " + "; ".join(reason.text for reason in reasons) + ".")
-    elif word == "undecided":
-        rest.append("Undecided: the target lies inside the interval.")
-    elif word != "no target":
-        rest.append(f"Target {word}.")
-    return " ".join(first), " ".join(rest)
-
-
-def _by_one(limit: Limit, safe: float, path: str, *, most: bool) -> str:
-    """The safe end by one limit of the study, where other failure modes ask for another value."""
-    end = "most" if most else "least"
-    return f"By {limit.name} only: at {end} {format_conservative(safe, path, least=not most)}."
-
-
-def _probability_text(limit: Limit, p: Estimate, joint: dict[str, Estimate], of: str) -> str:
-    """The failure probability with its target, by the limit and by all failure modes together."""
-    if limit.aim == "break":
-        broken = complement(p).value
-        what = f"P(not broken) {format_probability(None, p.high)}"
-        if broken is not None:
-            what = f"Fracture probability {format_probability(broken)}"
-        if limit.has_target:
-            what += f", target at least {format_probability(1.0 - limit.target)}"
-        return what
-    what = "Fracture" if means_fracture(limit) else "Failure"
-    what += f" probability {format_probability(p.value, p.high)}"
-    if joint:
-        every = joint["probability"]
-        what += f" by {of}, {format_probability(every.value, every.high)} by all failure modes"
-    if limit.has_target:
-        what += f"{';' if joint else ','} target at most {format_probability(limit.target)}"
-    return what
-
-
-def _called(design: Design, limit: Limit) -> str:
-    """A limit by its name, a failure mode with an assumed strength by that it is."""
-    return next(
-        (f"{m.called} (assumed strength)" for m in design.modes if m.limit.name == limit.name),
-        limit.name,
+    return types.LibraryRange(
+        mode=mode.called, middle=settled.number, weak=weak, strong=strong, own=own.number
     )
 
 
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+# --- the certificate ------------------------------------------------------------------------------
+
+
+def _certificate(judged: Judged) -> list[types.Doubt]:
+    """What the number rests on: a row for each limit and doubt."""
+    at_plan = {doubt.key: doubt for doubt in _rows(judged.plan)}
+    if judged.line is None:
+        return [_row(judged, None, doubt) for doubt in at_plan.values()]
+    return [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in _rows(judged.line)]
+
+
+def _rows(settled: Settled) -> Iterator[Doubt]:
+    yield from settled.doubts
+    for mode in settled.aim.design.modes:
+        if settled.aim.survive:
+            yield settled.curves.assumed(mode)
+
+
+def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Doubt:
+    settled, aim = judged.line or judged.plan, judged.aim
+    doubt = along or at_plan
+    assert doubt is not None
+    note: types.MarginNote = ""
+    if along is not None and along.margin is None:
+        note = "nowhere"
+    elif along is not None and math.isinf(along.margin or 0.0):
+        note = "everywhere"
+    at_number = types.Range()
+    number = math.inf if settled.number is None else settled.number
+    if along is not None and math.isfinite(number):
+        at_number = _missed(aim, settled.line.at(doubt.curve, number))
+    law = strength_of(doubt.limit)
+    code = doubt.code
+    if code == COMPUTATION and _is_carrier(aim, doubt.limit):
+        code = CARRIER
+    return types.Doubt(
+        code=code,
+        subject=aim.design.subject(doubt.limit),
+        option=doubt.detail or (doubt.limit.quantity if code == CARRIER else ""),
+        target=doubt.limit.target,
+        margin=doubt.margin,
+        margin_note=note,
+        at_number=at_number,
+        at_plan=types.Range() if at_plan is None else _missed(aim, float(at_plan.curve[0])),
+        governs=doubt.key == settled.governing.key,
+        counts=doubt.code != ASSUMED or any(doubt.limit is mode.limit for mode in aim.modes),
+        tests=count_tests(law) if isinstance(law, Law) and is_fitted(law) else None,
+    )
+
+
+def _is_carrier(aim: Aim, limit: Limit) -> bool:
+    """Whether a limit carries tests over in another way than the limit that counts as fracture."""
+    return any(limit in group[1:] for group in aim.groups)
+
+
+def _missed(aim: Aim, exceedance: float) -> types.Range:
+    """A failure probability from that of exceedance."""
+    return types.Range(value=exceedance if aim.survive else 1.0 - exceedance)
+
+
+# --- verdict and remedy ---------------------------------------------------------------------------
+
+
+def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWord:
+    """The verdict at the plan: met where every doubt keeps its target, not met where none does."""
+    if not any(limit.has_target for limit in judged.aim.limits):
+        return "no target"
+    if caveats:
+        return "not established"
+    kept = [_keeps(judged, doubt) for doubt in judged.plan.doubts]
+    if all(kept):
+        return "met"
+    estimates = judged.all_modes or judged.probability
+    missed = [
+        target_met(estimates[limit.name], limit.target) is False for limit in judged.aim.limits
+    ]
+    return "not met" if any(missed) and not any(kept) else "undecided"
+
+
+def _keeps(judged: Judged, doubt: Doubt) -> bool:
+    """Whether the plan keeps the target under a doubt: by its margin, else by the probability at
+    the plan.
+    """
+    if judged.line is not None and judged.planned is not None:
+        along = next((one for one in judged.line.doubts if one.key == doubt.key), doubt)
+        if along.margin is not None:
+            if math.isinf(along.margin):
+                return True
+            if judged.line.least:
+                return judged.planned >= along.margin
+            return judged.planned <= along.margin
+    limit = doubt.limit
+    if doubt.code == COMPUTATION:
+        estimates = judged.all_modes or judged.probability
+        return target_met(estimates[limit.name], limit.target) is True
+    curve = float(doubt.curve[0])
+    return curve <= limit.allowable if judged.aim.survive else curve >= limit.allowable
+
+
+#: the remedy of each doubt
+_REMEDIES: Final[dict[types.DoubtCode, types.RemedyCode]] = {
+    ASSUMED: "measure the strength",
+    TESTS: "test more",
+    DISTRIBUTION: "test the lower tail",
+    CONTACT: "yielding contacts",
+    TIE: "check the input",
+}
+#: the remedy of each caveat, the most urgent first
+_CURES: Final[dict[types.CaveatCode, types.RemedyCode]] = {
+    "unit": "check the input",
+    "plausibility": "check the input",
+    "model range": "leave the model's range",
+    "size": "test more",
+}
+
+
+def _remedy(
+    judged: Judged, verdict: types.VerdictWord, caveats: Sequence[types.Caveat]
+) -> types.Remedy:
+    """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
+    settled = judged.line or judged.plan
+    governing, design = settled.governing, judged.aim.design
+    subject = design.subject(governing.limit)
+    if verdict == "no target":
+        return types.Remedy(code="set a target", subject=subject)
+    for held, cure in _CURES.items():
+        for caveat in caveats:
+            if caveat.code == held:
+                return types.Remedy(code=cure, subject=caveat.subject)
+    number = None if judged.line is None else judged.line.number
+    nowhere = judged.line is not None and (number is None or math.isinf(number))
+    if nowhere and governing.code != ASSUMED:
+        return types.Remedy(code="widen the range", subject="margins.between")
+    if verdict == "met":
+        return types.Remedy(code="nothing")
+    at_best = None
+    if judged.line is not None:
+        at_best = judged.settling.best(judged.line)
+    code = _REMEDIES.get(governing.code)
+    if code is None and verdict == "undecided":
+        code = "tighten the accuracy"
+    if code is None and any(caveat.code == "synthetic tests" for caveat in caveats):
+        code = "replace the synthetic tests"
+    if code is None:
+        code, at_best = "change the plan", None
+    return types.Remedy(code=code, subject=subject, at_best=at_best)
+
+
+# --- rows of answers ------------------------------------------------------------------------------
+
+_TEXTS: Final = {
+    DISTRIBUTION: "{} strength",
+    CONTACT: "contacts yield",
+    TIE: "strength independent of the inputs",
+}
+
+
+def assumed_answers(judged: Sequence[Judged]) -> Answers:
+    """Failure probabilities at the plan, and margins, with something taken otherwise, each limit by
+    itself.
+    """
+    answers = Answers()
+    for one in judged:
+        for doubt in one.plan.doubts:
+            _doubt_answers(answers, one, doubt)
+    return answers
+
+
+def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
+    design, survive = judged.aim.design, judged.aim.survive
+    subject, runs = design.subject(doubt.limit), judged.plan.line.rows.size
+    margins = design.study.margins
+    at = ""
+    if doubt.code in _TEXTS:
+        name = (
+            doubt.detail[:1].upper() + doubt.detail[1:]
+            if doubt.detail == "weibull"
+            else doubt.detail
+        )
+        at = "assumed: " + _TEXTS[doubt.code].format(name)
+        p = float(doubt.alone[0]) if survive else 1.0 - float(doubt.alone[0])
+        answers.row(subject, "failure_probability", at, p, unit="1", runs=runs, method="epistemic")
+    if doubt.code == TESTS and doubt.opposite is not None:
+        law = strength_of(doubt.limit)
+        own = isinstance(law, Law) and law.family.name == doubt.detail
+        at = "tests" if own else f"tests: {doubt.detail}"
+        ends = sorted((float(doubt.curve[0]), float(doubt.opposite[0])))
+        low, high = ends if survive else (1.0 - ends[1], 1.0 - ends[0])
+        base = float(judged.plan.curves.base(doubt.limit)[1].mean())
+        answers.row(
+            subject,
+            "failure_probability",
+            at,
+            min(max(base if survive else 1.0 - base, low), high),
+            low,
+            high,
+            unit="1",
+            runs=runs,
+            method="epistemic",
+            note="95 % range over the strengths that the tests allow, with the other failure modes",
+        )
+    if judged.line is None or margins is None or not at:
+        return
+    along = next((own for own in judged.line.doubts if own.key == doubt.key), None)
+    if along is not None and along.margin is not None and math.isfinite(along.margin):
+        answers.row(
+            subject,
+            "margin",
+            at,
+            along.margin,
+            unit=lookup(margins.solve).unit,
+            runs=judged.line.line.rows.size,
+            method="epistemic",
+            note="conservative end, with the other failure modes",
+        )

@@ -24,6 +24,7 @@ from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
+from uqsphere.propagation.transition import limit_verdicts
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
 from uqsphere.results.answers import frame_of
@@ -31,11 +32,12 @@ from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
     AccuracyEntry,
     CorrelationEntry,
+    Decision,
     DependenceEntry,
+    EvidenceEntry,
     FreeNumber,
     InputEntry,
     LimitEntry,
-    LimitVerdict,
     PaperRow,
     QuantityEntry,
     Reached,
@@ -80,7 +82,7 @@ def results_of(
     design: Design,
     tables: Tables,
     answers: Answers,
-    verdicts: dict[str, LimitVerdict],
+    decisions: Sequence[Decision],
     checks: Sequence[Check],
     cost: Cost,
 ) -> Results:
@@ -107,7 +109,9 @@ def results_of(
         ),
         inputs={name: _input(design, name) for name in inputs},
         answers=answers.rows,
-        verdicts=verdicts,
+        verdicts=limit_verdicts(design, decisions),
+        decisions=list(decisions),
+        evidence=[EvidenceEntry(**asdict(one)) for one in design.evidence],
         checks=[check.entry() for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(

@@ -329,6 +329,9 @@ DoubtCode = Literal[
 ]
 
 
+MarginNote = Literal["", "everywhere", "nowhere"]
+
+
 class Doubt(Part):
     """One thing that the number to use rests on: a row of the certificate."""
 
@@ -339,7 +342,7 @@ class Doubt(Part):
     )
     target: float = Field(description="failure probability that is accepted here")
     margin: Finite = Field(description="free number at the target under this doubt")
-    margin_note: Literal["", "everywhere", "nowhere"] = Field(
+    margin_note: MarginNote = Field(
         default="", description="why there is no margin: the target is kept everywhere, or nowhere"
     )
     at_number: Range = Field(
@@ -347,6 +350,9 @@ class Doubt(Part):
     )
     at_plan: Range = Field(default=Range(), description="failure probability at the plan")
     governs: bool = Field(default=False, description="whether the number to use is this margin")
+    counts: bool = Field(
+        default=True, description="whether it counts as fracture; damage is shown only"
+    )
     tests: int | None = Field(default=None, description="number of tests behind the strength")
 
 
@@ -384,23 +390,26 @@ class TestsGain(Part):
     high: Finite
 
 
+RemedyCode = Literal[
+    "nothing",
+    "set a target",
+    "change the plan",
+    "tighten the accuracy",
+    "widen the range",
+    "measure the strength",
+    "test more",
+    "test the lower tail",
+    "yielding contacts",
+    "check the input",
+    "replace the synthetic tests",
+    "leave the model's range",
+]
+
+
 class Remedy(Part):
     """What to do next, for the doubt that governs."""
 
-    code: Literal[
-        "nothing",
-        "set a target",
-        "change the plan",
-        "tighten the accuracy",
-        "widen the range",
-        "measure the strength",
-        "test more",
-        "test the lower tail",
-        "yielding contacts",
-        "check the input",
-        "replace the synthetic tests",
-        "leave the model's range",
-    ]
+    code: RemedyCode
     subject: str = Field(
         default="", description="limit, failure mode, key or check that it is about"
     )
@@ -419,6 +428,18 @@ class Use(Part):
     planned: Finite
     safety_factor: Finite = Field(description="number to use over planned value, or its inverse")
     best: Range = Field(description="best estimate, and its range by all doubts")
+
+
+class EvidenceEntry(Part):
+    """What the study's crushing tests say of a strength of the library."""
+
+    mode: str
+    tests: int = Field(description="number of tests")
+    weak: float = Field(description="probability of the tests by the weak end of its range")
+    middle: float = Field(description="probability of the tests by its middle")
+    strong: float = Field(description="probability of the tests by the strong end of its range")
+    refuted: bool = Field(description="whether the mode is left out: refuted by the strong end too")
+    raised: float = Field(description="factor on the weak end that the tests leave")
 
 
 class Decision(Part):
@@ -561,6 +582,9 @@ class Results(Part):
     answers: list[Answer]
     verdicts: dict[str, LimitVerdict]
     decisions: list[Decision] = []
+    evidence: list[EvidenceEntry] = Field(
+        default=[], description="what crushing tests say of strengths of the library"
+    )
     checks: list[CheckEntry]
     paper: list[PaperRow] = Field(
         default=[], description="the paper's numbers beside the corrected ones"

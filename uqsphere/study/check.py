@@ -97,6 +97,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         ),
         outputs=document.outputs.names if draft.box else (),
         warnings=tuple(draft.warnings),
+        caveats=tuple(draft.caveats),
         gauges=(*gauges, *document.gauges),
         files=tuple(draft.files.items()),
     )

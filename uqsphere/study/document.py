@@ -372,7 +372,10 @@ class Analysis(Table):
     )
     second_order: bool = keyed("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = keyed(
-        "`all`: those of a rock that have no limit, too", "all"
+        "`all`: those of the sphere's material that have no limit, too", "all"
+    )
+    damage_counts: bool = keyed(
+        "a ring crack, which damages the surface, counts as fracture (glass, catalysts)", False
     )
     on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
         'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` '
@@ -501,13 +504,19 @@ class Draft:
     limits: dict[str, Limit] = field(default_factory=dict)
     margins: Margins | None = None
     warnings: list[str] = field(default_factory=list)
+    caveats: list[tuple[str, str, str]] = field(default_factory=list)
     files: dict[str, Path] = field(default_factory=dict)
 
-    def warn(self, place: Place, message: str) -> None:
-        """Note what a user should know and what does not stop the study, once."""
+    def warn(self, place: Place, message: str, holds: str = "") -> None:
+        """Note what a user should know and what does not stop the study, once.
+
+        holds : code of the caveat by which no verdict is established, `unit` or `plausibility`
+        """
         text = f"{path_of(place)}: {message}" if place else message
         if text not in self.warnings:
             self.warnings.append(text)
+            if holds:
+                self.caveats.append((holds, path_of(place), message))
 
     def mean(self, path: str, absent: float = math.nan) -> float:
         """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""

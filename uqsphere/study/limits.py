@@ -364,7 +364,7 @@ def warn_of_tests(
             scale = typical / units.get(given or "", math.nan)
             likely = [unit for unit in _UNITS if low < scale * units.get(unit, 0.0) < high]
             hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
-            draft.warn((*place, key), f"{table.file}: {said}: {hint}")
+            draft.warn((*place, key), f"{table.file}: {said}: {hint}", holds="unit")
             return
 
 

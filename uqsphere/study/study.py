@@ -114,6 +114,7 @@ class Study:
     have (lengths of infinite bars, say) is absent.
     record : the pulse of a measured record, from which `striker.speed` then follows.
     made_up : the random numbers whose observations the file calls synthetic.
+    caveats : code, key and text of warnings by which no verdict is established.
     overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other
         attributes.
     """
@@ -140,6 +141,7 @@ class Study:
     gauges: tuple[Gauge, ...] = ()
     files: tuple[tuple[str, Path], ...] = ()
     made_up: tuple[str, ...] = ()
+    caveats: tuple[tuple[str, str, str], ...] = ()
 
     def __init__(self, **given: Any) -> None:
         if "path" not in given:
@@ -307,7 +309,7 @@ class Study:
 
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
-        beside = {"path", "text", "warnings", "overrides", "files"}
+        beside = {"path", "text", "warnings", "caveats", "overrides", "files"}
         found: dict[str, Json] = {
             e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside
         }

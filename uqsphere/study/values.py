@@ -144,7 +144,8 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -
     """Warn of a value (SI) outside the usual range of its quantity."""
     if not quantity.plausible[0] <= value <= quantity.plausible[1]:
         said, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
-        draft.warn(place, f"{said} is unusual (usual: {low} to {high}); is the unit right?")
+        text = f"{said} is unusual (usual: {low} to {high}); is the unit right?"
+        draft.warn(place, text, holds="unit")
 
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:

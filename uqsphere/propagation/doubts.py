@@ -1,0 +1,432 @@
+"""Doubts: everything that a decision takes for granted and can quantify, each with a curve of its
+own along the free number.
+
+A doubt is one limit with one thing taken otherwise, the other failure modes being at their middle:
+for a sphere that must survive all failure modes add up; for one that must break others would help,
+and leaving them out is conservative.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, special
+from uqsphere.propagation.demands import strength_of
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
+from uqsphere.propagation.line import Line, score
+from uqsphere.results import types
+from uqsphere.results.types import DoubtCode
+from uqsphere.study import Limit, strength_name
+from uqsphere.uq import Law, LawError, Sample, make_law, random_generator
+from uqsphere.uq.estimate import probability_ends, spread
+from uqsphere.uq.fitting import (
+    STRENGTHS,
+    count_tests,
+    fitted_law,
+    is_fitted,
+    possible_laws,
+    probability_of,
+    series_behind,
+)
+
+COMPUTATION: Final[DoubtCode] = "computation"
+CARRIER: Final[DoubtCode] = "carrier"
+TESTS: Final[DoubtCode] = "tests"
+DISTRIBUTION: Final[DoubtCode] = "distribution"
+CONTACT: Final[DoubtCode] = "contact law"
+TIE: Final[DoubtCode] = "tie"
+ASSUMED: Final[DoubtCode] = "assumed strength"
+
+#: strengths that tests allow
+LAWS: Final = 400
+#: tests refute a distribution, or a strength, that they are less probable than this by
+REFUTED: Final = 0.05
+#: ends of the 95 % range of what tests leave open
+ENDS: Final = (0.025, 0.975)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Aim:
+    """The limits of a study that must survive, or break, with the failure modes beside them.
+
+    limits : in the order of the study
+    modes : those with an assumed strength that mean fracture; none for a sphere that must break
+    """
+
+    design: Design
+    word: types.Aim
+    limits: tuple[Limit, ...]
+    modes: tuple[AssumedMode, ...] = ()
+
+    @property
+    def survive(self) -> bool:
+        """Whether exceedance is what must not happen."""
+        return self.word == "survive"
+
+    @cached_property
+    def groups(self) -> tuple[tuple[Limit, ...], ...]:
+        """Limits by the tests behind them: those on the same tests are one failure mode, carried
+        over in different ways; first the one that counts as fracture.
+        """
+        groups: dict[object, list[Limit]] = {}
+        for limit in self.limits:
+            groups.setdefault(tests_behind(limit) or limit.name, []).append(limit)
+        ordered = (
+            sorted(group, key=lambda one: one.fracture is False) for group in groups.values()
+        )
+        return tuple(tuple(group) for group in ordered)
+
+    def same_tests(self, one: Limit, other: Limit) -> bool:
+        """Whether two limits carry over the same tests."""
+        return any(one in group and other in group for group in self.groups)
+
+    def without(self, name: str) -> Aim:
+        """The aim without a limit or a failure mode."""
+        return replace(
+            self,
+            limits=tuple(limit for limit in self.limits if limit.name != name),
+            modes=tuple(mode for mode in self.modes if mode.limit.name != name),
+        )
+
+    def with_strength(self, name: str, strength: Law) -> Aim:
+        """The aim with another strength of a failure mode."""
+        modes = [
+            replace(mode, limit=replace(mode.limit, strength=strength))
+            if mode.limit.name == name
+            else mode
+            for mode in self.modes
+        ]
+        return replace(self, modes=tuple(modes))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Alternative:
+    """One thing of a limit taken otherwise.
+
+    detail : what it is then, "lognormal" for a distribution
+    laws : the strengths, all equally likely; empty for the limit's own
+    """
+
+    code: DoubtCode
+    limit: Limit
+    detail: str = ""
+    laws: tuple[Law, ...] = ()
+    tied: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Doubt:
+    """An alternative with its curve along a line.
+
+    alone, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with the
+        other failure modes
+    opposite : the joint curve at the other end of what tests leave open; None for other doubts
+    error : standard error (K,) of the curve by the numerical computation
+    margin : where the curve crosses its target; None where the safe end misses it, infinite where
+        the whole range keeps it
+    """
+
+    code: DoubtCode
+    limit: Limit
+    detail: str
+    allowed: float
+    alone: Array
+    curve: Array
+    error: Array
+    margin: float | None = None
+    opposite: Array | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What tells it from other doubts of its aim."""
+        return self.code, self.limit.name, self.detail
+
+
+def tests_behind(limit: Limit) -> tuple[float, ...]:
+    """The forces of the crushing tests behind a limit, or the observations; empty without."""
+    if limit.tested is not None and limit.tested.forces:
+        return limit.tested.forces
+    law = strength_of(limit)
+    return law.data if isinstance(law, Law) and is_fitted(law) else ()
+
+
+# --- what may be otherwise ------------------------------------------------------------------------
+
+
+def alternatives(aim: Aim) -> list[Alternative]:
+    """Every strength of an aim's limits that may be otherwise, and every tie to the inputs."""
+    found: list[Alternative] = []
+    for limit in aim.limits:
+        law = strength_of(limit)
+        if not isinstance(law, Law):
+            continue
+        if is_fitted(law):
+            found += [
+                Alternative(code=TESTS, limit=limit, detail=name, laws=laws)
+                for name, laws in strengths_allowed(aim.design, limit).items()
+            ]
+        else:
+            found += [
+                Alternative(code=DISTRIBUTION, limit=limit, detail=name, laws=(other,))
+                for name, other in other_distributions(law).items()
+            ]
+        if _is_tied(aim.design, limit):
+            found.append(Alternative(code=TIE, limit=limit, tied=False))
+    return found
+
+
+def _is_tied(design: Design, limit: Limit) -> bool:
+    name = strength_name(limit.name)
+    return any(name in tie.of for tie in design.study.dependence)
+
+
+def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]]:
+    """By distribution, strengths that the tests behind a limit allow: its own distribution, and the
+    other usual one where the tests do not refute it.
+
+    One stream of random numbers for one set of tests: limits on the same tests share their draws.
+    """
+    law = strength_of(limit)
+    assert isinstance(law, Law)
+    laws = {law.family.name: law}
+    if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
+        laws |= {name: other for name, other in _other_fits(law) if name not in laws}
+    found: dict[str, tuple[Law, ...]] = {}
+    for name, own in laws.items():
+        first, last = (tests_behind(limit) or (0.0,))[:: max(len(tests_behind(limit)) - 1, 1)][:2]
+        generator = random_generator(
+            seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
+        )
+        with suppress(LawError):
+            found[name] = tuple(possible_laws(own, LAWS, generator))
+    return found
+
+
+def _other_fits(law: Law) -> Iterator[tuple[str, Law]]:
+    """Other distributions fitted to the tests behind a law, those that the tests do not refute."""
+    tests = series_behind(law)
+    for name, kind in STRENGTHS.items():
+        if name != law.family.name and probability_of(tests, kind) >= REFUTED:
+            with suppress(LawError):
+                yield name, fitted_law(law.data, name, censored=law.censored)
+
+
+def other_distributions(law: Law) -> dict[str, Law]:
+    """The other usual distribution of a strength, with the same mean and standard deviation."""
+    from scipy.optimize import brentq
+    from scipy.special import gammaln
+
+    if law.family.name not in ("weibull", "lognormal", "normal"):
+        return {}
+    mean, sd = law.mean(), law.sd()
+    if mean is None or sd is None or not mean > 0.0 or not sd > 0.0:
+        return {}
+    with suppress(ValueError):  # a scatter that no law has
+        if law.family.name == "weibull":
+            return {"lognormal": make_law("lognormal", {"mean": mean, "cov": sd / mean})}
+        # 1 + cov² = Gamma(1 + 2/m)/Gamma(1 + 1/m)²
+        excess = math.log1p((sd / mean) ** 2)
+        modulus = brentq(
+            lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4
+        )
+        return {"weibull": make_law("weibull", {"mean": mean, "modulus": modulus})}
+    return {}
+
+
+# --- curves ---------------------------------------------------------------------------------------
+
+
+def others_hold(aim: Aim, line: Line) -> dict[str, Array]:
+    """Probability (R, N) that no other failure mode is exceeded, by the name of a limit; none for
+    limits that are no fracture.
+    """
+    if not aim.survive:
+        return {}
+    exceeded: dict[str, Array] = {}
+    leaders: dict[str, str] = {}
+    for group in aim.groups:
+        counted = [limit for limit in group if means_fracture(limit)]
+        if counted:
+            leaders |= {limit.name: counted[0].name for limit in group}
+            exceeded[counted[0].name] = line.exceedance(line.state(counted[0]), aim.word)
+    for mode in aim.modes:
+        leaders[mode.limit.name] = mode.limit.name
+        exceeded[mode.limit.name] = line.exceedance(line.state(mode.limit), aim.word)
+    held: dict[str, Array] = {}
+    for name, leader in leaders.items():
+        others = [1.0 - rows for key, rows in exceeded.items() if key != leader]
+        if others:
+            held[name] = np.prod(others, axis=0)
+    return held
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curves:
+    """The limits of an aim along a line, alone and with the other failure modes.
+
+    yielding : the rows of `line.few` with contacts that yield; None where none would
+    """
+
+    aim: Aim
+    line: Line
+    yielding: Line | None = None
+
+    @cached_property
+    def _held(self) -> Mapping[str, Array]:
+        return others_hold(self.aim, self.line)
+
+    @cached_property
+    def few(self) -> Curves:
+        """The same on some of the rows."""
+        return Curves(aim=self.aim, line=self.line.few)
+
+    @cached_property
+    def _bases(self) -> dict[str, Array]:
+        return {}
+
+    def adds_up(self, limit: Limit) -> bool:
+        """Whether other failure modes add up with a limit."""
+        return limit.name in self._held
+
+    def base(self, limit: Limit) -> Array:
+        """The mean exceedance (2, K, R) of a limit by its own strength: alone, and with the other
+        failure modes.
+        """
+        if limit.name not in self._bases:
+            self._bases[limit.name] = self.by_strengths(limit, ())[:, 0]
+        return self._bases[limit.name]
+
+    def by_strengths(self, limit: Limit, laws: Sequence[Law], *, tied: bool = True) -> Array:
+        """The mean exceedance (2, laws, K, R) of a limit, alone and with the other failure modes,
+        by each of some strengths; by its own where there are none.
+        """
+        state, hold = self.line.state(limit), self._held.get(limit.name)
+        if not tied:
+            state = replace(state, tie=None)
+        strengths = [state.strength, *laws][min(len(laws), 1) :]
+        others = np.zeros(1) if hold is None else self.line.means(1.0 - hold)
+        found = []
+        for strength in strengths:
+            rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)
+            alone = joint = self.line.means(rows)
+            if hold is not None:
+                joint = others + self.line.means(rows * hold)
+            found.append((alone, joint))
+        return np.clip(np.moveaxis(np.array(found), 1, 0), 0.0, 1.0)
+
+    def computed(self, limit: Limit) -> Doubt:
+        """The limit as the study has it, at the unsafe end of the numerical interval."""
+        alone, joint = (self._ends(means) for means in self.base(limit))
+        return self._doubt(COMPUTATION, limit, "", [alone, joint], self.base(limit)[1])
+
+    def _ends(self, means: Array) -> Array:
+        pairs = zip(means, self.line.samples, strict=True)
+        return np.array([self._end(row, sample) for row, sample in pairs])
+
+    def _end(self, means: Array, sample: Sample) -> float:
+        """The unsafe end of the numerical interval of a probability, of its replicates (R,)."""
+        p, q = float(means.mean()), float((1.0 - means).mean())
+        if means.size < 2:
+            return p
+        ends = probability_ends(p, q, spread(means), means.size, float(sample.size))
+        return ends[1] if self.aim.survive else ends[0]
+
+    def assumed(self, mode: AssumedMode) -> Doubt:
+        """A failure mode by itself, its strength at the middle of the library's range."""
+        alone = self.base(mode.limit)[0]
+        return self._doubt(ASSUMED, mode.limit, "", [alone.mean(axis=1)] * 2, alone)
+
+    def otherwise(self, alternative: Alternative) -> Doubt:
+        """A limit with an alternative, at the unsafe end of what its strengths give.
+
+        Many strengths are asked on few rows; what all rows add to the normal score by the strength
+        that stands at the unsafe end near the target is added to the curve.
+        """
+        limit, laws = alternative.limit, alternative.laws
+        if len(laws) < 2:
+            rows = self.by_strengths(limit, laws, tied=alternative.tied)[:, 0]
+            means = rows.mean(axis=2)
+            return self._doubt(alternative.code, limit, alternative.detail, means, rows[1])
+        few = self.few.by_strengths(limit, laws)
+        ends = np.quantile(few.mean(axis=3), self._unsafe, axis=1)
+        near = int(np.argmin(np.abs(score(ends[1]) - score(limit.allowable))))
+        law = int(np.argmin(np.abs(few[1, :, near].mean(axis=1) - ends[1, near])))
+        every = self.by_strengths(limit, [laws[law]])[:, 0]
+        found = self._shifted(few, few[:, law], every, self._unsafe)
+        opposite = self._shifted(few, few[:, law], every, 1.0 - self._unsafe)[0][1]
+        doubt = self._doubt(alternative.code, limit, alternative.detail, *found)
+        return replace(doubt, opposite=opposite)
+
+    def contacts_yield(self, limit: Limit) -> Doubt | None:
+        """A limit where contacts yield; None where none would."""
+        if self.yielding is None:
+            return None
+        limits = {one.name: one for one in self.yielding.design.judged.limits}
+        aim = replace(self.aim, limits=tuple(limits[own.name] for own in self.aim.limits))
+        rows = Curves(aim=aim, line=self.yielding).base(limits[limit.name])
+        few, every = self.few.base(limit), self.base(limit)
+        found = self._shifted(rows[:, None], few, every, self._unsafe)
+        return self._doubt(CONTACT, limit, "", *found)
+
+    @property
+    def _unsafe(self) -> float:
+        return ENDS[1] if self.aim.survive else ENDS[0]
+
+    def _shifted(self, found: Array, few: Array, every: Array, end: float) -> tuple[Array, Array]:
+        """Curves (2, K) at a quantile of (2, laws, K, R) on few rows, and the joint one of each
+        replicate (K, R), moved by the difference in normal scores between all rows and few.
+        """
+
+        def moved(ends: Array, before: Array, after: Array) -> Array:
+            change = score(self.line.seen(after)) - score(self.few.line.seen(before))
+            return np.asarray(special.ndtr(score(self.few.line.seen(ends)) + change))
+
+        pooled = np.quantile(found.mean(axis=3, keepdims=True), end, axis=1)
+        curves = moved(pooled, few.mean(axis=2, keepdims=True), every.mean(axis=2, keepdims=True))
+        replicates = moved(np.quantile(found, end, axis=1), few, every)
+        return curves[:, :, 0], replicates[1]
+
+    def _doubt(
+        self,
+        code: DoubtCode,
+        limit: Limit,
+        detail: str,
+        curves: Sequence[Array] | Array,
+        rows: Array,
+    ) -> Doubt:
+        """A doubt with its curves (K,), alone and joint, and the error that its replicates (K, R)
+        show.
+        """
+        margin, allowed = None, limit.allowable
+        if len(self.line.values) > 1:
+            margin = self.line.crossing(curves[1], allowed, keeps_below=self.aim.survive)
+        return Doubt(
+            code=code,
+            limit=limit,
+            detail=detail,
+            allowed=allowed,
+            alone=curves[0],
+            curve=curves[1],
+            error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
+            margin=margin,
+        )
+
+
+def doubts_of(curves: Curves, others: Sequence[Alternative]) -> list[Doubt]:
+    """Every doubt of the limits of an aim along a line."""
+    found: list[Doubt] = []
+    for limit in curves.aim.limits:
+        found.append(curves.computed(limit))
+        found += [curves.otherwise(one) for one in others if one.limit.name == limit.name]
+        yields = curves.contacts_yield(limit)
+        if yields is not None:
+            found.append(yields)
+    return found

@@ -1,0 +1,144 @@
+"""What the crushing tests of a study say of strengths of the library.
+
+Each sphere of the tests stood up to its force, so that every one of its strengths is at least the
+demand at that force in the test rig, and F(demand) of a true strength lies below a uniform
+variable: the one-sided Kolmogorov-Smirnov distance has at most its usual probability.  (The product
+of the probabilities to stand would refute every true strength, because at the forces of failure it
+is a product of uniform variables.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.mechanics.crushing import value_at
+from uqsphere.propagation.failure_modes import AssumedMode, scaled_strength, size_factor
+from uqsphere.study import Study
+from uqsphere.study.values import Tested
+from uqsphere.uq import Law
+
+#: a strength that makes the tests less probable than this is refuted
+REFUTED: Final = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What the tests say of an assumed strength.
+
+    weak, middle, strong : probability of the tests by either end of the library's range and by its
+        middle
+    refuted : by the strong end as well: the mode is left out
+    raised : what the weak end is multiplied by where the tests refute it, else 1
+    """
+
+    mode: str
+    tests: int
+    weak: float
+    middle: float
+    strong: float
+    refuted: bool
+    raised: float
+
+
+def series_of(study: Study) -> list[Tested]:
+    """The crushing tests of a study, each series once."""
+    series = {
+        limit.tested.forces: limit.tested
+        for limit in study.limits
+        if limit.tested is not None and limit.tested.forces
+    }
+    return list(series.values())
+
+
+def judged_by_tests(
+    study: Study, modes: Sequence[AssumedMode]
+) -> tuple[list[Evidence], list[AssumedMode]]:
+    """The evidence on every assumed mode, and the modes that are left, with what is left of their
+    range.
+    """
+    series = series_of(study)
+    if not series:
+        return [], list(modes)
+    found, left = [], []
+    for mode in modes:
+        evidence = _evidence(study, series, mode)
+        found.append(evidence)
+        if evidence.refuted:
+            continue
+        weak = scaled_strength(mode.weak, evidence.raised)
+        middle = mode.limit.strength
+        assert isinstance(middle, Law)
+        if _median(weak) > _median(middle):
+            middle = weak
+        left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
+    return found, left
+
+
+def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evidence:
+    from scipy.optimize import brentq
+
+    middle = mode.limit.strength
+    assert isinstance(middle, Law)
+    demands = demands_in_tests(study, series, mode)
+    p = [standing(law.cdf(demands)[None, :])[0] for law in (mode.weak, middle, mode.strong)]
+    raised = 1.0
+    if p[0] < REFUTED <= p[2]:
+        top = math.log(_median(mode.strong) / _median(mode.weak))
+
+        def excess(shift: float) -> float:
+            law = scaled_strength(mode.weak, math.exp(shift))
+            return float(standing(law.cdf(demands)[None, :])[0]) - REFUTED
+
+        # the strong end of a range may be of another scatter than its weak end
+        raised = math.exp(brentq(excess, 0.0, top)) if excess(top) > 0.0 else math.exp(top)
+    return Evidence(
+        mode=mode.called,
+        tests=len(demands),
+        weak=float(p[0]),
+        middle=float(p[1]),
+        strong=float(p[2]),
+        refuted=bool(p[2] < REFUTED),
+        raised=raised,
+    )
+
+
+def demands_in_tests(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Array:
+    """The demand (n,) of a mode in each test at its force, over its size factor for that sphere."""
+    mean = study.at_means()["sphere.radius"]
+    parts = []
+    for tested in series:
+        radius = 0.5 * np.array(tested.diameters)
+        demand = value_at(
+            np.array(tested.forces), mode.limit.demand, tested.sphere, radius, tested.platens
+        )
+        parts.append(demand / (size_factor(study, mode, radius) / size_factor(study, mode, mean)))
+    return np.concatenate(parts)
+
+
+def standing(below: Array) -> Array:
+    """Probability (J,) of J series of tests, from F(demand at the force that was borne) (J, n).
+
+    >>> standing(np.array([[0.1, 0.3, 0.5, 0.7, 0.9], [0.9, 0.95, 0.97, 0.98, 0.99]])).round(3)
+    array([0.881, 0.   ])
+    """
+    from scipy.stats import ksone
+
+    ordered = np.sort(below, axis=1)
+    n = ordered.shape[1]
+    distance = (ordered - np.arange(n) / n).max(axis=1)
+    return np.asarray(ksone.sf(np.maximum(distance, 1e-9), n))
+
+
+def _median(law: Law) -> float:
+    return float(law.ppf(np.array([0.5]))[0])
+
+
+def refuted_text(evidence: Evidence) -> str:
+    """Why a mode that the tests refute is not judged."""
+    return f"refuted by your {evidence.tests} tests: spheres bore more than this strength allows"

@@ -1,0 +1,241 @@
+"""Rows along the free number: what every doubt of a decision is asked on.
+
+The same points serve every value, so that a curve is smooth; each replicate has its own curve, and
+their spread is the error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, special
+from uqsphere.models.model import Model
+from uqsphere.propagation.design import VALUES, Design
+from uqsphere.propagation.free_number import demand_factor, grid, moved
+from uqsphere.propagation.limits import state_of
+from uqsphere.propagation.tables import Tables, evaluate
+from uqsphere.study import Limit
+from uqsphere.uq import Law, LimitState, Sample, tails
+
+#: points of a replicate, where every value of the free number has the same rows
+_SHARED: Final = 1024
+#: one in so many points serves a doubt that takes many strengths or other model runs, and at least
+_FEW_SHARE: Final = 4
+_FEW: Final = 16
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """Rows at rising values of the free number, or at the plan alone.
+
+    values : (K,), one nan for the plan
+    samples : the rows at each value
+    """
+
+    design: Design
+    values: tuple[float, ...]
+    samples: tuple[Sample, ...]
+
+    @cached_property
+    def rows(self) -> Sample:
+        """The rows of all values, one value after the other."""
+        whole, start = self.samples[0].with_room(sum(self._counts)), 0
+        for sample in self.samples:
+            whole.fill(start, sample)
+            start += sample.count
+        return whole
+
+    @cached_property
+    def places(self) -> Array:
+        """The values on the scale on which curves are interpolated: logarithms where all are
+        positive.
+        """
+        values = np.array(self.values)
+        return np.log(values) if values[0] > 0.0 else values
+
+    @cached_property
+    def few(self) -> Line:
+        """Some of the rows at each value, for doubts that take many strengths or other runs."""
+        heads = [
+            sample.head(min(sample.count, max(_FEW, sample.count // _FEW_SHARE)))
+            for sample in self.samples
+        ]
+        return replace(self, samples=tuple(heads))
+
+    @cached_property
+    def _counts(self) -> list[int]:
+        return [sample.count for sample in self.samples]
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return [0, *np.cumsum(self._counts)[:-1].tolist()]
+
+    def seen(self, probability: Array) -> Array:
+        """Probabilities (..., K, R): none seen in the rows of a value stands for half a row."""
+        half = 0.5 / (np.array(self._counts)[:, None] * self.samples[0].replicates)
+        return np.where(
+            probability > 0.0, np.where(probability < 1.0, probability, 1.0 - half), half
+        )
+
+    def value_at(self, place: float) -> float:
+        """The value of the free number at a place."""
+        return math.exp(place) if self.values[0] > 0.0 else place
+
+    def place_of(self, value: float) -> float:
+        """The place of a value of the free number."""
+        return math.log(value) if self.values[0] > 0.0 else value
+
+    def state(self, limit: Limit, strength: Law | float | None = None) -> LimitState:
+        """Demands of a limit at all rows against its strength, or another one."""
+        state, margins = (
+            state_of(self.design, limit, self.rows, strength),
+            self.design.study.margins,
+        )
+        if margins is None or margins.limit != limit.name or math.isnan(self.values[0]):
+            return state
+        factors = [demand_factor(margins, limit, value) for value in self.values]
+        return replace(state, demands=state.demands * np.repeat(factors, self._counts))
+
+    def exceedance(self, state: LimitState, aim: str) -> Array:
+        """Probability (R, N) of exceedance given the inputs; a row that is not known to the end
+        counts for the unsafe side, and one that failed is nan, or counts so as well.
+        """
+        below = tails(state)[0]
+        unsafe = 1.0 if aim == "survive" else 0.0
+        if unsafe and state.late.any():
+            below = np.where(state.late, unsafe, below)
+        if state.broken.any():
+            below = np.where(state.broken, unsafe if state.on_failure == "bound" else np.nan, below)
+        return below
+
+    def means(self, rows: Array) -> Array:
+        """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
+        lost = np.isnan(rows)
+        if not lost.any():
+            sums = np.add.reduceat(rows, self._starts, axis=1)
+            return np.asarray((sums / self._counts).T)
+        sums = np.add.reduceat(np.where(lost, 0.0, rows), self._starts, axis=1)
+        kept = np.add.reduceat((~lost).astype(float), self._starts, axis=1)
+        return np.asarray((sums / np.maximum(kept, 1.0)).T)
+
+    def crossing(self, curve: Array, allowed: float, *, keeps_below: bool) -> float | None:
+        """The value at which a curve (K,) leaves the safe side of a probability, seen from the safe
+        end.
+
+        None where the safe end itself is not safe, and an infinite value where all of the range is.
+        """
+        from scipy.interpolate import PchipInterpolator
+        from scipy.optimize import brentq
+
+        kept = curve <= allowed if keeps_below else curve >= allowed
+        if kept.all():
+            return math.inf
+        rising = bool(curve[-1] >= curve[0])
+        from_start = rising == keeps_below
+        ordered = kept if from_start else kept[::-1]
+        if not ordered[0]:
+            return None
+        k = int(np.argmin(ordered))
+        if not from_start:
+            k = len(ordered) - k
+        scores = PchipInterpolator(self.places, score(curve) - score(allowed))
+        ends = float(self.places[k - 1]), float(self.places[k])
+        return self.value_at(float(brentq(lambda place: float(scores(place)), *ends)))
+
+    def at(self, curve: Array, value: float) -> float:
+        """A curve (K,) at a value between its own."""
+        from scipy.interpolate import PchipInterpolator
+
+        if len(self.values) == 1:
+            return float(curve[0])
+        scores = PchipInterpolator(self.places, score(curve))
+        return float(special.ndtr(float(scores(self.place_of(value)))))
+
+
+def score(probability: Array | float) -> Array:
+    """Normal score of a probability, bounded where it is 0 or 1."""
+    return np.asarray(special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16)))
+
+
+def plan_of(design: Design, sample: Sample) -> Line:
+    """The line that is the plan alone."""
+    return Line(design=design, values=(math.nan,), samples=(sample,))
+
+
+def line_of(design: Design, tables: Tables) -> Line | None:
+    """The line of a run; None without a free number."""
+    margins = design.study.margins
+    if margins is None:
+        return None
+    if margins.limit is not None:
+        sample = tables.sample.head(min(tables.sample.count, _SHARED))
+        values = grid(margins, VALUES)
+        return Line(design=design, values=tuple(values), samples=(sample,) * len(values))
+    if not tables.line:
+        return None
+    pairs = dict(sorted(tables.line.items()))
+    return Line(design=design, values=tuple(pairs), samples=tuple(pairs.values()))
+
+
+def evaluated_at(
+    design: Design, model: Model, known: Mapping[float, Sample], counts: Mapping[float, int]
+) -> dict[float, Sample]:
+    """Rows at values of the free number, those of each value continued to its count, all in one
+    evaluation.
+    """
+    margins = design.study.margins
+    assert margins is not None
+    parts: list[Sample] = []
+    moving: list[Array] = []
+    for value, count in counts.items():
+        start = known[value].count if value in known else 0
+        joint = moved(design.study, value).inputs().only(design.drawn.names)
+        points = design.points(count - start, start, joint=joint)
+        parts.append(points)
+        if margins.solve in points.names:
+            moving.append(points.input(margins.solve))
+        else:
+            moving.append(np.full(points.scores.shape[:2], value))
+    found = dict(known)
+    if parts:
+        whole = Sample.at(
+            design.drawn.names,
+            np.concatenate([part.scores for part in parts], axis=1),
+            np.concatenate([part.inputs for part in parts], axis=1),
+        )
+        answered = evaluate(design, model, whole, {margins.solve: np.concatenate(moving, axis=1)})
+        end = 0
+        for value, part in zip(counts, parts, strict=True):
+            rows = answered.rows(end, end + part.count)
+            end += part.count
+            found[value] = found[value].join(rows) if value in found else rows
+    return dict(sorted(found.items()))
+
+
+def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
+    """A line with at least so many points of a replicate at some values."""
+    if line.design.study.margins is not None and line.design.study.margins.limit is not None:
+        pairs = dict(zip(line.values, line.samples, strict=True))
+        pairs |= dict.fromkeys(counts, line.samples[0])
+        pairs = dict(sorted(pairs.items()))
+    else:
+        known = dict(zip(line.values, line.samples, strict=True))
+        needed = {
+            value: count
+            for value, count in counts.items()
+            if value not in known or known[value].count < count
+        }
+        pairs = evaluated_at(line.design, model, known, needed)
+    return replace(line, values=tuple(pairs), samples=tuple(pairs.values()))
+
+
+def counts_at(line: Line, values: Sequence[float]) -> list[int]:
+    """Points of a replicate at values of the line."""
+    pairs = dict(zip(line.values, line.samples, strict=True))
+    return [pairs[value].count for value in values]
