@@ -1,4 +1,4 @@
-"""Names of the arrays that every room passes around, and special functions of them."""
+"""Names of array types, and special functions loaded when they are called."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
 Places: TypeAlias = npt.NDArray[np.int64]
-#: a number or an array of numbers: what elementwise formulas take, and give back of the same kind
+#: a number or an array of numbers: argument and result of elementwise formulas
 Values: TypeAlias = Any
-#: numbers or flags of any kind, plain or in columns with names: the content of one stored array
+#: numbers or flags of any kind, plain or in named columns
 Cells: TypeAlias = npt.NDArray[Any]
 
 
 class _Special:
-    """scipy.special, loaded when a function of it is called: `uqsphere check` is quick without."""
+    """scipy.special, loaded at the first call of a function, since the import takes time."""
 
     def __getattr__(self, name: str) -> Callable[..., Array]:
         from scipy import special as functions
 
-        found: Callable[..., Array] = getattr(functions, name)
-        return found
+        function: Callable[..., Array] = getattr(functions, name)
+        return function
 
 
 special = _Special()

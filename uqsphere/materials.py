@@ -1,6 +1,4 @@
-"""The material library: typical values with their scatter and their source, read from
-``materials.toml``.
-"""
+"""The material library: typical values with their scatter and source, from ``materials.toml``."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from typing import Final
 from uqsphere.files import Json
 from uqsphere.units import parse_value
 
-#: What a material can be used for: the sphere, bars and strikers, whatever else the sphere meets.
+#: uses of a material: sphere, bars and strikers, other counter-bodies
 MATERIAL_KINDS: Final = ("sphere", "bars", "plates")
 
 #: property -> dimension of its unit
@@ -30,9 +28,9 @@ PROPERTIES: Final[dict[str, str]] = {
     "fracture_toughness": "toughness",
     "fracture_energy": "specific_energy",
 }
-#: property -> what its value hangs on: key -> dimension.  A tensile strength is that of a volume
-#: under tension, and the median fracture energy of particles of diameter d is value (1 +
-#: (size/d)^exponent) (Tavares and King 1998)
+#: property -> further keys -> dimension.  A tensile strength holds for a volume under tension; the
+#: median fracture energy of particles of diameter d is value (1 + (size/d)^exponent) (Tavares and
+#: King 1998)
 FURTHER: Final[dict[str, dict[str, str]]] = {
     "tensile_strength": {"volume": "volume"},
     "fracture_energy": {"size": "length", "exponent": "number"},
@@ -43,10 +41,10 @@ FURTHER: Final[dict[str, dict[str, str]]] = {
 class Property:
     """One value of a material.
 
-    `value` is in SI (fracture toughness: Pa m^0.5), `text` as the library writes it, `cov` the
-    coefficient of variation between specimens, `seen` whether the value was read in the document
-    that `source` names.  `range` are the two ends between which the value of a rock of that name
-    lies with 95 %, None where that is not given; `further` what `FURTHER` names.
+    value: in SI (fracture toughness: Pa m^0.5).  text: as in the library.  cov: coefficient of
+    variation between specimens.  source: where the value comes from; seen: whether it was read
+    there.  range: 95 % range of the value among rocks of that name, None if not given.  further:
+    values of the keys in `FURTHER`.
     """
 
     value: float
@@ -61,9 +59,7 @@ class Property:
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A material of the library, for a sphere, for bars or for plates; `rock`: it has several ways
-    to break.
-    """
+    """A material of the library; `rock`: its failure modes are assessed with library strengths."""
 
     name: str
     title: str
@@ -73,7 +69,7 @@ class Material:
 
 @cache
 def library() -> dict[str, dict[str, Material]]:
-    """The materials of the package: kind (of `MATERIAL_KINDS`) -> name -> material.
+    """The materials of the package: kind (see `MATERIAL_KINDS`) -> name -> material.
 
     >>> library()["sphere"]["granite"].properties["nu"].value
     0.25
@@ -81,30 +77,29 @@ def library() -> dict[str, dict[str, Material]]:
     import tomllib
     from importlib.resources import files
 
-    found = tomllib.loads(files("uqsphere").joinpath("materials.toml").read_text(encoding="utf-8"))
-    return {
-        kind: {name: _material(name, table) for name, table in found[kind].items()}
-        for kind in MATERIAL_KINDS
-    }
+    text = files("uqsphere").joinpath("materials.toml").read_text(encoding="utf-8")
+    tables = tomllib.loads(text)
+    materials: dict[str, dict[str, Material]] = {}
+    for kind in MATERIAL_KINDS:
+        materials[kind] = {name: _material(name, table) for name, table in tables[kind].items()}
+    return materials
 
 
 def _material(name: str, table: Mapping[str, Json]) -> Material:
-    """One table of the library, which the tests hold to be complete: anything strange in it
-    raises.
-    """
+    """One table of the library; an incomplete or unknown entry raises."""
     properties = {}
     for key, entry in table.items():
         if key in ("title", "rock"):
             continue
         entry, text = dict(entry), str(entry["value"])
         value, *ends = (
-            parse_value(entry.pop(p), PROPERTIES[key])
-            for p in ("value", "low", "high")
-            if p in entry
+            parse_value(entry.pop(part), PROPERTIES[key])
+            for part in ("value", "low", "high")
+            if part in entry
         )
         further = {
-            part: parse_value(entry.pop(part), due)
-            for part, due in FURTHER.get(key, {}).items()
+            part: parse_value(entry.pop(part), dimension)
+            for part, dimension in FURTHER.get(key, {}).items()
             if part in entry
         }
         properties[key] = Property(

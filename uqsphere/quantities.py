@@ -1,9 +1,8 @@
-"""The nomenclature: every number by its name, and how its values are written for people.
+"""The nomenclature: every number by its name, and the one formatter of its values.
 
 Numbers of a scene are declared in `uqsphere.mechanics.scene`, quantities of interest in
-`uqsphere.mechanics.outputs`, demands of criteria in `uqsphere.mechanics.criteria`.  Result tables,
-axis labels and the documentation all read them here, so that a quantity has one name and one unit
-everywhere.
+`uqsphere.mechanics.outputs`, demands of criteria in `uqsphere.mechanics.criteria`.  Tables,
+axis labels and documentation read them here, so that a quantity has one name and one unit.
 """
 
 from __future__ import annotations
@@ -33,26 +32,25 @@ __all__ = [
     "round_conservative",
 ]
 
-#: the unit that is read in place of a larger one
+#: smaller unit for values below one display unit
 SMALLER = {"m": "mm", "kN": "N"}
 
 
 def lookup(name: str) -> Quantity:
-    """The nomenclature entry of an input or an output; a black-box name gets a plain entry without
-    unit.
-    """
-    found = INPUTS.get(name) or OUTPUTS.get(name)
-    if found is None and (
-        entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)
-    ):
-        # the demand of a criterion goes by the names of criterion and limit, and what is carried of
-        # a quantity too
+    """The nomenclature entry of an input or output; names of a black box get one without unit."""
+    entry = INPUTS.get(name) or OUTPUTS.get(name)
+    if entry is not None:
+        return entry
+    # demands of a criterion, and transferred quantities, are named after the limit too
+    base = name.partition(".")[0]
+    entry = DEMANDS.get(base) or OUTPUTS.get(base)
+    if entry is not None:
         return replace(entry, name=name)
-    return found or plain_quantity(name)
+    return plain_quantity(name)
 
 
 def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
-    """The entry of a number without unit: a black-box input, say."""
+    """The entry of a number without unit, for example a black-box input."""
     return Quantity(
         name=name,
         symbol=name,
@@ -64,19 +62,23 @@ def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Qu
 
 
 def format_bounds(quantity: Quantity) -> str:
-    """Where the values of a quantity must lie."""
+    """Sentence on the bounds of a quantity.
+
+    >>> format_bounds(lookup("sphere.nu"))
+    'Poisson ratio of the sphere must be between -1 and 0.5 (exclusive)'
+    """
     low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
-    way = (
-        f"lie from {low} to {high}"
-        if quantity.closed
-        else f"lie between {low} and {high}, both excluded"
-    )
-    return f"{quantity.meaning} must {way if math.isfinite(quantity.upper) else f'be above {low}'}"
+    name = quantity.meaning.partition(":")[0]
+    if not math.isfinite(quantity.upper):
+        return f"{name} must be above {low}"
+    ends = "inclusive" if quantity.closed else "exclusive"
+    return f"{name} must be between {low} and {high} ({ends})"
 
 
 def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
-    """The unit people read for a quantity, and the factor that turns an SI value into it; a
-    `magnitude` (SI) below one such unit chooses a smaller one.
+    """Display unit of a quantity, and the factor from SI to it.
+
+    A `magnitude` [SI] below one display unit selects a smaller unit.
 
     >>> display_unit("striker.length"), display_unit("striker.length", 0.03)
     (('m', 1.0), ('mm', 1000.0))
@@ -98,7 +100,9 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     """
     unit, factor = display_unit(name, value)
     scaled = value * factor
-    before = math.floor(math.log10(abs(scaled))) + 1 if 1.0 <= abs(scaled) < 1e6 else 0
+    before = 0
+    if 1.0 <= abs(scaled) < 1e6:
+        before = math.floor(math.log10(abs(scaled))) + 1
     return f"{scaled:.{max(digits, before)}g} {unit}".rstrip()
 
 
@@ -165,10 +169,14 @@ def format_probability(
         return f"{_percent(low or 0.0, -1)} to {_percent(high or 0.0, 1)}"
     if value in (None, 1.0) and bounded_below and low != value:
         text = _percent(low or 0.0, -1)
-        return text if text.startswith("above") else f"above {text}"
+        if text.startswith("above"):
+            return text
+        return f"above {text}"
     if value in (None, 0.0) and bounded_above and high != value:
         return f"below {_percent(high or 0.0, 1)}"
-    return "not known" if value is None else _percent(value)
+    if value is None:
+        return "not known"
+    return _percent(value)
 
 
 def _percent(value: float, direction: int = 0) -> str:
@@ -206,8 +214,9 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
         texts = [f"{100.0 * number:.{digits}f} %" for number in (value, low, high)]
     if texts[0] == texts[1] == texts[2]:
         return texts[0]
-    first = texts[1].removesuffix(" %") if texts[2].endswith("%") else texts[1]
-    return f"{texts[0]} ({first} to {texts[2]})"
+    if texts[2].endswith("%"):
+        texts[1] = texts[1].removesuffix(" %")
+    return f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
 def format_index(value: float, low: float | None = None, high: float | None = None) -> str:
@@ -240,7 +249,9 @@ def format_estimate(
     """
     if low is None or high is None or low == high:
         return format_value(value, name, min(most, 6))
-    unit, factor = display_unit(name, value) if name else ("", 1.0)
+    unit, factor = "", 1.0
+    if name:
+        unit, factor = display_unit(name, value)
     scaled = [number * factor for number in (value, low, high)]
     if not all(map(math.isfinite, scaled)):  # a difference of numbers near the largest there are
         return f"{scaled[0]:.6g} ({scaled[1]:.6g} to {scaled[2]:.6g}) {unit}".rstrip()
@@ -262,9 +273,7 @@ def format_estimate(
 
 
 def _decimals(value: float, low: float, high: float) -> int:
-    """Decimals of the second significant digit of a half-width, or six digits of the value where
-    there is none.
-    """
+    """Decimals of the second significant digit of the half-width; without one, of six digits."""
     half_width = 0.5 * abs(high - low)
     if not (half_width > 0.0 and math.isfinite(half_width)):
         return 5 - (math.floor(math.log10(abs(value))) if value else 0)

@@ -1,6 +1,6 @@
-"""The closed table of units, what one number is called, and the parsing of values with their unit.
+"""Units, the nomenclature entry of a number, and the parsing of values with their unit.
 
-Inside the code every value is in SI.
+All values inside the code are in SI.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from uqsphere.arrays import Values
 
 
 class UnitError(ValueError):
-    """A text is not a number with a unit of the dimension that is due."""
+    """A text is not a number with a unit of the required dimension."""
 
 
 _G: Final = 9.80665  # standard gravity [m/s²]
 _LBF: Final = 0.45359237 * _G
-#: dimension -> unit -> factor to SI.  The first unit of each dimension is the SI unit itself.
+#: dimension -> unit -> factor to SI; the first unit of each dimension is the SI unit
 UNITS: Final[dict[str, dict[str, float]]] = {
     "length": {
         "m": 1.0,
@@ -107,36 +107,35 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "number": {"": 1.0},
 }
 
-#: single underscores between digits, as TOML has them
+#: a number, with single underscores between digits as in TOML
 _NUMBER: Final = re.compile(
     r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII
 )
-#: the tip of a rotor: turns, and its diameter
+#: tip speed of a rotor: revolutions per minute, and diameter
 _ROTOR: Final = re.compile(r"(.+?)\s*rpm\s*(?:at|@|x)\s*(.+)")
 _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number by its name: an entry of the nomenclature, with all that is known of a quantity of
-    interest.
+    """One entry of the nomenclature: an input, or a quantity of interest.
 
-    dimension : A key of `UNITS`.
-    display : the unit that people read, all values inside the code being SI.
-    lower, upper : what has a meaning at all; the bounds themselves are refused unless `closed`.
-    plausible : (low, high); the range outside which a value is worth a second look.
-    follows : `force` or `energy` if a quantity of interest rises with the largest one so far; else
-        empty.
-    fracture : its exceedance can mean that the sphere breaks.
-    early : only what comes before the first reflected wave counts.
-    place : what of the sphere it is a load of: `contact`, the circle's `rim`, the `core` of the
-    sphere, the place `below` a contact; else empty.  Loads of contact and rim fall where the bars
-    yield, since the circle widens; those of the core and below a contact are computed for equal
-    forces at both faces.
-    censored : column that says where the record ended before it was decided; empty if it always is.
+    meaning : its name, and after a colon what it is made of.
+    dimension : a key of `UNITS`.
+    display : the unit that people read; all values inside the code are SI.
+    lower, upper : bounds of valid values, exclusive unless `closed`.
+    plausible : (low, high); a value outside gets a warning.
+    follows : `force` or `energy` if it increases with the peak force or energy so far; else empty.
+    fracture : whether its exceedance can mean that the sphere breaks.
+    early : whether only the time before the first reflected wave counts.
+    place : part of the sphere that it loads: `contact`, the contact `rim`, the `core`, the region
+        `below` a contact; else empty.  Demands on contact and rim decrease where the bars yield,
+        since the contact circle widens; those on the core and below a contact are computed for
+        equal forces at both contacts.
+    censored : column of rows whose evaluation window ended too early; empty if there is none.
     needs : columns that `formula` reads.
-    formula : the quantity, (n,), from columns of the scene, of the scales, of the integrator and
-        other quantities.
+    formula : function of columns (scene, scale factors, integrator, other quantities) that returns
+        the quantity, (n,).
     """
 
     name: str
@@ -162,26 +161,25 @@ class Quantity:
         return next(iter(UNITS[self.dimension]))
 
     def allows(self, value: Values) -> Values:
-        """Whether each value (SI) lies inside the bounds of meaning."""
+        """Whether each value [SI] is within the bounds."""
         if self.closed:
             return (self.lower <= value) & (value <= self.upper)
         return (self.lower < value) & (value < self.upper)
 
 
 def typed_units(dimension: str) -> str:
-    """Those that every keyboard has, in one text."""
+    """Units of a dimension that can be typed on every keyboard."""
     return ", ".join(unit for unit in UNITS[dimension] if unit.isascii() and "^" not in unit)
 
 
 def parse_value(text: object, dimension: str, example: str = "") -> float:
-    """Number with unit → SI value.
+    """SI value of a number with a unit.
 
-    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a
-    dimensionless quantity only, which may also be ``"15 %"``.  A speed may be that of a rotor's
-    tip, ``"1450 rpm at 0.9 m"``.  No expression is evaluated.  A message shows the unit `example`,
-    SI without one.
+    A dimensional value must be a string such as ``"25 mm"``.  Only a dimensionless quantity may be
+    a plain number, or ``"15 %"``.  A speed may be a rotor's tip speed, ``"1450 rpm at 0.9 m"``.
+    No expression is evaluated.  Messages suggest the unit `example` (default: SI).
 
-    Raises UnitError with what was found, what is allowed, and the fix.
+    Raises UnitError with the allowed form and the correction.
 
     >>> parse_value("25 mm", "length"), parse_value("15 %", "number"), parse_value("2 tf", "force")
     (0.025, 0.15, 19613.3)
@@ -196,9 +194,9 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     table = UNITS[dimension]
     example = example or next(iter(table))
     allowed = typed_units(dimension)
-    with_unit, such = (
-        ("", "0.25") if dimension == "number" else (" with a unit", f'"1.5 {example}"')
-    )
+    with_unit, such = " with a unit", f'"1.5 {example}"'
+    if dimension == "number":
+        with_unit, such = "", "0.25"
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
         names: dict[type, str] = {
             bool: "a boolean",
@@ -206,10 +204,8 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             dict: "a table",
             type(None): "nothing",
         }
-        raise UnitError(
-            f"expected a number{with_unit}, found "
-            f"{names.get(type(text), f'a {type(text).__name__}')}"
-        )
+        kind = names.get(type(text), f"a {type(text).__name__}")
+        raise UnitError(f"must be a number{with_unit}, not {kind}")
     if isinstance(text, (int, float)):
         if dimension != "number":
             bare = bare_number(text)
@@ -223,25 +219,21 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         turns, diameter = parse_value(rotor[1], "number"), parse_value(rotor[2], "length", "m")
         return math.pi * diameter * turns / 60.0
     if mark := _THOUSANDS.match(stripped):
-        number = (
-            mark[0].replace(".", "").replace(",", ".")
-            if "," in mark[0][-4:]
-            else mark[0].replace(",", "")
-        )
+        number = mark[0].replace(",", "")
+        if "," in mark[0][-4:]:
+            number = mark[0].replace(".", "").replace(",", ".")
         raise UnitError(
-            f'{text!r} has a mark of thousands: write "{number}{stripped[mark.end() :]}"'
+            f'{text!r} has a thousands separator: write "{number}{stripped[mark.end() :]}"'
         )
     match = _NUMBER.match(stripped)
     if match is None:
-        raise UnitError(f"{text!r} is not a number{with_unit}, such as {such}")
+        raise UnitError(f"{text!r} is not a number{with_unit}; write, for example, {such}")
     number, unit = match.group(), stripped[match.end() :].strip()
     if unit.startswith(",") and unit[1:2].isdigit():
         raise UnitError(f'{text!r} has a decimal comma: write "{stripped.replace(",", ".", 1)}"')
     if dimension == "number":
         if unit not in ("", "%"):
-            raise UnitError(
-                f"{text!r}: a plain number is required here, without a unit (found {unit!r})"
-            )
+            raise UnitError(f"{text!r} must be a plain number, without the unit {unit!r}")
         return _finite(float(number) * (0.01 if unit else 1.0), text)
     if unit not in table:
         if not unit:
@@ -257,16 +249,16 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
 
 
 def likely_unit(raw: Any, quantity: Quantity) -> str:
-    """The unit to suggest for a number without one: that people read, or the first that makes it
-    usual.
-    """
+    """Unit to suggest for a number without one: the display unit, or the first plausible one."""
     try:
         bare = float(raw)
     except (TypeError, ValueError, OverflowError):
         return quantity.display
     (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
-    usual = (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high)
-    return next(usual, quantity.display)
+    for unit in (quantity.display, *factors):
+        if low <= bare * factors.get(unit, 1.0) <= high:
+            return unit
+    return quantity.display
 
 
 def bare_number(value: float) -> str:
@@ -275,11 +267,13 @@ def bare_number(value: float) -> str:
     >>> bare_number(52000000000.0), bare_number(0.5), bare_number(40)
     ('52e9', '0.5', '40')
     """
-    power = next(
-        (p for p in (12, 9, 6) if isinstance(value, float) and 10.0**p <= abs(value) < 1e15), 0
-    )
-    text = f"{value / 10.0**power:.15g}e{power}" if power else ""
-    return text if text and float(text) == value else repr(value).removesuffix(".0")
+    if isinstance(value, float):
+        for power in (12, 9, 6):
+            if 10.0**power <= abs(value) < 1e15:
+                text = f"{value / 10.0**power:.15g}e{power}"
+                if float(text) == value:
+                    return text
+    return repr(value).removesuffix(".0")
 
 
 def _finite(value: float, text: str) -> float:

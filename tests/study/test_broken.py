@@ -165,20 +165,20 @@ CASES = [
         "a decimal comma", '"40 mm"', '"0,04 m"', "bars.diameter", "decimal comma", 'write "0.04 m"'
     ),
     one("a unit of something else", '"40 mm"', '"40 GPa"', "unknown unit 'GPa' for a length", "mm"),
-    one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "found 'm'"),
-    one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "found a boolean"),
+    one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "the unit 'm'"),
+    one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "not a boolean"),
     one(
         "an array for a number",
         '"40 mm"',
         '["40 mm"]',
-        "bars.diameter: expected a",
-        "found an array",
+        "bars.diameter: must be a",
+        "not an array",
     ),
     one(
         "a date for a number",
         '"40 mm"',
         "1979-05-27",
-        "bars.diameter: expected a number with a unit, found a date",
+        "bars.diameter: must be a number with a unit, not a date",
     ),
     one("a negative length", '"40 mm"', '"-40 mm"', 'found "-40 mm"', "must be above 0"),
     one("Poisson ratio of a half", "nu = 0.25", "nu = 0.5", "sphere.nu", "between -1 and 0.5"),
@@ -188,7 +188,9 @@ CASES = [
         'incident_end = "fre"',
         "did you mean 'free'?",
     ),
-    one("an end beyond its range", 'incident_end = "free"', "incident_end = 1.5", "from -1 to 1"),
+    one(
+        "an end beyond its range", 'incident_end = "free"', "incident_end = 1.5", "between -1 and 1"
+    ),
     # keys and words
     one(
         "an unknown key",
@@ -471,7 +473,7 @@ CASES = [
     file(
         "rig: gauges[0].position",
         CELL + 'gauges = [{ bar = "rod", position = {} }]',
-        "6: gauges[0].position: expected a number with a unit, found a table",
+        "6: gauges[0].position: must be a number with a unit, not a table",
         at=None,
     ),
     one(

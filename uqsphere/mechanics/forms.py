@@ -1,6 +1,4 @@
-"""Which numbers a table of a scene needs by its kind, and which others it may have; a study asks
-for a little more.
-"""
+"""Required and optional keys of every table of a scene, by its kind; studies require a few more."""
 
 from __future__ import annotations
 
@@ -15,8 +13,8 @@ _STRUCK: Final = {
     "bar": "E nu density diameter; length end",
     "mass": "E nu mass; density",
 }
-#: by table and kind: keys that it needs, one of both where a bar stands between; behind the
-#: semicolon others that it takes, and not every other kind of its table
+#: by table and kind: required keys, alternatives separated by a bar; after the semicolon, optional
+#: keys that not every kind of the table has
 FORMS: Final[Mapping[str, Mapping[str, str]]] = {
     "sphere": {"": "E nu density radius"},
     "insert": {"": "E"},
@@ -55,27 +53,29 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
 def kinds_of(
     rig: str, shape: str, *, timed: bool, infinite: bool, options: Mapping[str, object]
 ) -> dict[str, str]:
-    """The kind of every table that has several; `options` are words of a study, as `Scene` has
-    them.
+    """The kind of every table that has several.
 
-    timed : whether the pulse has a duration of its own, which does not follow from the striker's
-        length.
+    timed : whether the pulse duration is given, and does not follow from the striker's length.
+    options : words of a study, see `Scene`.
     """
+    striker = ""
+    if shape == "measured":
+        striker = "measured"
+    elif timed or shape == "step":
+        striker = "pulse.duration"
     return {
         **{table: str(options.get(f"{table}.kind", "thick")) for table in ("target", "anvil")},
         "hammer": str(options.get("hammer.shape", "")),
         "contact": str(options.get("contact.law", "hertz")),
-        "bars": "infinite" * infinite,
+        "bars": "infinite" if infinite else "",
         "pulse": shape,
         "rig": rig,
-        "striker": "measured"
-        if shape == "measured"
-        else "pulse.duration" * (timed or shape == "step"),
+        "striker": striker,
     }
 
 
 def needs_of(text: str) -> list[list[str]]:
-    """What a form needs, each with what may stand in its place.
+    """Required keys of a form, each with its alternatives.
 
     >>> needs_of("E nu force|displacement; speed")
     [['E'], ['nu'], ['force', 'displacement']]
