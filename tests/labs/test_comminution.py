@@ -14,6 +14,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
@@ -530,3 +531,83 @@ def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["comminution", "fit", str(bad)]) == 2
     assert "material 'cheese'" in capsys.readouterr().err
     assert main(["comminution", "fit", str(tmp_path / "none.toml")]) == 6
+
+
+# --- back into a study ----------------------------------------------------------------------------
+
+LOOP = """
+title = "Limestone under the drop weight of its tests"
+seed = 5
+[sphere]
+E = "50 GPa"
+nu = 0.25
+density = "2700 kg/m3"
+radius = "10 mm"
+[rig]
+kind = "drop_weight"
+[hammer]
+mass = "1 kg"
+drop_height = "{height} m"
+material = "steel"
+face_radius = "flat"
+[anvil]
+kind = "thick"
+material = "steel"
+[contact]
+law = "hertz"
+[limits.fracture]
+quantity = "specific_energy_sphere"
+strength = {{ draws = "draws.csv" }}
+aim = "break"
+target = 0.1
+[analysis]
+quantities = ["specific_impact_energy"]
+"""
+
+
+@pytest.mark.slow
+def test_drop_weight_tests_that_break_half_break_half_in_the_same_drop_weight(
+    tmp_path: Path,
+) -> None:
+    """The fit credits a particle with its share of the energy offered, as the study does."""
+    half, mass = 130.0, 2700.0 * math.pi / 6.0 * 0.02**3
+    offered = half * np.geomspace(0.25, 4.0, 9)
+    broken = np.round(60 * ndtr(np.log(offered / half) / 0.5)).astype(int)
+    rows = [f"20,{e:.6g},60,{b}" for e, b in zip(offered, broken, strict=True)]
+    (tmp_path / "tests.csv").write_text("\n".join(["d [mm],e [J/kg],n,b", *rows]) + "\n")
+    asked = document(
+        material={"E": "50 GPa", "nu": 0.25, "density": "2700 kg/m3"},
+        tests={
+            "rig": "drop_weight",
+            "energy_is": "input",
+            "outcome": None,
+            "particles": "n",
+            "broken": "b",
+            "partner": {"material": "steel"},
+            "law": "lognormal",
+            "ratio": math.inf,
+        },
+    )
+    tests = load_tests(asked, tmp_path)
+    fitted = fit(tests, asked)
+    (size,) = fitted.content["sizes"]
+    assert size["breaks_half"]["value"] == pytest.approx(0.8075 * half, rel=0.05)
+    (tmp_path / "draws.csv").write_text(fitted.posterior.strength_csv(0.02))
+    (tmp_path / "loop.toml").write_text(LOOP.format(height=half * mass / 9.80665))
+    run = uqsphere.run(uqsphere.load_study(tmp_path / "loop.toml"))
+    frame = run.answers
+    rows_of = (frame.subject == "limits.fracture") & (frame.answer == "exceedance_probability")
+    (answer,) = frame[rows_of].itertuples()
+    assert answer.value == pytest.approx(0.5, abs=0.04)
+
+
+@pytest.mark.parametrize("rig", ["drop_weight", "impact", "drop"])
+def test_every_offered_energy_is_shared_with_the_partner(rig: str, tmp_path: Path) -> None:
+    text = "d [mm],e [J/kg],outcome\n20,100,broke\n20,80,survived\n20,90,broke\n20,120,survived\n"
+    steel = {"material": "steel"}
+    shared = table(tmp_path, text, rig=rig, energy_is="input", partner=steel)
+    own, other = 60e9 / (1.0 - 0.25**2), 210e9 / (1.0 - 0.3**2)
+    assert shared.last[0] / 100.0 == pytest.approx(laws.particle_share(own, other), rel=0.05)
+    whole = table(tmp_path, text, rig=rig, energy_is="input")
+    assert whole.last.tolist() == [100.0, 80.0, 90.0, 120.0]
+    assert any("credited with the whole energy offered" in note for note in whole.notes)

@@ -24,8 +24,8 @@ from uqsphere.labs.comminution.document import (
     ProductTable,
     SizesTable,
 )
+from uqsphere.labs.comminution.energies import stiffness
 from uqsphere.labs.comminution.fit import Posterior, quantiles
-from uqsphere.labs.comminution.tests import stiffness
 from uqsphere.tables import read_table
 
 #: draws that a feed is computed for

@@ -1,6 +1,5 @@
 """Tests of single particles: between which energies the first fracture energy of every specimen
-lies.
-"""
+lies."""
 
 from __future__ import annotations
 
@@ -10,14 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
+from uqsphere.labs.comminution.document import ComminutionDocument, TestsTable
+from uqsphere.labs.comminution.energies import particle_energies
 from uqsphere.tables import Table, read_table
 
-#: rigs whose energy is that at failure; in the others it is what was offered
+#: rigs that record the energy at failure; the others record the energy offered
 AT_FAILURE: Final = ("platens", "load_cell", "bars")
+_OFFERING: Final = ("drop_weight", "impact", "drop")
 _BROKE: Final = {
     "broke": True,
     "broken": True,
@@ -30,16 +31,18 @@ _BROKE: Final = {
     "false": False,
     "stopped": False,
 }
-#: sizes that differ by no more than this are one
+#: relative difference within which two sizes are the same
 _SAME: Final = 0.005
+_MOST_BLOWS: Final = 10_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Specimens:
-    """Specimens (s,) with the blows (s, K) [J/kg] that each had, 0 for none; NaN-free.
+    """Specimens (s,) with the blows (s, K) [J/kg] that each had, 0 for none.
 
-    broke : whether the last blow broke it;  exact : whether its energy at failure is known;  weight
-        : particles alike.
+    broke : whether the last blow broke it.
+    exact : whether its energy at failure is known.
+    weight : number of such particles.
     """
 
     diameter: Array
@@ -52,8 +55,11 @@ class Specimens:
     @property
     def last(self) -> Array:
         """(s,) energy of the last blow [J/kg]."""
-        at = np.maximum((self.blows > 0).sum(axis=1) - 1, 0)
-        return np.asarray(self.blows[np.arange(len(self.blows)), at])
+        return np.asarray(self.blows[np.arange(len(self.blows)), self._last_blow])
+
+    @property
+    def _last_blow(self) -> Places:
+        return np.asarray(np.maximum((self.blows > 0).sum(axis=1) - 1, 0))
 
     @property
     def repeated(self) -> Flags:
@@ -62,243 +68,217 @@ class Specimens:
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """The sizes that were tested [m], rising."""
+        """The tested sizes [m], rising."""
         ordered = np.sort(self.diameter)
         parts = np.split(ordered, np.flatnonzero(np.diff(np.log(ordered)) > _SAME) + 1)
         return tuple(float(np.exp(np.log(part).mean())) for part in parts)
 
     def bounds(self, gamma: Array) -> tuple[Array, Array]:
         """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
-        known exactly.
-        """
-        g = np.asarray(gamma, dtype=float)[..., None]
+        known exactly."""
+        exponent = np.asarray(gamma, dtype=float)[..., None]
         before = self.blows.copy()
-        at = np.maximum((self.blows > 0).sum(axis=1) - 1, 0)
-        before[np.arange(len(before)), at] = 0.0
-        survived = laws.survivor_bound(np.where(self.broke[:, None], before, self.blows), g)
-        ended = np.where(self.broke, laws.survivor_bound(self.blows, g), np.inf)
+        before[np.arange(len(before)), self._last_blow] = 0.0
+        survived = laws.survivor_bound(np.where(self.broke[:, None], before, self.blows), exponent)
+        ended = np.where(self.broke, laws.survivor_bound(self.blows, exponent), np.inf)
         known = self.exact & self.broke
         return np.where(known, self.last, survived), np.where(known, self.last, ended)
 
 
-def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
-    """The specimens of the table of an input file; UsageError with the lines of rows that cannot
-    be.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rows:
+    """Rows (n,) of a table of tests.
+
+    names : specimens; at_failure : whether the energy is that at failure; particles, broken :
+    numbers of particles; blows : equal blows of the row.
     """
-    table, want = read_table(folder / asked.tests.file), asked.tests
-    for column, value in want.where.items():
-        texts = table.texts(column) if isinstance(value, str) else table.numbers(column)
-        kept = [k for k, cell in enumerate(texts) if cell == value]
-        table = replace(
-            table, rows=[table.rows[k] for k in kept], lines=[table.lines[k] for k in kept]
-        )
-    if not len(table):
-        raise UsageError(f"{table.name}: no row is left (tests.where)")
-    if want.diameter is not None:
-        diameter = table.numbers(
-            want.diameter, "length", want.diameter_unit or None, key="diameter"
-        )
-    else:
-        low, high = (
-            table.numbers(str(c), "length", want.diameter_unit or None, key="diameter")
-            for c in (want.mesh_lower, want.mesh_upper)
-        )
-        diameter = np.sqrt(low * high)
-    one = np.ones(len(diameter))
-    particles = one if want.particles is None else table.numbers(want.particles)
-    count = one if want.blows is None else table.numbers(want.blows)
+
+    table: Table
+    names: list[str]
+    diameter: Array
+    energy: Array
+    at_failure: Flags
+    particles: Array
+    broken: Array
+    blows: Places
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Specimen:
+    """One specimen, or several alike: its blows [J/kg] in order."""
+
+    diameter: float
+    blows: list[float]
+    broke: bool
+    exact: bool
+    weight: float
+
+
+def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
+    """The specimens of the table of an input file.
+
+    Raises UsageError with the lines of impossible rows, and for tests that bound no energy.
+    """
+    want = asked.tests
+    table = _chosen(read_table(folder / want.file), want)
+    diameter = _diameters(table, want)
+    particles = blows = np.ones(len(diameter))
+    if want.particles is not None:
+        particles = table.numbers(want.particles)
+    if want.blows is not None:
+        blows = table.numbers(want.blows)
     if want.broken is not None:
         broken = table.numbers(want.broken)
     else:
-        broken = (
-            table.flags(str(want.outcome), "outcome", _BROKE, f"one of {', '.join(_BROKE)}")
-            * particles
-        )
-    rig = (
-        np.full(len(diameter), want.rig)
-        if want.rig_column is None
-        else np.array(table.texts(want.rig_column))
+        allowed = f"one of {', '.join(_BROKE)}"
+        broken = table.flags(str(want.outcome), "outcome", _BROKE, allowed) * particles
+    rig = np.full(len(diameter), want.rig)
+    if want.rig_column is not None:
+        rig = np.array(table.texts(want.rig_column))
+    at_failure = np.isin(rig, AT_FAILURE)
+    complete = ~np.isnan(diameter + particles + broken + blows)
+
+    def refuse(text: str, wrong: Flags) -> None:
+        table.refuse("", text, np.asarray(wrong & complete))
+
+    rigs = (*AT_FAILURE, *_OFFERING)
+    refuse(f"rig must be one of {', '.join(rigs)}", ~np.isin(rig, rigs))
+    refuse("the size must be above 0", diameter <= 0.0)
+    whole = particles == np.round(particles)
+    refuse("particles must be a whole number of at least 1", ~whole | (particles < 1))
+    refuse("broken must be between 0 and particles", (broken < 0) | (broken > particles))
+    refuse(f"blows must be from 1 to {_MOST_BLOWS:,}", (blows < 1) | (blows > _MOST_BLOWS))
+    refuse(
+        "a press tests a particle once: blows need drop_weight, impact or drop",
+        at_failure & (blows > 1),
     )
-    known = (*AT_FAILURE, "drop_weight", "impact", "drop")
-    for wrong, text in (
-        (~np.isin(rig, known), f"rig: one of {', '.join(known)}"),
-        (diameter <= 0.0, "the size must be above 0"),
-        (
-            (particles < 1) | (particles != np.round(particles)),
-            "particles: a whole number of 1 or more",
-        ),
-        ((broken < 0) | (broken > particles), "broken lies from 0 to particles"),
-        ((count < 1) | (count > 10_000), "blows lie from 1 to 10,000"),
-        (
-            np.isin(rig, AT_FAILURE) & (count > 1),
-            "a press tests once: blows belong to weights and throws",
-        ),
-    ):
-        table.refuse("", text, np.asarray(wrong) & ~np.isnan(diameter + particles + broken + count))
-    energy, notes = _energies(asked, table, diameter, rig)
+    energy, notes = particle_energies(asked, table, diameter, rig)
     table.refuse("", "the energy must be above 0", energy <= 0.0)
-    names = (
-        [str(k) for k in range(len(energy))]
-        if want.specimen is None
-        else table.texts(want.specimen)
-    )
+    names = [str(row) for row in range(len(energy))]
+    if want.specimen is not None:
+        names = table.texts(want.specimen)
     table.finish()
-    notes = [*table.notes, *notes, *_odd_rows(table, diameter, energy)]
-    return _specimens(
-        table,
-        names,
-        diameter,
-        energy,
-        np.isin(rig, AT_FAILURE),
-        particles,
-        broken,
-        count.astype(int),
-        notes,
+    rows = _Rows(
+        table=table,
+        names=names,
+        diameter=diameter,
+        energy=energy,
+        at_failure=at_failure,
+        particles=particles,
+        broken=broken,
+        blows=blows.astype(int),
     )
+    made = _specimens(rows, [*table.notes, *notes, *_odd_rows(rows)])
+    _check_bounded(made)
+    return made
 
 
-def stiffness(body: Elastic) -> float:
-    """k = E/(1 - nu²) [Pa] of a body; UsageError where it has none."""
-    if body.E is None or body.nu is None:
-        raise UsageError(
-            "material, tests.partner and feed.impact_surface need E and nu, or a material of the "
-            "library"
+def _chosen(table: Table, want: TestsTable) -> Table:
+    """The rows that `tests.where` selects."""
+    for column, value in want.where.items():
+        cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
+        kept = [row for row, cell in enumerate(cells) if cell == value]
+        table = replace(
+            table,
+            rows=[table.rows[row] for row in kept],
+            lines=[table.lines[row] for row in kept],
         )
-    return body.E / (1.0 - body.nu**2)
+    if not len(table):
+        raise UsageError(f"{table.name}: tests.where selects no row")
+    return table
 
 
-def _energies(
-    asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray
-) -> tuple[Array, list[str]]:
-    """The particle's own energy per mass [J/kg] of every row."""
-    want, own, notes = asked.tests, asked.material, []
-    if want.mass is not None:
-        mass = table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
-    else:
-        if own.density is None:
-            raise UsageError("material.density is required, or a column tests.mass")
-        mass = laws.mass_of(diameter, own.density)
-    share = 1.0
-    partner = want.partner
-    if partner is not None:
-        share = laws.particle_share(stiffness(own), stiffness(partner))
-    meaning = want.energy_is
-    if want.specific_energy is not None:
-        found = table.numbers(
-            want.specific_energy, "specific_energy", want.unit or None, key="energy"
-        )
-    elif want.energy is not None:
-        found = table.numbers(want.energy, "energy", want.unit or None, key="energy") / mass
-    elif want.speed is not None:
-        found, meaning = (
-            0.5 * table.numbers(want.speed, "speed", want.unit or None, key="energy") ** 2,
-            "input",
-        )
-    else:
-        assert want.force is not None
-        force, meaning = (
-            table.numbers(want.force, "force", want.unit or None, key="energy"),
-            "contact",
-        )
-        if want.stiffness is not None:
-            modulus = table.numbers(
-                want.stiffness, "pressure", want.stiffness_unit or None, key="stiffness"
-            )
-        else:
-            compliance = 1.0 / stiffness(own) + (
-                1.0 / stiffness(partner) if partner is not None else 0.0
-            )
-            modulus = np.full(len(force), 1.0 / compliance)
-            notes.append(
-                "the stiffness of intact rock is assumed: energies of broken rock are 2 to 3 "
-                "times larger"
-            )
-        found = laws.energy_of_force(force, diameter, modulus, mass)
-    if meaning == "sphere":
-        return found, notes
-    if partner is None and meaning == "contact":
-        notes.append(
-            "no tests.partner: the whole energy of the contacts is taken as the particle's own"
-        )
-    # a falling weight's energy is credited to the particle whole, as the drop-weight test does
-    taken = np.where((meaning == "input") & (rig == "drop_weight"), 1.0, share)
-    return found * taken, notes
+def _diameters(table: Table, want: TestsTable) -> Array:
+    """Diameters (n,) [m]: a column, or the geometric mean of two sieves."""
+    unit = want.diameter_unit or None
+    if want.diameter is not None:
+        return table.numbers(want.diameter, "length", unit, key="diameter")
+    lower = table.numbers(str(want.mesh_lower), "length", unit, key="diameter")
+    upper = table.numbers(str(want.mesh_upper), "length", unit, key="diameter")
+    return np.asarray(np.sqrt(lower * upper))
 
 
-def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
-    """Rows that lie 5 robust deviations from a line of ln e over ln d."""
-    if len(energy) < 8:
+def _odd_rows(rows: _Rows) -> list[str]:
+    """A note on rows 5 robust deviations from a line of ln e over ln d."""
+    if len(rows.energy) < 8:
         return []
-    x, y = np.log(diameter), np.log(energy)
-    slope, middle = np.polyfit(x, y, 1) if np.ptp(x) > 0.05 else (0.0, float(np.median(y)))
+    x, y = np.log(rows.diameter), np.log(rows.energy)
+    slope, middle = 0.0, float(np.median(y))
+    if np.ptp(x) > 0.05:
+        slope, middle = np.polyfit(x, y, 1)
     left = y - middle - slope * x
-    scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
-    odd = np.abs(left - np.median(left)) > 5.0 * max(scale, 0.05)
-    lines = ", ".join(map(str, np.array(table.lines)[odd][:8]))
-    return (
-        [f"line {lines}: the energy lies far from the others: is its unit right?"]
-        if odd.any()
-        else []
-    )
+    away = np.abs(left - np.median(left))
+    odd = away > 5.0 * max(1.4826 * float(np.median(away)), 0.05)
+    if not odd.any():
+        return []
+    lines = ", ".join(map(str, np.array(rows.table.lines)[odd][:8]))
+    return [f"line {lines}: the energy lies far from the others: is its unit right?"]
 
 
-def _specimens(
-    table: Table,
-    names: list[str],
-    diameter: Array,
-    energy: Array,
-    known: Flags,
-    particles: Array,
-    broken: Array,
-    count: np.ndarray,
-    notes: list[str],
-) -> Specimens:
-    """Rows of one name as the series of blows on one particle; groups as those that broke and those
-    that did not.
-    """
-    lines = table.lines
+def _specimens(rows: _Rows, notes: list[str]) -> Specimens:
+    """Rows of one name as the series of blows on one particle; groups as broken and unbroken
+    ones."""
     order: dict[str, list[int]] = {}
-    for k, name in enumerate(names):
-        order.setdefault(name, []).append(k)
-    found: list[tuple[float, list[float], bool, bool, float]] = []
+    for row, name in enumerate(rows.names):
+        order.setdefault(name, []).append(row)
+    specimens: list[_Specimen] = []
     for group in order.values():
-        if len(group) > 1:
-            early = [k for k in group[:-1] if broken[k] > 0]
-            if early:
-                raise UsageError(
-                    f"{table.name}: line {lines[early[0]]}: a specimen is hit again after it broke"
-                )
-            if (particles[group] > 1).any():
-                raise UsageError(
-                    f"{table.name}: line {lines[group[0]]}: a specimen hit again is one particle"
-                )
-        series = [float(energy[k]) for k in group for _ in range(int(count[k]))]
+        _check_series(rows, group)
+        blows: list[float] = []
+        for row in group:
+            blows += [float(rows.energy[row])] * int(rows.blows[row])
         last = group[-1]
-        exact = bool(known[last]) and len(series) == 1
-        if broken[last] > 0:
-            found.append((float(diameter[last]), series, True, exact, float(broken[last])))
-        if broken[last] < particles[last]:
-            found.append(
-                (float(diameter[last]), series, False, exact, float(particles[last] - broken[last]))
-            )
-    blows = np.zeros((len(found), max(len(one[1]) for one in found)))
-    for k, one in enumerate(found):
-        blows[k, : len(one[1])] = one[1]
-    made = Specimens(
-        diameter=np.array([one[0] for one in found]),
-        blows=blows,
-        broke=np.array([one[2] for one in found]),
-        exact=np.array([one[3] for one in found]),
-        weight=np.array([one[4] for one in found]),
+        broken, survived = rows.broken[last], rows.particles[last] - rows.broken[last]
+        for number, broke in ((broken, True), (survived, False)):
+            if number > 0:
+                specimens.append(
+                    _Specimen(
+                        diameter=float(rows.diameter[last]),
+                        blows=blows,
+                        broke=broke,
+                        exact=bool(rows.at_failure[last]) and len(blows) == 1,
+                        weight=float(number),
+                    )
+                )
+    every = np.zeros((len(specimens), max(len(specimen.blows) for specimen in specimens)))
+    for row, specimen in enumerate(specimens):
+        every[row, : len(specimen.blows)] = specimen.blows
+    return Specimens(
+        diameter=np.array([specimen.diameter for specimen in specimens]),
+        blows=every,
+        broke=np.array([specimen.broke for specimen in specimens]),
+        exact=np.array([specimen.exact for specimen in specimens]),
+        weight=np.array([specimen.weight for specimen in specimens]),
         notes=tuple(notes),
     )
-    if not made.broke.any():
+
+
+def _check_series(rows: _Rows, group: list[int]) -> None:
+    """Refuse blows on a broken particle, and on several at once."""
+    table = rows.table
+    if len(group) == 1:
+        return
+    early = [row for row in group[:-1] if rows.broken[row] > 0]
+    if early:
         raise UsageError(
-            "every particle survived: nothing bounds its energy from above; test at higher energies"
+            f"{table.name}: line {table.lines[early[0]]}: a specimen is hit again after it broke"
         )
-    if made.broke.all() and not made.exact.any() and not made.repeated.any():
+    if (rows.particles[group] > 1).any():
+        raise UsageError(
+            f"{table.name}: line {table.lines[group[0]]}: a specimen that is hit again must be one "
+            "particle"
+        )
+
+
+def _check_bounded(tests: Specimens) -> None:
+    """Refuse tests that leave the fracture energy open on one side."""
+    if not tests.broke.any():
+        raise UsageError(
+            "every particle survived: nothing bounds the fracture energy from above; test at "
+            "higher energies"
+        )
+    if tests.broke.all() and not tests.exact.any() and not tests.repeated.any():
         raise UsageError(
             "every particle broke at its first blow: nothing bounds it from below; test at lower "
             "energies"
         )
-    return made

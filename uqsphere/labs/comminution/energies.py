@@ -1,0 +1,170 @@
+"""The energy that a particle itself takes up in a test: its share of what is offered or stored.
+
+A blow of a weight, a throw or a fall offers an energy, of which the particle takes the share that
+the impact model of a study gives it (`uqsphere.evaluate`): what a fit calls the fracture energy is
+what a study compares with it.  A force, or an energy that is stored in the contacts, is shared
+elastically.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags
+from uqsphere.errors import UqsphereError, UsageError
+from uqsphere.labs.comminution import laws
+from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
+from uqsphere.materials import library
+from uqsphere.tables import Table
+
+#: mass of a falling weight over that of a particle, where it only carries the energy
+_HEAVY: Final = 1000.0
+_GRAVITY: Final = 9.80665
+
+
+def stiffness(body: Elastic) -> float:
+    """k = E/(1 - nu²) [Pa] of a body; UsageError where it is not known."""
+    if body.E is None or body.nu is None:
+        raise UsageError(
+            "material, tests.partner and feed.impact_surface need E and nu, or a material of the "
+            "library"
+        )
+    return body.E / (1.0 - body.nu**2)
+
+
+def particle_energies(
+    asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray
+) -> tuple[Array, list[str]]:
+    """The particle's own energy per mass [J/kg] of every row, and notes."""
+    want, material = asked.tests, asked.material
+    unit, meaning, notes = want.unit or None, want.energy_is, list[str]()
+    mass = _masses(asked, table, diameter)
+    if want.force is not None:
+        force = table.numbers(want.force, "force", unit, key="energy")
+        modulus = _moduli(asked, table, len(force), notes)
+        energy, meaning = laws.energy_of_force(force, diameter, modulus, mass), "contact"
+    elif want.specific_energy is not None:
+        energy = table.numbers(want.specific_energy, "specific_energy", unit, key="energy")
+    elif want.energy is not None:
+        energy = table.numbers(want.energy, "energy", unit, key="energy") / mass
+    else:
+        assert want.speed is not None
+        speed = table.numbers(want.speed, "speed", unit, key="energy")
+        energy, meaning = 0.5 * np.square(speed), "input"
+    if meaning == "sphere":
+        return energy, notes
+    if want.partner is None:
+        whole = "stored in the contacts" if meaning == "contact" else "offered"
+        notes.append(
+            f"without tests.partner the particle is credited with the whole energy {whole}; a "
+            "study credits it with its share only"
+        )
+        return energy, notes
+    share = laws.particle_share(stiffness(material), stiffness(want.partner))
+    shares: Array = np.full(len(energy), share)
+    if meaning == "input":
+        known = np.isfinite(energy) & (energy > 0.0) & (diameter > 0.0)
+        shares[known] = _offered_shares(asked, energy[known], diameter[known], rig[known], notes)
+        shares = np.where(np.isfinite(shares), shares, share)
+    return energy * shares, notes
+
+
+def _masses(asked: ComminutionDocument, table: Table, diameter: Array) -> Array:
+    """Masses [kg] of the particles, from their column or from density and size."""
+    want = asked.tests
+    if want.mass is not None:
+        return table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
+    if asked.material.density is None:
+        raise UsageError("material.density is required, or a column tests.mass")
+    return laws.mass_of(diameter, asked.material.density)
+
+
+def _moduli(asked: ComminutionDocument, table: Table, count: int, notes: list[str]) -> Array:
+    """E* [Pa] of the contacts: as measured, or of intact rock."""
+    want = asked.tests
+    if want.stiffness is not None:
+        unit = want.stiffness_unit or None
+        return table.numbers(want.stiffness, "pressure", unit, key="stiffness")
+    compliance = 1.0 / stiffness(asked.material)
+    if want.partner is not None:
+        compliance += 1.0 / stiffness(want.partner)
+    notes.append(
+        "the stiffness of intact rock is assumed: energies from the measured stiffness are often "
+        "2 to 3 times larger"
+    )
+    return np.full(count, 1.0 / compliance)
+
+
+def _offered_shares(
+    asked: ComminutionDocument, energy: Array, diameter: Array, rig: Array | Flags, notes: list[str]
+) -> Array:
+    """Shares of offered energies [J/kg] that particles take in the impact model, NaN without one.
+
+    A falling weight meets the particle on an anvil of the same material, a throw or a fall ends at
+    a thick target.
+    """
+    shares = np.full(len(energy), np.nan)
+    weight = np.asarray(rig == "drop_weight")
+    for rows, falling in ((weight, True), (~weight, False)):
+        if rows.any():
+            shares[rows] = _shares_in(asked, energy[rows], diameter[rows], falling, notes)
+    return shares
+
+
+def _shares_in(
+    asked: ComminutionDocument, energy: Array, diameter: Array, falling: bool, notes: list[str]
+) -> Array:
+    import uqsphere
+
+    partner = asked.tests.partner
+    assert partner is not None
+    bodies = (asked.material, partner)
+    if any(body.density is None for body in bodies):
+        return np.full(len(energy), np.nan)
+    sphere, other = _table(asked.material, "sphere"), _table(partner, "plates", "bars")
+    radius, quantities = 0.5 * diameter, ("specific_energy_sphere", "specific_impact_energy")
+    sphere["radius"] = f"{float(radius.mean())!r} m"
+    tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
+    rows = {"sphere.radius": radius}
+    if falling:
+        mass = _HEAVY * float(laws.mass_of(diameter, asked.material.density or 0.0).max())
+        hammer = {"mass": f"{mass!r} kg", "drop_height": "1 m", "face_radius": "flat"}
+        tables |= {
+            "rig": {"kind": "drop_weight"},
+            "hammer": {**hammer, **other},
+            "anvil": {"kind": "thick", **other},
+        }
+        offered = energy * laws.mass_of(diameter, asked.material.density or 0.0)
+        rows["hammer.drop_height"] = offered / (mass * _GRAVITY)
+    else:
+        tables |= {
+            "rig": {"kind": "impact", "speed": "1 m/s"},
+            "target": {"kind": "thick", **other},
+        }
+        rows["rig.speed"] = np.sqrt(2.0 * energy)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            answers = uqsphere.evaluate(uqsphere.Study(**tables), rows, quantities=quantities)
+        except UqsphereError as error:
+            notes.append(f"the share of the energy is that of elastic contacts: {error}")
+            return np.full(len(energy), np.nan)
+    notes += dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)
+    stored, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
+    return np.asarray(stored / whole)
+
+
+def _table(body: Elastic, *kinds: str) -> dict[str, Any]:
+    """A body as a table of a study: its material where the library has it there, and its
+    numbers."""
+    table: dict[str, Any] = {
+        "E": f"{body.E!r} Pa",
+        "nu": body.nu,
+        "density": f"{body.density!r} kg/m3",
+    }
+    if body.material is not None and any(body.material in library()[kind] for kind in kinds):
+        table["material"] = body.material
+    return table
