@@ -14,6 +14,7 @@ from tests.campaigns.chaos import MODELS, checked, design, relative_error
 from tests.campaigns.intervals import coverage_models, far_event_model
 from tests.campaigns.zoo import MODELS as ZOO
 from tests.campaigns.zoo import all_truths
+from uqsphere import analysis
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
 from uqsphere.uq.chaos.basis import grown, hyperbolic_indices, nested
 from uqsphere.uq.corrected import Corrected, indices_of
@@ -362,3 +363,35 @@ def test_a_variance_without_an_end_has_no_interval_of_zero_width() -> None:
     assert sd.high is None
     assert "heavy tail" in sd.reason
     assert sd.low < 69.6
+
+
+def test_forty_inputs_of_which_three_matter() -> None:
+    response = zoo_response("3 of 40", 256, 1)
+    assert response.error < 1e-20
+    assert response.used == response.trusted == tuple(range(8))
+    first = [estimate.value for estimate in indices_of(response)["first"]]
+    assert first == pytest.approx([0.4, 0.0, 0.2, *[0.0] * 37], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["levels", "gears"])
+def test_the_degree_in_an_input_is_below_the_number_of_its_values(name: str) -> None:
+    response = zoo_response(name, 128, 1)
+    found = indices_of(response)["first"]
+    for k, label in enumerate(ZOO[name].inputs):
+        truth = all_truths()[name][f"first {label}"].value
+        assert found[k].low - 1e-3 <= truth <= found[k].high + 1e-3
+        assert found[k].value == pytest.approx(truth, abs=0.02)
+
+
+def test_observations_with_few_values_do_not_alias() -> None:
+    # on the rows the eighth power of a switch is a straight line of it: 0.00 and 1.00 were stated
+    rng = np.random.default_rng(1)
+    level = rng.integers(1, 6, 160).astype(float)
+    switch = rng.integers(0, 2, 160).astype(float)
+    rows = np.column_stack([level, switch])
+    with pytest.warns(UserWarning, match="150 of 160 rows repeat another"):
+        found = analysis.sobol_indices(
+            rows, level + 3.0 * switch, {"level": level, "switch": switch}
+        )
+    assert found["first"]["level"].value == pytest.approx(8.0 / 17.0, abs=0.06)
+    assert found["first"]["switch"].value == pytest.approx(9.0 / 17.0, abs=0.06)

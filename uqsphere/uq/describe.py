@@ -65,7 +65,7 @@ def hill(outputs: Array) -> float:
     kept = outputs[np.isfinite(outputs)]
     away = np.sort(np.abs(kept - np.median(kept)))[::-1] if kept.size else kept
     count = _tail_count(kept.size)
-    if away.size <= count or away[count] <= 0.0:
+    if away.size < 4 * count or away[count] <= 0.0:
         return math.inf
     mean = float(np.mean(np.log(away[:count] / away[count])))
     return 1.0 / mean if mean > 0.0 else math.inf

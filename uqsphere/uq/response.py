@@ -49,6 +49,8 @@ MOST: Final = 0.25
 #: level at which a fold is rejected, and points of the law at which its variance is looked at
 REJECTED: Final = 0.99
 LOOKED: Final = 1024
+#: share of a variance that expansions of an exact polynomial differ by
+ROUNDING: Final = 1e-9
 
 
 def unseen(runs: int) -> str:
@@ -302,7 +304,7 @@ class _Allowed:
     low, high : 99 % interval of the variance from the rows alone
     median : (K,) of the variances of the other folds
     room : (K,) how far from it a fold may lie: the 99 % interval of their correction by the rows,
-        and their own scatter (median absolute deviation)
+        their own scatter (median absolute deviation), and the error of their integration
     """
 
     low: float
@@ -317,12 +319,14 @@ class _Allowed:
         down, up = distances(squares, REJECTED)
         influence = squares - (response.levels - y.mean()) ** 2
         t = float(stdtrit(len(variances) - 2, 0.5 + 0.5 * REJECTED))
+        integration = ROUNDING + 4.0 * max(known.error for known in response.known)
         median, room = np.empty(len(variances)), np.empty(len(variances))
         for k in folds:
             others = np.delete(variances, k)
             median[k] = np.median(others)
             scatter = 1.4826 * float(np.median(np.abs(others - median[k])))
             room[k] = max(distances(influence[response.fold != k], REJECTED)) + t * scatter
+            room[k] += integration * median[k]
         variance = float(squares.mean())
         return cls(low=variance - down, high=variance + up, median=median, room=room)
 

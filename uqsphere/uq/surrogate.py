@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,9 +37,11 @@ from uqsphere.uq.chaos import (
     predict,
     rows_of,
 )
+from uqsphere.uq.chaos.basis import MOST_STEPS
 from uqsphere.uq.corrected import indices_of
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Joint
+from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.response import Response, cross_fit
 from uqsphere.uq.shapley import dependent_shares
@@ -155,6 +157,18 @@ def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
             "model"
         )
     return germ_points(joint.marginal_scores(x), germs)
+
+
+def _with_few_values(law: Law) -> Law:
+    """The step function of observations with few different values, such as those of a switch; else
+    the law itself.
+
+    Rows that repeat the observations lie on the steps, where a smooth law has next to nothing.
+    """
+    values = len(set(law.data))
+    if law.family.name != "empirical" or not 1 < values <= min(MOST_STEPS, len(law.data) // 2):
+        return law
+    return replace(law, parameters={**law.parameters, "bandwidth": 0.0})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -324,7 +338,8 @@ def fit_expansion(
     from threadpoolctl import threadpool_limits
 
     order = random_generator(seed=seed, task="chaos rows").permutation(len(y))
-    x, y, germs = x[order], y[order], germs_of(joint.laws)
+    x, y = x[order], y[order]
+    germs = germs_of(map(_with_few_values, joint.laws))
     points = _points(joint, germs, x)
     # many small products: threads of linear algebra that wait for each other cost 20 times as much
     with threadpool_limits(limits=1, user_api="blas"):

@@ -11,10 +11,10 @@ the same points.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -23,13 +23,12 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
 Indices: TypeAlias = npt.NDArray[np.int64]
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11
 HIGHEST_DEGREE: Final = 15
+#: values of a law at most that has a polynomial for each of them
+MOST_STEPS: Final = HIGHEST_DEGREE + 1
 #: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and
 #: the knots of the table
 REACH, KNOTS = 12.0, 2401
@@ -40,14 +39,15 @@ class Germ:
     """A germ with a law of its own, at points of the base "normal" or "uniform".
 
     `table` is the standardised value (x - centre)/half of the law over the normal score;
-    `recurrence` (2, degree + 1) the monic coefficients a, b of its polynomials.
+    `recurrence` (2, degree + 1) the monic coefficients a, b of its polynomials.  A law with few
+    values has one polynomial for each of them.
     """
 
     law: Law
     centre: float
     half: float
     base: str
-    table: CubicSpline
+    table: Callable[[Array], Array]
     recurrence: Array
 
     def values(self, points: Array) -> Array:
@@ -95,12 +95,59 @@ def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
     """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or
     Hermite's.
     """
-    return tuple(
-        _own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper)
-        if _own_polynomials(law)
-        else law.family.germ
-        for law in laws
+    germs: list[GermLike] = []
+    for law in laws:
+        if _own_polynomials(law):
+            parameters = tuple(law.parameters.items())
+            germs.append(_own_germ(law.family, parameters, law.lower, law.upper))
+        elif law.is_steps and 1 < len(np.unique(law.data)) <= MOST_STEPS:
+            germs.append(_steps_germ(law))
+        else:
+            germs.append(law.family.germ)
+    return tuple(germs)
+
+
+def _steps_germ(law: Law) -> Germ:
+    """The germ of a law with few values, whose polynomials are those of its probabilities."""
+    scores, weights = steps_of(law)
+    values = law.from_normal(scores)
+    centre = 0.5 * float(values[0] + values[-1])
+    half = 0.5 * float(values[-1] - values[0]) or 1.0
+    return Germ(
+        law=law,
+        centre=centre,
+        half=half,
+        base="normal",
+        table=lambda scores: (law.from_normal(scores) - centre) / half,
+        recurrence=stieltjes((values - centre) / half, weights, len(values) - 1),
     )
+
+
+def steps_of(law: Law) -> tuple[Array, Array]:
+    """Normal scores (m,) in the middle of the steps of a law with few values, and their
+    probabilities.
+    """
+    data = np.array(law.data)
+    inside = data[(data >= law.lower) & (data <= law.upper)]
+    counts = np.unique(inside, return_counts=True)[1]
+    weights = counts / counts.sum()
+    return np.asarray(special.ndtri(np.cumsum(weights) - 0.5 * weights)), weights
+
+
+def highest_degrees(germs: Sequence[GermLike], points: Array) -> Indices:
+    """Highest degree (d,) in each input at germ points (n, d): below the number of its different
+    values.
+
+    On the rows a higher power is a sum of lower ones, and elsewhere it may be anything.
+    """
+    highest = []
+    for germ, column in zip(germs, points.T, strict=True):
+        values = germ.values(column) if isinstance(germ, Germ) else column
+        different = len(np.unique(values.round(12)))
+        if isinstance(germ, Germ):
+            different = min(different, germ.recurrence.shape[1])
+        highest.append(max(min(different - 1, HIGHEST_DEGREE), 0))
+    return np.array(highest, dtype=np.int64)
 
 
 def _own_polynomials(law: Law) -> bool:
@@ -161,6 +208,7 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
     sqrt(b_(k+1)) p_(k+1) = (x - a_k) p_k - sqrt(b_k) p_(k-1), with the monic coefficients a, b.
     """
     a, b = recurrence_of(germ, degree)
+    degree = min(degree, len(a) - 1)
     points = germ.values(points) if isinstance(germ, Germ) else points
     values = np.empty((degree + 1, points.size))
     values[0] = 1.0

@@ -21,9 +21,11 @@ from uqsphere.uq.chaos.basis import (
     GermLike,
     Indices,
     germ_points,
+    highest_degrees,
     nested,
     recurrence_of,
     rows_of,
+    steps_of,
 )
 from uqsphere.uq.chaos.select import solve_rows
 from uqsphere.uq.estimate import ratio_of_means, student
@@ -169,6 +171,7 @@ class Chaos:
             )
         )
         points = germ_points(normals, self.germs)
+        terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
         values = predict(self, points)
         unit = float(np.abs(values).max())
         coefficients = solve_rows(rows_of(self.germs, points, terms), values / unit) * unit
@@ -311,16 +314,20 @@ def _product(fit: Chaos) -> Integrals:
     """Those of exp(Σ g_j(x_j)), by the trapezoidal rule in normal scores, which converges
     geometrically.
     """
-    z = np.linspace(-8.5, 8.5, 1701)
-    weights = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
-    rows = rows_of(
-        fit.germs,
-        germ_points(np.repeat(z[:, None], len(fit.germs), axis=1), fit.germs),
-        fit.multi_indices,
-    )
+    scores = np.tile(np.linspace(-8.5, 8.5, 1701)[:, None], len(fit.germs))
+    weights = np.exp(-0.5 * scores**2)
+    for j, germ in enumerate(fit.germs):
+        if isinstance(germ, Germ) and germ.law.is_steps:
+            # one score in the middle of each step
+            count = germ.recurrence.shape[1]
+            scores[:, j], weights[:, j] = 0.0, 0.0
+            scores[:count, j], weights[:count, j] = steps_of(germ.law)
+    weights /= weights.sum(axis=0)
+    rows = rows_of(fit.germs, germ_points(scores, fit.germs), fit.multi_indices)
     factors = np.exp((fit.multi_indices > 0).T * fit.coefficients @ rows)
-    means = factors @ weights
-    more = (factors / means[:, None] - 1.0) ** 2 @ weights  # variances of factors of mean 1
+    means = (factors * weights.T).sum(axis=1)
+    # variances of factors of mean 1
+    more = ((factors / means[:, None] - 1.0) ** 2 * weights.T).sum(axis=1)
     whole = math.expm1(float(np.log1p(more).sum()))
     mean = fit.sign * math.exp(fit.coefficients[0]) * float(np.prod(means))
     return Integrals(

@@ -22,6 +22,8 @@ from uqsphere.uq.chaos.basis import (
     GermLike,
     Indices,
     grown,
+    highest_degrees,
+    hyperbolic_indices,
     nested,
     orthonormal_values,
     products,
@@ -37,6 +39,8 @@ ENOUGH: Final = 1e-18
 #: terms at most, and candidates for them: more take time and gain nothing in
 #: tests/campaigns/chaos.py
 MOST_TERMS, MOST_CANDIDATES = 256, 800
+#: terms of the second degree of many inputs: those of a hundred inputs
+MOST_SECOND: Final = 5151
 
 
 class Basis(NamedTuple):
@@ -201,14 +205,12 @@ def fit_chaos(
     tables = [
         orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)
     ]
-    sets = [
-        nested(d, norm, HIGHEST_DEGREE, _candidates(n)) for norm in (NORMS if d > 1 else NORMS[:1])
-    ]
-    bases = [Basis(one[0], products(tables, one[0]), one[1]) for one in sets if one is not None]
+    highest = highest_degrees(germs, points)
+    bases = _bases(tables, highest, _candidates(n))
     folds, one_sign = folds_of(n, 10 if n <= 150 else 5), abs(np.sign(outputs).sum()) == n
     logs = (True, False) if one_sign and not plain else (False,)
     targets = [Target(outputs=outputs, folds=folds, log=log) for log in logs]
-    best = _grow(_best(targets, bases), tables) if bases else None
+    best = _grow(_best(targets, bases), tables, highest) if bases else None
     if best is None or best.error >= 1.0:
         return constant
     target, order = (
@@ -227,6 +229,32 @@ def fit_chaos(
         samples=n,
         cross_validation_error=min(best.error + best.std_error, 1.0),
     )
+
+
+def _bases(tables: Sequence[Array], highest: Indices, most: int) -> list[Basis]:
+    """The sets of products that are tried, of at most so many terms each.
+
+    Where inputs are so many that none of them has a product of two, all terms of the second degree
+    are tried as well.
+    """
+    d, bases = len(tables), []
+    for norm in NORMS if d > 1 else NORMS[:1]:
+        found = nested(d, norm, HIGHEST_DEGREE, most)
+        if found is None:
+            continue
+        terms, sizes = found
+        inside = (terms <= highest).all(axis=1)
+        counts = np.cumsum(inside)
+        terms = terms[inside]
+        bases.append(
+            Basis(terms, products(tables, terms), tuple(int(counts[k - 1]) for k in sizes))
+        )
+    if d > 1 and not any((basis.terms > 0).sum(axis=1).max() > 1 for basis in bases):
+        second = hyperbolic_indices(d, 2, 1.0, MOST_SECOND)
+        if second is not None:
+            second = second[(second <= highest).all(axis=1)]
+            bases.append(Basis(second, products(tables, second), (d + 1, len(second))))
+    return bases
 
 
 def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
@@ -263,7 +291,7 @@ def _search(target: Target, basis: Basis, most: int) -> Choice:
     return min(found, key=lambda one: one.error)
 
 
-def _grow(found: Choice, tables: Sequence[Array]) -> Choice:
+def _grow(found: Choice, tables: Sequence[Array], highest: Indices) -> Choice:
     """Bases that grow around the terms that were kept, as long as the error falls: by their
     neighbours, else by the terms two degrees above as well, which outputs that are even or odd in
     an input need."""
@@ -277,6 +305,7 @@ def _grow(found: Choice, tables: Sequence[Array]) -> Choice:
             np.concatenate([near[: max(_candidates(n) - len(above), 1)], above]), axis=0
         )
         for terms in (near, both):
+            terms = terms[(terms <= highest).all(axis=1)]
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
             trial = found.target.forward(
                 Basis(terms, products(tables, terms)), max(min(n // 2, MOST_TERMS), 1)
