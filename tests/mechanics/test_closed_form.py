@@ -128,7 +128,7 @@ def test_where_the_closed_form_applies():
     ]
     for other, fidelity in others:
         assert not closed_form_applies(other, fidelity)
-        with pytest.raises(ValueError, match="no closed form"):
+        with pytest.raises(ValueError, match="closed forms need"):
             solve_closed(other, fidelity)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.campaigns.durations import compare, quadrature, rig_scenes, scenes
 from tests.scenes import ENDLESS, example, scaled_scene
-from uqsphere.mechanics.closed_form import loading_approach, solve_blow, solve_closed
+from uqsphere.mechanics.closed_form import loading_approach, solve_closed, solve_impact
 from uqsphere.mechanics.integrator.solve import later_loading, motion, motions, solve
 from uqsphere.mechanics.scene import Scene
 
@@ -92,7 +92,7 @@ def test_a_free_blow_has_half_of_its_contact() -> None:
     scene = Scene(
         columns={name: np.array([value]) for name, value in columns.items()}, rig="impact"
     )
-    found = solve_blow(scene).values
+    found = solve_impact(scene).values
     assert found["contact_duration"][0] / found["loaded_time"][0] == pytest.approx(0.5436, abs=5e-5)
     momentum = 2.0 * scene.scales.mass[0] * 3.0 / found["P_max"][0]
     assert found["contact_duration"][0] == pytest.approx(momentum, rel=1e-12)

@@ -52,8 +52,8 @@ def solved(lam: float) -> tuple[float, float, float]:
 
 
 @cache
-def unit_blow(lam: float) -> closed_form.Blow:
-    return closed_form.blow(1.0, 1.0, 1.0, 1.0 / lam if lam else math.inf)
+def unit_blow(lam: float) -> closed_form.Impact:
+    return closed_form.impact(1.0, 1.0, 1.0, 1.0 / lam if lam else math.inf)
 
 
 @pytest.mark.parametrize("lam", [0.0, 0.004, 0.11, 0.77, 1.9, 3.0])
@@ -69,7 +69,7 @@ def test_a_free_blow_is_hertz():
     """P_max = 1.25^0.6 beta^0.4 M^0.6 v^1.2; the often quoted 3.2145 of the duration is
     3.2180655.
     """
-    found = closed_form.blow(2e10, 0.02, 5.0)
+    found = closed_form.impact(2e10, 0.02, 5.0)
     assert found.force == pytest.approx(1.25**0.6 * 2e10**0.4 * 0.02**0.6 * 5.0**1.2, rel=1e-11)
     assert found.duration == pytest.approx(3.2180655 * (0.02**2 / (2e10**2 * 5.0)) ** 0.2, rel=1e-8)
     assert found.restitution == pytest.approx(1.0, abs=1e-11)
@@ -83,7 +83,8 @@ def test_thin_plates_take_a_share_of_the_force():
     lam = beta**0.4 * mass**0.6 * 3.6**0.2 / impedance
     assert lam == pytest.approx([0.206, 0.116, 0.074, 0.052, 0.029], abs=6e-4)
     share = (
-        closed_form.blow(beta, mass, 3.6, impedance).force / closed_form.blow(beta, mass, 3.6).force
+        closed_form.impact(beta, mass, 3.6, impedance).force
+        / closed_form.impact(beta, mass, 3.6).force
     )
     assert share[[0, -1]] == pytest.approx([0.82, 0.97], abs=6e-3)
 
@@ -105,7 +106,7 @@ def test_a_face_that_yields_keeps_the_energy_of_the_blow():
     speeds = np.array([1e-3, 0.5, 5.0, 50.0])
     state = face.pressed(closed_form.yielding_depth(face, mass, speeds))
     assert state.stored + state.plastic == pytest.approx(0.5 * mass * speeds**2, rel=1e-12)
-    elastic = closed_form.blow(beta, mass, speeds).force
+    elastic = closed_form.impact(beta, mass, speeds).force
     assert state.force[0] == pytest.approx(elastic[0], rel=1e-9)
     assert np.all(state.force[2:] < elastic[2:])
 

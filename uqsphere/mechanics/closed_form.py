@@ -1,13 +1,13 @@
-"""Closed forms: the massless sphere in infinite bars, the linear contact, blows on one partner, and
-a slow press.
+"""Closed forms: massless sphere in infinite bars, linear contact, impact with one contact, slow
+loading.
 
 Between bars all functions are elementwise in the scaled variables of theory (8): approach x over
-alpha_c, time s over t_c.  A sphere of mass M that meets a half-space, a free mass, a thin plate or
-the end of a bar at the closing speed v, square on, is in SI: with P = beta alpha^1.5 all is a power
-of the inputs (Hertz 1882; Johnson, Contact Mechanics, 1985, 11.4), but for what a plate or a bar
-carries off: a partner that gives way at P/Z has one number, lam = beta^0.4 M^0.6 v^0.2/Z (Zener,
-Phys. Rev. 59 (1941) 669), and its answers stand in a table.  A contact that yields keeps the
-balance of energy.  Numbering (R...) of docs/theory.md.
+alpha_c, time s over t_c.  A normal impact of a sphere of mass M at speed v on a half-space, a free
+mass, a thin plate or a bar end is in SI.  With P = beta alpha^1.5 every result is a power of the
+inputs (Hertz 1882; Johnson, Contact Mechanics, 1985, 11.4), except for the waves in a plate or bar:
+a counter-body that moves at P/Z has one similarity number, lam = beta^0.4 M^0.6 v^0.2/Z (Zener,
+Phys. Rev. 59 (1941) 669), and its results are tabulated.  A contact that yields follows from the
+energy balance.  Equation numbers (R...) refer to docs/theory.md.
 """
 
 from __future__ import annotations
@@ -57,11 +57,12 @@ def _time_at_root(root: Array, minus_log: Array) -> Array:
 
 
 def loading_time(x: Values) -> Array:
-    """Scaled time s at which the massless sphere has the approach x over alpha_c, 0 <= x <= 1,
-    theory (11).
+    """Scaled time s at which the massless sphere has the approach x, 0 <= x <= 1, theory (11).
 
-    s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x); 1
-    takes for ever. ValueError outside 0 to 1, which a step pulse never builds up.
+    s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x); the
+    time to x = 1 is infinite.
+
+    Raises ValueError outside 0 to 1.
     Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.3), integrated by partial fractions.
 
     >>> float(loading_time(0.5).round(12))
@@ -69,7 +70,7 @@ def loading_time(x: Values) -> Array:
     """
     x = np.asarray(x, dtype=float)
     if not bool(np.all((x >= 0.0) & (x <= 1.0))):
-        raise ValueError("the approach of a loading must lie between 0 and 1 (in units of alpha_c)")
+        raise ValueError("the scaled approach must be between 0 and 1")
     small = np.minimum(x, _SERIES_BELOW)
     root = np.sqrt(x)
     with np.errstate(divide="ignore"):
@@ -87,19 +88,19 @@ def _table() -> tuple[Array, Array]:
 
 
 def loading_approach(s: Values) -> Array:
-    """Scaled approach x of the massless sphere at the time s >= 0 of an endless step; inverse of
-    `loading_time`.
+    """Scaled approach x of the massless sphere at time s of a step; inverse of `loading_time`.
 
-    Newton's iteration in z = -ln(1 - sqrt(x)), in which s is nearly a straight line, and Halley's
-    in x itself where s is small; a fixed number of rounds for all elements together, error below
-    1e-14.  ValueError for a time before first touch.
+    Newton's method in z = -ln(1 - sqrt(x)), in which s is nearly linear, and Halley's in x for
+    small s, with a fixed number of iterations; error below 1e-14.
+
+    Raises ValueError for a negative time.
 
     >>> loading_approach([0.0, 0.8193410, np.inf]).round(6).tolist()
     [0.0, 0.629961, 1.0]
     """
     s = np.asarray(s, dtype=float)
     if not bool(np.all(s >= 0.0)):
-        raise ValueError("the time of a loading must not be negative")
+        raise ValueError("the time must not be negative")
     # beyond s = 60 the approach is 1 to the last bit
     large = np.clip(s, _SERIES_BELOW, 60.0)
     z = np.interp(large, *_table())
@@ -119,8 +120,9 @@ def loading_approach(s: Values) -> Array:
 
 
 def relaxing_approach(start: Values, after: Values) -> Array:
-    """Scaled approach a time `after` over t_c from the end of the pulse: x = [x_*^(-1/2) +
-    after/2]^(-2), theory (12).
+    """Scaled approach after the pulse: x = [x_*^(-1/2) + after/2]^(-2), theory (12).
+
+    start: x_* at the end of the pulse.  after: time since then over t_c.
 
     >>> float(relaxing_approach(loading_approach(0.8), 5.2).round(7))
     0.0667757
@@ -129,15 +131,14 @@ def relaxing_approach(start: Values, after: Values) -> Array:
 
 
 def relaxing_time(start: Values, x: Values) -> Array:
-    """Scaled time in which the approach falls from `start` to x after the pulse; inverse of
-    (12).
-    """
+    """Scaled time in which the approach decreases from `start` to x; inverse of (12)."""
     return np.asarray(2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start)))
 
 
 def massless_approach(s: Values, theta: Values) -> Array:
-    """Scaled approach x(s) of the massless sphere under a rectangular pulse of length theta (inf: a
-    step).
+    """Scaled approach of the massless sphere under a rectangular pulse of length theta.
+
+    An infinite theta is a step.
 
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
     [0.363053, 0.620178, 0.066776]
@@ -150,8 +151,9 @@ def massless_approach(s: Values, theta: Values) -> Array:
 
 
 def _step_difference(s: Array, mu: Array) -> Array:
-    """e^(-s/2) sin(w s)/w with w² = 2/mu - 1/4: half the difference of the approaches under a
-    linear step.
+    """Half the difference of the approaches under a linear step.
+
+    It is e^(-s/2) sin(w s)/w with w² = 2/mu - 1/4.
     """
     square = 2.0 / mu - 0.25
     swinging = square > 0.0
@@ -165,13 +167,12 @@ def _step_difference(s: Array, mu: Array) -> Array:
 
 
 def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[Array, Array]:
-    """Scaled approaches x_1, x_2 of the linear contact, infinite bars, theory (14): a step less a
-    later one.
+    """Scaled approaches x_1, x_2 of the linear contact in infinite bars, theory (14).
 
-    x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4; hyperbolic for mu > 8, s e^(-s/2)
-    at mu = 8. s: time over t_c; mu: M/(Z t_c) > 0; theta: length of a rectangular pulse over t_c.
-    It holds until an approach turns negative: a spring could pull, a contact cannot. Source: W. K.
-    Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8); (4.9) lacks the decay of the swing.
+    Under a step x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4 (hyperbolic for mu >
+    8, s e^(-s/2) at mu = 8); a rectangular pulse is a step minus a later one.  s: time over t_c.
+    mu: M/(Z t_c) > 0.  theta: pulse length over t_c.  Valid until an approach becomes negative.
+    Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8); (4.9) lacks the decay.
 
     >>> x_1, x_2 = linear_approaches(30.0, 0.1)
     >>> bool(abs(x_1 - 1.0) < 1e-6), bool(abs(x_2 - 1.0) < 1e-6)
@@ -187,11 +188,7 @@ def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[
 
 
 def closed_form_applies(scene: Scene, fidelity: str) -> bool:
-    """Whether `solve_closed` has the answer: massless, infinite bars, rectangular or step pulse.
-
-    The `linear` contact has its history in closed form, but its peaks are roots of transcendental
-    equations.
-    """
+    """Whether `solve_closed` applies: massless, infinite bars, rectangular or step pulse."""
     plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
     return fidelity == "massless" and scene.infinite and plain and scene.contact_law == "hertz"
 
@@ -199,19 +196,19 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
 def solve_closed(
     scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None
 ) -> Answers:
-    """Quantities of interest of n scenes between bars in closed form, with the same names as
-    `integrator.solve`.
+    """Quantities of interest of n scenes between bars in closed form, as `integrator.solve`.
 
-    Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the
-    largest force is that at the end of the pulse or of the record.  Contact is never lost, so that
-    time_to_first_loss is always censored at the end of the record: the horizon, or where the force
-    is down to 1 % of the largest.  ValueError where `closed_form_applies` is false.
+    Both forces are equal and increase until the pulse ends, theory (11), then decay, theory (12),
+    so that the peak is at the end of the pulse or of the evaluation window.  Contact is never lost:
+    time_to_first_loss is always censored at the end of the window, the horizon or the time at which
+    the force has decayed to 1 % of the peak.
+
+    Raises ValueError if `closed_form_applies` is false.
     """
     if not closed_form_applies(scene, fidelity):
         raise ValueError(
-            f"no closed form for {fidelity!r} with a {scene.shape} pulse and infinite = "
-            f"{scene.infinite} "
-            "(there is one for massless, a rectangular or step pulse, infinite bars)"
+            "closed forms need fidelity = 'massless', infinite bars and a rectangular or step "
+            f"pulse, not {fidelity!r}, infinite = {scene.infinite} and a {scene.shape} pulse"
         )
     good = scene.status == 0
     tracked = {
@@ -221,9 +218,7 @@ def solve_closed(
 
 
 def scaled_answers(scene: Scene) -> dict[str, Array]:
-    """What `outputs.answers_from` reads of the massless sphere, (n,) each: approaches, energy,
-    times.
-    """
+    """Scaled results of the massless sphere for `outputs.answers_from`, (n,) each."""
     good = scene.status == 0
     with np.errstate(all="ignore"):
         theta = np.where(good, scene.scales.pulse_number, 1.0)
@@ -232,10 +227,11 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
     ended = np.where(np.isfinite(horizon), horizon, tail)
-    # x' = f - q: the impulse is that of the pulse less what is left of the approach, nothing where
-    # the tail ends it
-    left = np.where(ended > theta, relaxing_approach(peak, np.maximum(ended - theta, 0.0)), peak)
-    left = np.where(np.isfinite(horizon), left, 0.0)
+    # x' = f - q: the impulse is that of the pulse minus the remaining approach, zero at the end of
+    # the tail
+    after = np.maximum(ended - theta, 0.0)
+    remaining = np.where(ended > theta, relaxing_approach(peak, after), peak)
+    remaining = np.where(np.isfinite(horizon), remaining, 0.0)
     return {
         **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
@@ -243,16 +239,14 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
         "contact_censored": np.ones_like(peak),
         "stored": 2.0 * 0.4 * peak**2.5,
         "mean_force": peak**1.5,
-        "duration": (loaded - left) / peak**1.5,
+        "duration": (loaded - remaining) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
     }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blow:
-    """One blow: `force` P_max [N], `approach` at it [m], `duration` [s], `restitution`;
-    elementwise.
-    """
+class Impact:
+    """An impact: peak force [N], approach there [m], contact time [s], restitution; elementwise."""
 
     force: Array
     approach: Array
@@ -261,19 +255,16 @@ class Blow:
 
 
 def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
-    """M* = M m/(M + m) [kg] of a sphere and a free partner; a partner that does not move has m =
-    inf. (R6).
-    """
+    """M* = M m/(M + m) [kg] of a sphere and a free counter-body (fixed: m = inf). (R6)."""
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
 
 
-#: columns of the table: restitution, peak force, time under load, rise from 10 % to 90 % of the
-#: peak
+#: columns of the table: restitution, peak force, contact time, rise time
 _COLUMNS: Final = ("restitution", "force", "duration", "rise")
 
 
 @cache
-def _blow_table() -> Mapping[str, np.polynomial.Chebyshev]:
+def _impact_table() -> Mapping[str, np.polynomial.Chebyshev]:
     """`_COLUMNS` over lam in [0, 3] as Chebyshev series; force and times in units of (R13)."""
     with resources.files("uqsphere.mechanics").joinpath("impact_table.csv").open() as lines:
         columns = np.loadtxt(lines, delimiter=",", skiprows=1).T
@@ -283,30 +274,31 @@ def _blow_table() -> Mapping[str, np.polynomial.Chebyshev]:
 
 @cache
 def _on_thick() -> Mapping[str, Array]:
-    """`_COLUMNS` where nothing gives way: one number each for all rows."""
-    return {name: np.asarray(series(np.zeros(1))) for name, series in _blow_table().items()}
+    """`_COLUMNS` of a rigid counter-body: one number each for all rows."""
+    return {name: np.asarray(series(np.zeros(1))) for name, series in _impact_table().items()}
 
 
 def _elastic(lam: Array) -> Mapping[str, Array]:
     """`_COLUMNS` at lam, NaN above 3."""
     inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
-    return {name: np.asarray(series(inside)) for name, series in _blow_table().items()}
+    return {name: np.asarray(series(inside)) for name, series in _impact_table().items()}
 
 
-def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values = math.inf) -> Blow:
-    """An elastic blow of reduced mass M* at speed v on a partner of impedance Z [N s/m], (R10) to
-    (R13).
+def impact(
+    hertz_constant: Values, mass: Values, speed: Values, impedance: Values = math.inf
+) -> Impact:
+    """Elastic impact of a reduced mass M* at speed v on an impedance Z [N s/m], (R10) to (R13).
 
-    NaN where lam is above 3: the plate is punched, not struck.
+    NaN for lam above 3, where the plate is punched.
 
-    >>> round(float(blow(6680584551.148, 0.010890854532, 3.6).force), 3)
+    >>> round(float(impact(6680584551.148, 0.010890854532, 3.6).force), 3)
     3005.19
     """
     beta, v = np.asarray(hertz_constant, dtype=float), np.asarray(speed, dtype=float)
     force = beta**0.4 * mass**0.6 * v**1.2
     at = _elastic(force / (v * np.asarray(impedance, dtype=float)))
     force = force * at["force"]
-    return Blow(
+    return Impact(
         force=force,
         approach=np.cbrt(np.square(force / beta)),
         duration=at["duration"] * (mass**2 / (beta**2 * v)) ** 0.2,
@@ -315,39 +307,34 @@ def blow(hertz_constant: Values, mass: Values, speed: Values, impedance: Values 
 
 
 def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
-    """z = alpha/alpha_y to which a blow presses a face that yields: M* v²/2 = W(z) P_y alpha_y,
-    (R23).
+    """Depth z = alpha/alpha_y of an impact on a contact that yields, (R23).
 
-    The face's `pressed` has force, pressure, dent and work at that depth, its `restitution` the
-    speed after.
+    It follows from M* v²/2 = W(z) P_y alpha_y; `Face.pressed` gives the state at that depth.
     """
-    return face.depth_of_work(
-        0.5 * mass * np.square(speed) / (face.onset_force * face.onset_approach)
-    )
+    energy = 0.5 * mass * np.square(speed)
+    return face.depth_of_work(energy / (face.onset_force * face.onset_approach))
 
 
 def light_sphere_constant(behind: Values, ahead: Values) -> Array:
-    """beta of two faces in series, a sphere without mass between them, (R15): beta/2^1.5 for equal
-    faces.
-    """
-    return np.asarray(
-        (np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5
-    )
+    """Hertz constant of two contacts in series, with a massless sphere between them, (R15)."""
+    compliance = np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)
+    return np.asarray(compliance**-1.5)
 
 
 # --- scenes ---------------------------------------------------------------------------------------
 
 
-#: what the mass M of a sphere under a weight m adds to the peak force, 0.70 (M/m)^0.45 of it,
-#: (R16): fitted to the integrator for M/m = 3e-7 to 3e-3
+#: relative increase of the peak force by the mass M of a sphere under a drop weight m, 0.70
+#: (M/m)^0.45, (R16): fitted to the integrator for M/m = 3e-7 to 3e-3
 _SWING, _SWING_POWER = 0.70, 0.45
-#: rows that are answered together, so that their columns stay in the cache
-_BLOCK: Final = 8192
+#: rows solved together, so that their columns stay in the processor's cache
+_BLOCK_ROWS: Final = 8192
 
 
 def closed_form_rows(scene: Scene) -> Flags:
-    """Rows that `solve_blow` answers, (n,): one contact, nothing back before the bodies part;
-    platens all.
+    """Rows that `solve_impact` applies to, (n,).
+
+    All rows under slow loading; impacts with one contact and no reflected wave during contact.
     """
     kind = scene.setup.kind(1, scene.options)
     bare = scene.setup.contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
@@ -357,47 +344,46 @@ def closed_form_rows(scene: Scene) -> Flags:
     if behind is not None or ahead is None or scene.horizon is not None:
         return np.zeros(len(scene), dtype=bool)
     if ahead.face is not None:
-        # a face that yields and a partner that carries waves off have no closed form together
+        # plastic contact and radiated waves together have no closed form
         return np.zeros(len(scene), dtype=bool)
     if ahead.kind != "bar" or not np.any(ahead.reflection):
         return np.ones(len(scene), dtype=bool)
     with np.errstate(all="ignore"):
-        duration = (
-            scene.scales.time
-            * _elastic(scene.scales.force / (scene.scales.speed * ahead.impedance))["duration"]
-        )
+        lam = scene.scales.force / (scene.scales.speed * ahead.impedance)
+        duration = scene.scales.time * _elastic(lam)["duration"]
         return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
 
 
-def solve_blow(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
-    """Quantities of interest of n scenes in closed form, with the same names as `integrator.solve`.
+def solve_impact(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+    """Quantities of interest of n scenes in closed form, as `integrator.solve`.
 
-    An elastic blow by (R10) to (R13), one on a face that yields by the balance of energy (R23),
-    platens by statics. Rows outside `closed_form_rows` are not looked for: ask there first.
+    Elastic impact by (R10) to (R13), plastic impact by the energy balance (R23), slow loading by
+    statics.  Only for scenes all of whose rows are in `closed_form_rows`.
     """
-    if len(scene) > _BLOCK:
-        rows, blocks = (
-            np.arange(len(scene)),
-            [slice(k, k + _BLOCK) for k in range(0, len(scene), _BLOCK)],
-        )
-        return merged_answers(
-            *((rows[block], solve_blow(scene.at(block), quantities)) for block in blocks)
-        )
+    if len(scene) > _BLOCK_ROWS:
+        rows = np.arange(len(scene))
+        parts = []
+        for start in range(0, len(scene), _BLOCK_ROWS):
+            block = rows[start : start + _BLOCK_ROWS]
+            parts.append((block, solve_impact(scene.at(block), quantities)))
+        return merged_answers(*parts)
     with np.errstate(all="ignore"):
         if scene.setup.by_press:
             tracked = _pressed(scene)
         else:
             ahead = scene.partners[1]
             assert ahead is not None
-            face = ahead.face
-            tracked = _blown(scene, ahead) if face is None else _yielded(scene, face, ahead)
+            if ahead.face is None:
+                tracked = _elastic_impact(scene, ahead)
+            else:
+                tracked = _plastic_impact(scene, ahead.face, ahead)
     return _answers(scene, tracked, quantities)
 
 
 def _answers(
     scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None
 ) -> Answers:
-    # a force in closed form has one peak: the first is the largest
+    # closed forms have a single force peak
     columns = {"x_first": closed["x_max"], **closed}
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}
     return answers_from(
@@ -406,44 +392,40 @@ def _answers(
 
 
 def light_sphere_applies(scene: Scene) -> bool:
-    """Whether `solve_light` has answers: a weight on an elastic sphere, nothing back from what it
-    rests on.
-    """
+    """Whether `solve_light` applies: a drop weight on an elastic sphere, no reflected wave."""
     behind, ahead = scene.partners
-    there = (
-        behind is not None and ahead is not None and behind.kind == "mass" and scene.horizon is None
-    )
-    if not there or ahead is None or np.any(ahead.reflection):
+    if behind is None or ahead is None or behind.kind != "mass" or scene.horizon is not None:
         return False
-    return all(partner.face is None for partner in scene.there)
+    if np.any(ahead.reflection):
+        return False
+    return behind.face is None and ahead.face is None
 
 
 def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
-    """A weight on a light sphere: two springs in series, (R15) and (R13), with the peak forces
-    raised by (R16).
+    """Drop weight on a light sphere: contacts in series, (R15) and (R13), peaks raised by (R16).
 
-    ValueError where `light_sphere_applies` is false.
+    Raises ValueError if `light_sphere_applies` is false.
     """
     behind, ahead = scene.partners
     if behind is None or ahead is None or not light_sphere_applies(scene):
         raise ValueError(
-            "a sphere without mass is for weights on elastic faces from which no wave comes back"
+            "fidelity = 'massless' needs a drop weight, elastic contacts and no reflected wave"
         )
     with np.errstate(all="ignore"):
-        scales, both = (
-            scene.scales,
-            light_sphere_constant(behind.hertz_constant, ahead.hertz_constant),
-        )
+        scales = scene.scales
+        both = light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
         moved = reduced_mass(behind.mass, ahead.mass)
         force = both**0.4 * moved**0.6 * scales.speed**1.2
         waves = ahead.kind in ("bar", "plate")
-        lam = force / (scales.speed * ahead.impedance) if waves else np.zeros(1)
-        at = _elastic(lam) if waves else _on_thick()
+        at = _on_thick()
+        if waves:
+            lam = force / (scales.speed * ahead.impedance)
+            at = _elastic(lam)
         time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
         q = at["force"] * force / scales.force
         slow_a = np.cbrt(np.square(q))
         slow_b = np.cbrt(np.square(q * behind.hertz_constant / ahead.hertz_constant))
-        # the sphere swings between the faces: their peaks come out higher, the energies hardly
+        # the sphere oscillates between the contacts: their peaks are higher, the energies hardly
         raised = np.cbrt(np.square(1.0 + _SWING * (scales.mass / moved) ** _SWING_POWER))
         x_a, x_b = raised * slow_a, raised * slow_b
         share = behind.mass / (behind.mass + ahead.mass)
@@ -465,18 +447,12 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answ
             **_CENSORED,
         }
         if waves:
-            carried = (
-                (1.0 - np.square(at["restitution"]))
-                / (2.0 * lam)
-                * force**2
-                * time
-                / scales.force**2
-            )
-            tracked["carried_b"] = carried
+            lost = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
+            tracked["carried_b"] = lost * force**2 * time / scales.force**2
     return _answers(scene, tracked, quantities)
 
 
-#: times of a blow -> which of `_COLUMNS` they are
+#: times of an impact -> their column in `_COLUMNS`
 _DURATIONS: Final = {
     "contact": "duration",
     "parting": "duration",
@@ -485,13 +461,13 @@ _DURATIONS: Final = {
 }
 
 
-def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
-    """An elastic blow in scaled variables, (R13); of a free partner by the motion about the common
-    centre of mass.
-    """
+def _elastic_impact(scene: Scene, ahead: Partner) -> dict[str, Array]:
+    """An elastic impact in scaled variables, (R13), in the centre-of-mass frame."""
     waves = ahead.kind in ("bar", "plate")
-    lam = scene.scales.force / (scene.scales.speed * ahead.impedance) if waves else np.zeros(1)
-    at = _elastic(lam) if waves else _on_thick()
+    at = _on_thick()
+    if waves:
+        lam = scene.scales.force / (scene.scales.speed * ahead.impedance)
+        at = _elastic(lam)
     x = np.cbrt(np.square(at["force"]))
     found = {
         "x_max": x,
@@ -501,24 +477,23 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
         "parting": at["duration"],
         "rise": at["rise"],
         "ended": at["duration"],
-        # momentum: the sphere, or of two bodies each in their common frame, leaves with e times its
-        # speed
+        # momentum: each body leaves with e times its speed in the centre-of-mass frame
         "duration": (1.0 + at["restitution"]) / at["force"],
         **_speeds(scene, ahead, at["restitution"]),
         **_CENSORED,
     }
     if waves:
-        # what is lost is what the impedance takes: (1 - e²)/2 = lam times the integral of q²
+        # the lost energy is radiated: (1 - e²)/2 = lam times the integral of q²
         found["carried_b"] = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
     return found
 
 
-#: a blow in closed form ends by itself, and the bodies touch once
+#: an impact in closed form ends by itself, with a single contact
 _CENSORED: Final = dict.fromkeys(("contact_censored", "touches"), np.zeros(1))
 
 
 def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:
-    """Speeds of sphere and partner after a blow, over the closing speed."""
+    """Speeds of sphere and counter-body after an impact, over the closing speed."""
     if ahead.kind != "mass":
         return {"end_speed": -restitution, "end_speed_b": np.zeros(1)}
     share = scene.scales.mass / (scene.scales.mass + ahead.mass)
@@ -528,22 +503,17 @@ def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array
     }
 
 
-def _yielded(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
-    """A blow on a face that yields, in scaled variables: depth by (R23), times by quadrature."""
+def _plastic_impact(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
+    """An impact with plastic contact in scaled variables: depth by (R23), times by quadrature."""
     scales = scene.scales
     depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
     x = depth * face.onset_approach / scales.approach
     state, restitution = face.pressed(depth), face.restitution(depth)
-    low, high, first = (
-        _loading(face, depth, start)
-        for start in (
-            face.depth_at(0.1 * state.force),
-            face.depth_at(0.9 * state.force),
-            np.zeros(1),
-        )
-    )
+    low = _loading(face, depth, face.depth_at(0.1 * state.force))
+    high = _loading(face, depth, face.depth_at(0.9 * state.force))
+    first = _loading(face, depth, np.zeros(1))
     to_scaled = face.onset_approach / scales.approach
-    # unloading is Hertz's from alpha_e down, and leaves at the speed of restitution
+    # unloading follows Hertz from alpha_e, and ends at the rebound speed
     up = face.recovery(depth) * to_scaled / restitution
     whole = first * to_scaled + up * _UNLOADING
     return {
@@ -571,45 +541,41 @@ def _loading(face: Face, depth: Array, start: Array) -> Array:
     With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the
     range is cut.
     """
-    # Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all
-    # depths
+    # Gauss points below and above the onset: analytic in the angle, 1e-12 at all depths
     nodes, weights = np.polynomial.legendre.leggauss(24)
     ends = [
-        np.arccos(np.sqrt(np.minimum(place / depth, 1.0)))
-        for place in (np.maximum(start, 1.0), start)
+        np.arccos(np.sqrt(np.minimum(bound / depth, 1.0)))
+        for bound in (np.maximum(start, 1.0), start)
     ]
     total, work, low = np.zeros_like(depth), face.work(depth), np.zeros_like(depth)
     for high in ends:
         for node, weight in zip(nodes, weights, strict=True):
             angle = low + 0.5 * (high - low) * (node + 1.0)
             left = 1.0 - face.work(depth * np.square(np.cos(angle))) / work
-            step = np.where(
-                angle > 0.0, np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300)), 0.0
-            )
+            integrand = np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300))
+            step = np.where(angle > 0.0, integrand, 0.0)
             total += 0.5 * (high - low) * weight * depth * step
         low = high
     return total
 
 
 def _pressed(scene: Scene) -> dict[str, Array]:
-    """Platens in scaled variables: equal forces, statics; both faces of one law."""
+    """Slow loading in scaled variables: statics with equal forces and one contact law."""
     scales, c, partner = scene.scales, scene.columns, scene.struck
     softness = 1.0 / scene.column("platens.machine_stiffness", np.inf)
-    force = (
-        c["platens.force"]
-        if "platens.force" in c
-        else _force_at(partner, c["platens.displacement"], softness)
-    )
-    if (face := partner.face) is None:
+    if "platens.force" in c:
+        force = c["platens.force"]
+    else:
+        force = _force_at(partner, c["platens.displacement"], softness)
+    face = partner.face
+    if face is None:
         approach = np.cbrt(np.square(force / partner.hertz_constant))
         slope, stored = 1.5 * force / approach, 0.4 * force * approach
     else:
         depth = face.depth_at(force)
         approach = depth * face.onset_approach
-        slope, stored = (
-            face.slope(depth) * face.onset_force / face.onset_approach,
-            face.pressed(depth).stored,
-        )
+        slope = face.slope(depth) * face.onset_force / face.onset_approach
+        stored = face.pressed(depth).stored
     rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
     x, q = approach / scales.approach, force / scales.force
     return {
@@ -626,19 +592,29 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     }
 
 
-def _force_at(partner: Partner, way: Array, softness: Array) -> Array:
-    """Force [N] at which two faces and a machine have given way by `way` [m]; Newton on a concave
-    function.
-    """
+def _force_at(partner: Partner, displacement: Array, softness: Array) -> Array:
+    """Force [N] at a displacement [m] of two contacts and a machine; Newton's method."""
     face = partner.face
-    scale = partner.effective_radius if face is None else face.onset_approach
-    unit = partner.hertz_constant * scale**1.5 if face is None else face.onset_force
-    wanted, stiff = way / scale, softness * unit / scale
+    if face is None:
+        scale = partner.effective_radius
+        unit = partner.hertz_constant * scale**1.5
+        force_of, slope_of = _hertz_force, _hertz_slope
+    else:
+        scale, unit = face.onset_approach, face.onset_force
+        force_of, slope_of = face.force, face.slope
+    wanted, stiff = displacement / scale, softness * unit / scale
 
     def step(depth: Array) -> Array:
-        force = depth**1.5 if face is None else face.force(depth)
-        slope = 1.5 * np.sqrt(depth) if face is None else face.slope(depth)
-        return np.asarray((2.0 * depth + stiff * force - wanted) / (2.0 + stiff * slope))
+        excess = 2.0 * depth + stiff * force_of(depth) - wanted
+        return np.asarray(excess / (2.0 + stiff * slope_of(depth)))
 
     depth = newton(step, 0.5 * wanted, 0.0)
-    return np.asarray(unit * (depth**1.5 if face is None else face.force(depth)))
+    return np.asarray(unit * force_of(depth))
+
+
+def _hertz_force(depth: Array) -> Array:
+    return np.asarray(depth**1.5)
+
+
+def _hertz_slope(depth: Array) -> Array:
+    return np.asarray(1.5 * np.sqrt(depth))

@@ -1,14 +1,13 @@
-"""Slow crushing tests between two flat platens: the value of a demand at a force, and the force
-that gives a value.
+"""Slow crushing tests between two flat platens: the demand at a force, and the force of a demand.
 
-By the law of the study's contact the force at failure gives the value of the demand that a strength
-is made of. `force_at` goes the other way on a row's own sphere, so that E and nu of the tests are
-never scattered twice.
+The force at failure gives a demand by the contact law of the study, and so a strength.  `force_at`
+inverts this for a row's own sphere, so that the scatter of E and nu in the tests is not counted
+twice.
 
-A sphere is given by E [Pa], nu, density [kg/m³], (n,) each or numbers; where its poles yield by
-onset_pressure, hardness [Pa], pile_up and takes, 1 if the sphere itself yields; and by partner, (1
-- nu²)/E [1/Pa] of what is on the other side in the row's own rig, where the energy of both is what
-is limited.  Platens have E [Pa], infinite if rigid, and nu.
+A sphere is given by E [Pa], nu, density [kg/m³], (n,) each or numbers.  If its contacts yield it
+also has onset_pressure, hardness [Pa], pile_up and takes (1 if the sphere itself yields).  If the
+energy of both bodies is limited it has partner, (1 - nu²)/E [1/Pa] of the counter-body in the row's
+own rig.  Platens have E [Pa], infinite if rigid, and nu.
 """
 
 from __future__ import annotations
@@ -36,18 +35,14 @@ def value_at(
     platens: tuple[float, float],
     rate: Array | None = None,
 ) -> Array:
-    """The value (n,) of a demand in spheres of a radius (n,) [m], pressed to a force (n,) [N] at a
-    rate [N/s].
-    """
+    """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s]."""
     own = {
         key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape)
         for key, value in sphere.items()
     }
     modulus = np.asarray(contact.reduced_modulus(own["E"], own["nu"], *platens))
-    beta, share = (
-        contact.hertz_constant(modulus, radius),
-        modulus * (1.0 - np.square(own["nu"])) / own["E"],
-    )
+    beta = contact.hertz_constant(modulus, radius)
+    share = modulus * (1.0 - np.square(own["nu"])) / own["E"]
     takes = own.get("takes")
     if takes is None:
         press, approach = {}, contact.approach_at_force(force, beta)
@@ -63,6 +58,10 @@ def value_at(
         state = face.pressed(face.depth_at(force))
         press, approach = pressures_of(state, modulus, radius, takes), state.approach
         stored, lost = 2.0 * state.stored, 2.0 * takes * state.plastic
+    energy = stored
+    if "partner" in own:
+        # energy of the sphere here, and of the counter-bodies in the study's own rig
+        energy = (share + modulus * own["partner"]) * stored
     columns = Columns(
         {
             **{f"sphere.{key}": value for key, value in own.items()},
@@ -77,9 +76,7 @@ def value_at(
             "first_peak": lambda: columns["p_max"],
             "energy_sphere": share * stored + lost,
             "impact_energy": stored,
-            # what the sphere stores here, and what the partners in the study's own rig would store
-            # beside it
-            "energy": (share + modulus * own["partner"]) * stored if "partner" in own else stored,
+            "energy": energy,
             "loading_rate": np.zeros(radius.shape) if rate is None else rate,
         }
     )
@@ -95,14 +92,14 @@ def force_at(
     radius: Values,
     platens: tuple[float, float],
 ) -> Array:
-    """The force (n,) [N] that gives a demand's value on the row's own sphere; 0 for 0, infinite
-    where none does.
+    """Force (n,) [N] at which a demand reaches a value on the row's own sphere.
 
-    Every demand rises with the force, nearly as a power of it: the secant in logarithms ends after
-    some steps.  It is exact for Hertz: p_max = (6 P E*²/(pi³ r²))^(1/3) gives P = pi³ p_max³ r²/(6
-    E*²).
+    It is 0 for a value of 0, and infinite if no force reaches the value.  Every demand increases
+    with the force, nearly as a power of it, so that the secant method in logarithms converges in a
+    few steps.  It is exact for Hertz: P = pi³ p_max³ r²/(6 E*²).
     """
-    if not isinstance(of, str):  # the tests were slow
+    if not isinstance(of, str):
+        # the tests were slow: without the rate effect
         of = of[0], {key: part for key, part in of[1].items() if key != "rate_0"}
     value, radius = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius))
@@ -119,5 +116,5 @@ def force_at(
             secant = (after - y) / step
             slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
             x, y = x + step, after
-    found = np.where(np.abs(wanted - y) < 1e-6, np.exp(x), np.inf)
-    return np.where(value > 0.0, found, 0.0)
+    force = np.where(np.abs(wanted - y) < 1e-6, np.exp(x), np.inf)
+    return np.where(value > 0.0, force, 0.0)

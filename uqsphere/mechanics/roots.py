@@ -1,6 +1,4 @@
-"""Roots that many rows look for together; a fixed number of rounds, or until no row moves any
-more.
-"""
+"""Roots of many rows at once, by bisection and by Newton's method."""
 
 from __future__ import annotations
 
@@ -11,18 +9,18 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 
-#: halvings that leave nothing of a bracket: a double has 52 bits
+#: halvings that exhaust a double, whose mantissa has 52 bits
 _HALVINGS: Final = 52
-#: rounds of Newton's method, which converges quadratically from the convex side, and the step that
-#: counts as none
-ROUNDS: Final = 60
+#: limit of Newton iterations, which converge quadratically from the convex side; relative step that
+#: ends them
+MOST_ITERATIONS: Final = 60
 _STILL: Final = 1e-15
 
 
 def bisect(
     below: Callable[[Array], Flags], low: Values, high: Values, halvings: int = _HALVINGS
 ) -> tuple[Array, Array]:
-    """Brackets low to high (n,), halved: `below` says whether a root lies above a place."""
+    """Brackets (n,) of roots, halved; `below` returns whether the root lies above a point."""
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         above = below(middle)
@@ -31,11 +29,11 @@ def bisect(
 
 
 def newton(step: Callable[[Array], Array], start: Array, least: float) -> Array:
-    """Where the steps of Newton's method from `start` (n,) end, never below `least`."""
-    found = start
-    for _ in range(ROUNDS):
-        change = step(found)
-        found = np.maximum(found - change, least)
-        if not np.any(np.abs(change) > _STILL * found):
+    """Roots (n,) by Newton's method from `start`, never below `least`; `step` is f/f'."""
+    root = start
+    for _ in range(MOST_ITERATIONS):
+        change = step(root)
+        root = np.maximum(root - change, least)
+        if not np.any(np.abs(change) > _STILL * root):
             break
-    return found
+    return root

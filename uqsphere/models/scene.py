@@ -144,7 +144,7 @@ def solve_scene(
         exact, closed = np.asarray(True), partial(closed_form.solve_light, quantities=quantities)
     else:
         exact = closed_form.closed_form_rows(scene)
-        closed = partial(closed_form.solve_blow, quantities=quantities)
+        closed = partial(closed_form.solve_impact, quantities=quantities)
     if exact.all():
         return closed(scene)
     if not exact.any():
