@@ -9,8 +9,10 @@ import math
 import numpy as np
 import pytest
 from scipy.special import ndtr
+from scipy.stats import ncx2
 
 from tests.campaigns.rare import PROBLEMS, problem
+from uqsphere.uq.law import make_law
 from uqsphere.uq.rare import REACH, Evaluator, failure_probability, find_design_points
 
 
@@ -69,6 +71,60 @@ def test_two_regions_are_never_sure_and_wrong(name: str, budget: int) -> None:
         found = failure_probability(Evaluator(function, 2, budget=budget), seed=seed)
         assert holds(found.estimate, truth, 0.01)
         assert not (budget < 5000 and found.sure)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "plane 1e-9",
+        "RP22",
+        pytest.param("two-sided", marks=pytest.mark.slow),
+        pytest.param("four branches", marks=pytest.mark.slow),
+        pytest.param("RP14", marks=pytest.mark.slow),
+    ],
+)
+def test_a_hundred_calls_give_smooth_problems_within_three_percent_and_are_not_sure(
+    name: str,
+) -> None:
+    entry = problem(name)
+    found = failure_probability(Evaluator(entry.function, entry.dimension, budget=100), seed=3)
+    estimate = found.estimate
+    assert estimate.evaluations <= 100
+    assert estimate.value == pytest.approx(entry.reference, rel=0.03)
+    assert holds(estimate, entry.reference, 0.02)
+    assert estimate.high_unseen > 3.0 / 100.0
+    assert not found.sure
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("dimension", "truth"), [(40, 1.98185e-3), (100, 1.73453e-3)])
+def test_forty_and_a_hundred_lognormals_within_four_percent(dimension: int, truth: float) -> None:
+    # R. Rackwitz, Struct. Safety 23, 2001, 365; the truth by convolution on a grid of 1e-3
+    law = make_law("lognormal", {"mean": 1.0, "sd": 0.2})
+
+    def limit(u: np.ndarray) -> np.ndarray:
+        return dimension + 0.6 * math.sqrt(dimension) - law.from_normal(u).sum(axis=1)
+
+    for seed in range(3):
+        found = failure_probability(Evaluator(limit, dimension), seed=seed)
+        assert found.estimate.value == pytest.approx(truth, rel=0.04)
+        assert holds(found.estimate, truth)
+
+
+@pytest.mark.parametrize("radius", [0.15, 0.25])
+def test_an_island_off_the_path_of_the_search_is_never_sure_and_wrong(radius: float) -> None:
+    def limit(u: np.ndarray) -> np.ndarray:
+        island = (u[:, 0] + 2.0) ** 2 + (u[:, 1] - 2.0) ** 2 < radius**2
+        return np.where(island, -1.0, 4.5 - u[:, 0])
+
+    truth = float(ncx2.cdf(radius**2, 2, 8.0) + ndtr(-4.5))
+    met = 0
+    for seed in range(6):
+        found = failure_probability(Evaluator(limit, 2), seed=seed)
+        low, high = found.estimate.outer
+        assert low < truth < high
+        met += found.estimate.high > truth
+    assert met >= 5
 
 
 def test_no_failure_is_a_bound_and_not_zero() -> None:

@@ -20,6 +20,7 @@ from uqsphere.arrays import Array, special
 from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, probability_ends, spread
 from uqsphere.uq.limit_state import complement
 from uqsphere.uq.points import sobol_points
+from uqsphere.uq.rare import few
 from uqsphere.uq.rare.form import DesignPoint, find_design_points
 from uqsphere.uq.rare.mixture import (
     Draws,
@@ -34,6 +35,7 @@ from uqsphere.uq.rare.mixture import (
     importance_sampling,
     joined,
     nearby,
+    standard_normal,
     wide_mixture,
 )
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator
@@ -52,6 +54,10 @@ __all__ = [
 #: evaluations below which subset simulation misses too often to certify anything (4 of 14 cases
 #: with 5,000)
 FEW: Final = 5000
+#: evaluations below which no surrogate is fitted
+FEWEST: Final = 64
+#: share of the evaluations that are a plain sample, which no search has aimed
+DEFENSIVE: Final = 0.1
 #: factor on the upper end of subset simulation with no second method: of 5,000 rows its intervals
 #: missed by up to 10
 UNCERTIFIED: Final = 10.0
@@ -78,7 +84,7 @@ class RareAnswer:
 
     @property
     def sure(self) -> bool:
-        """Whether two methods agree, so that the interval may be believed."""
+        """Whether two methods agree, so that the outer interval of the estimate may be believed."""
         return not self.warning
 
 
@@ -104,7 +110,7 @@ def failure_probability(
     """
     budget = evaluator.budget
     if budget < FEW:
-        return _sampled(evaluator, seed)
+        return _from_few(evaluator, seed, accuracy)
     if known and (near := nearby(evaluator, known, seed=seed, accuracy=accuracy)) is not None:
         points = find_design_points(evaluator, seed=seed, most=0.06 * budget)
         return RareAnswer(
@@ -114,7 +120,11 @@ def failure_probability(
             draws=near.draws,
             searched=False,
         )
-    pool, starts = _look_around(evaluator, seed)
+    share = int(DEFENSIVE * budget)
+    dimension = evaluator.dimension
+    plain = draw(evaluator, standard_normal(dimension), share, seed=seed, task="defensive share")
+    look, starts = _look_around(evaluator, seed)
+    pool = [plain, *look]
     points = find_design_points(evaluator, seed=seed, starts=starts, most=0.06 * budget)
     subset = subset_simulation(
         evaluator, seed=seed, per_level=int(min(max(budget // 75, 100), 500))
@@ -135,12 +145,17 @@ def failure_probability(
         # rows without an answer may be the failures that were not found: a plain sample bounds them
         return _sampled(evaluator, seed)
     estimate, warning, draws = _bound(subset.estimate), "no search for a failure found one", None
+    mass = evaluator.mass(evaluator.values(plain.points, plain.answers))
     if mixture is not None:
         per_stage = int(max(min(2048, evaluator.left / 6), 256))
         mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=per_stage)
         answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy)
         estimate, warning = _certify(answer, subset.estimate)
         draws = answer.draws
+        estimate, warning = _defended(estimate, warning, mass)
+    if estimate.high is not None:
+        unseen = min(estimate.high + count_bound(mass.size), 1.0)
+        estimate = replace(estimate, high_unseen=unseen)
     return RareAnswer(
         estimate=replace(estimate, evaluations=evaluator.count),
         warning=warning,
@@ -156,7 +171,7 @@ def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
     d = evaluator.dimension
     if d > MOST_DIMENSIONS:
         return [], np.empty((0, evaluator.size))
-    count = int(min(1024, evaluator.budget // 20))
+    count = int(DEFENSIVE * evaluator.budget)
     look = draw(evaluator, wide_mixture(d), count, seed=seed, task="wide look")
     failing = look.points[
         evaluator.values(look.points, look.answers) < (2.0 if evaluator.integrated else 0.0)
@@ -175,12 +190,15 @@ def _first_mixture(
     """
     d = evaluator.dimension
     parts: list[Mixture] = []
-    if len(subset.failures) and d <= MOST_DIMENSIONS:
+    if len(subset.failures):
         parts.append(gaussian(subset.failures[:, :d], np.ones(len(subset.failures))))
-    if known := [point for point in points if point.beta > 0.0]:
-        parts.append(around_design_points(known[:6], d))
-    if pool and len((seen := failures(evaluator, pool))[1]):
-        parts.append(gaussian(*seen))
+    beyond = [point for point in points if point.beta > 0.0]
+    if beyond:
+        parts.append(around_design_points(beyond[:6], d))
+    if d <= MOST_DIMENSIONS:
+        seen, weights = failures(evaluator, pool)
+        if weights.size:
+            parts.append(gaussian(seen, weights))
     return joined([(1.0, part) for part in parts]) if parts else None
 
 
@@ -220,6 +238,24 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
     ), warning
 
 
+def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, str]:
+    """The answer if the masses of failure (n,) of the plain share agree with it, else one whose
+    interval holds what they show, and a warning.
+    """
+    met = float(np.nansum(mass))
+    if estimate.high is None or met < 1.0:
+        return estimate, warning
+    # the chance of as many failures at the upper end
+    chance = float(special.gammainc(math.floor(met), max(mass.size * estimate.high, 1e-300)))
+    if chance > 0.01:
+        return estimate, warning
+    low = float(special.gammaincinv(met, 0.025)) / mass.size
+    high = min(float(special.gammaincinv(met + 1.0, 0.975)) / mass.size, 1.0)
+    shown = replace(estimate, value=met / mass.size, low=low, high=high)
+    warning = f"{met:.3g} of {mass.size} plain samples fail, more than the search explains"
+    return estimate.holding(shown), warning
+
+
 def _bound(single: Estimate) -> Estimate:
     """What subset simulation says by itself: a bound, since its chains may have missed most of the
     failures.
@@ -232,6 +268,27 @@ def _bound(single: Estimate) -> Estimate:
         f"below {high:.2g}"
     )
     return replace(single, value=None, low=0.0, high=high, std_error=None, reason=reason)
+
+
+def _from_few(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
+    """A surrogate's answer from few calls; a plain sample where no surrogate serves.  Neither is
+    sure: a part of the failures that no call has met is in the outer interval only.
+    """
+    if evaluator.dimension > MOST_DIMENSIONS or evaluator.left < FEWEST:
+        return _sampled(evaluator, seed)
+
+    def search(surrogate: Evaluator, half_width: float) -> few.Found:
+        answer = failure_probability(surrogate, seed=seed, accuracy=half_width)
+        return few.Found(estimate=answer.estimate, draws=answer.draws)
+
+    estimate = few.by_kriging(evaluator, search, seed=seed, accuracy=accuracy)
+    if estimate is None:
+        return _sampled(evaluator, seed)
+    warning = (
+        f"from {evaluator.count} runs: a failure region may have been missed; with it the "
+        f"probability is below {estimate.high_unseen:.2g}"
+    )
+    return RareAnswer(estimate=estimate, warning=warning)
 
 
 def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:

@@ -135,16 +135,28 @@ def wide_mixture(dimension: int) -> Mixture:
     return Mixture(shares=np.full(6, 1.0 / 6.0), means=np.zeros((6, dimension)), factors=factors)
 
 
-def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixture:
-    """A Gaussian just beyond every design point, narrow along its direction, weighted by
-    first-order probability.
+def standard_normal(dimension: int) -> Mixture:
+    """The standard normal distribution: a plain sample."""
+    return Mixture(
+        shares=np.ones(1), means=np.zeros((1, dimension)), factors=np.eye(dimension)[None]
+    )
 
+
+def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixture:
+    """A Gaussian at every design point, of equal shares.
+
+    Up to ten variables it lies just beyond the point and is narrow along its direction; beyond
+    ten, where the limit may bend towards the origin in many directions, it has the unit covariance.
     Where a variable is integrated the design points have one more coordinate than `dimension`; it
     is dropped.
     """
     means, factors = [], []
     for point in points:
         beta = max(abs(point.beta), 0.5)
+        if dimension > MOST_DIMENSIONS:
+            means.append(point.point[:dimension])
+            factors.append(np.eye(dimension))
+            continue
         covariance = np.eye(point.point.size) - np.outer(point.direction, point.direction) / (
             1.0 + 1.0 / beta**2
         )
@@ -158,11 +170,14 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
 
 
 def defended(mixture: Mixture) -> Mixture:
-    """The mixture with its defensive shares: wider copies of the components, and the ladder about
-    the origin.
+    """The mixture with its defensive shares: up to ten variables wider copies of its components and
+    the ladder about the origin, beyond that a plain share, which no point of a sphere outweighs.
     """
+    d = mixture.dimension
+    if d > MOST_DIMENSIONS:
+        return joined([(0.9, mixture), (0.1, standard_normal(d))])
     copies = Mixture(shares=mixture.shares, means=mixture.means, factors=1.6 * mixture.factors)
-    return joined([(0.84, mixture), (0.12, copies), (0.04, wide_mixture(mixture.dimension))])
+    return joined([(0.84, mixture), (0.12, copies), (0.04, wide_mixture(d))])
 
 
 # --- fitting --------------------------------------------------------------------------------------
@@ -170,9 +185,9 @@ def defended(mixture: Mixture) -> Mixture:
 
 def gaussian(points: Array, weights: Array) -> Mixture:
     """One Gaussian with the mean and the covariance of weighted points (n, d)."""
-    return _mixture_of(
-        points, weights / weights.sum(), np.ones((len(points), 1)), carriers(weights)
-    )
+    duties = np.ones((len(points), 1))
+    start = standard_normal(points.shape[1])
+    return _mixture_of(points, weights / weights.sum(), duties, carriers(weights), start)
 
 
 def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
@@ -180,32 +195,70 @@ def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     for _ in range(STEPS):
         table = mixture.log_densities(points)
         duties = np.exp(table - special.logsumexp(table, axis=1)[:, None])
-        mixture = _mixture_of(points, weights / weights.sum(), duties, carriers(weights))
+        worth = carriers(weights)
+        mixture = _mixture_of(points, weights / weights.sum(), duties, worth, mixture)
     return mixture
 
 
-def _mixture_of(points: Array, weights: Array, duties: Array, worth: float) -> Mixture:
-    """Shares, means and covariances for given duties (n, K); components that carry almost nothing
-    are dropped.
+def _mixture_of(
+    points: Array, weights: Array, duties: Array, worth: float, before: Mixture
+) -> Mixture:
+    """Shares, means and covariances for given duties (n, K) of the components of a mixture before;
+    components that carry almost nothing are dropped.
     """
     loads = weights @ duties
     kept = np.flatnonzero(loads > 2.0 / worth)
     kept = kept if kept.size else np.array([int(loads.argmax())])
     means, factors = [], []
     for k in kept:
-        own = weights * duties[:, k] / loads[k]
-        mean, number = own @ points, max(loads[k] * worth, 1.0)
-        scatter = (own[:, None] * (points - mean)).T @ (points - mean)
-        # few points underestimate a spread
-        values, vectors = np.linalg.eigh(scatter)
-        covariance = (
-            vectors * np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)
-        ) @ vectors.T
+        share = weights * duties[:, k] / loads[k]
+        number = max(loads[k] * worth, 1.0)
+        if points.shape[1] > MOST_DIMENSIONS:
+            mean, factor = _along_one_direction(points, share, number, before.means[k])
+        else:
+            mean, factor = _of_full_rank(points, share, number)
         means.append(mean)
-        factors.append(np.linalg.cholesky(covariance))
+        factors.append(factor)
     return Mixture(
         shares=loads[kept] / loads[kept].sum(), means=np.array(means), factors=np.array(factors)
     )
+
+
+def _of_full_rank(points: Array, share: Array, number: float) -> tuple[Array, Array]:
+    """Mean (d,) and Cholesky factor (d, d) of weighted points that are worth a number of equal
+    ones.
+    """
+    mean = share @ points
+    scatter = (share[:, None] * (points - mean)).T @ (points - mean)
+    # few points underestimate a spread
+    values, vectors = np.linalg.eigh(scatter)
+    widened = np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)
+    return mean, np.linalg.cholesky((vectors * widened) @ vectors.T)
+
+
+def _along_one_direction(
+    points: Array, share: Array, number: float, before: Array
+) -> tuple[Array, Array]:
+    """The same in many variables, where points are too few for a covariance: one variance along
+    the mean and one across it.
+
+    What the mean has across its direction before is shrunk by its noise (James and Stein 1961).
+    """
+    d, mean = points.shape[1], share @ points
+    length = float(np.linalg.norm(before))
+    if length > 0.0:
+        along = before * float(mean @ before) / length**2
+        across = mean - along
+        noise = d / number / max(float(across @ across), 1e-300)
+        mean = along + max(1.0 - noise, 0.0) * across
+    direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
+    off = points - mean
+    steps = off @ direction
+    widening = 1.0 + 2.0 / max(number - 1.0, 1.0)
+    one = float(np.clip(share @ steps**2 * widening, 1e-2, 25.0))
+    rest = float(np.clip(share @ ((off**2).sum(axis=1) - steps**2) / (d - 1), 1e-2, 25.0))
+    covariance = rest * np.eye(d) + (one - rest) * np.outer(direction, direction)
+    return mean, np.linalg.cholesky(covariance)
 
 
 # --- stages ---------------------------------------------------------------------------------------
@@ -257,7 +310,7 @@ def adapt(
 ) -> Mixture:
     """The mixture after two stages of drawing from it, weighting and fitting."""
     d = evaluator.dimension
-    for _ in range(2 if d <= MOST_DIMENSIONS else 0):
+    for _ in range(2):
         if evaluator.left < per_stage:
             break
         draws.append(
