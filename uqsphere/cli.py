@@ -195,6 +195,26 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--json", action="store_true", help="print results.json instead of the summary"
     )
+    sweep = add(
+        "sweep",
+        _sweep,
+        "run a study for each value of one or two keys, and tabulate the number to use",
+        'chute.toml --over target.thickness="10 mm, 15 mm, 25 mm"',
+        'chute.toml --over sphere.radius="8 mm, 10 mm" --over impact.angle="60 deg, 90 deg"',
+    )
+    _with_study(sweep)
+    _with_model(sweep)
+    sweep.add_argument(
+        "--over",
+        action="append",
+        default=[],
+        required=True,
+        metavar="KEY=VALUES",
+        help="a study key and its values, separated by commas (once or twice)",
+    )
+    sweep.add_argument(
+        "--out", type=Path, metavar="DIR", help="directory of the sweep (default: FILE-sweep)"
+    )
     report = add("report", _report, "write the report again from stored results", "rock-results")
     report.add_argument("folder", type=Path, metavar="DIR")
     compare = add(
@@ -296,18 +316,27 @@ def _count(text: str) -> int:
 # --- what commands share --------------------------------------------------------------------------
 
 
-def _loaded(options: argparse.Namespace, more: Sequence[str] = ()) -> Any:
+def _loaded(options: argparse.Namespace) -> Any:
     """The study of a command; its warnings go to stderr."""
+    text = _standard_input() if str(options.file) == "-" else None
+    study = _study(options, text)
+    _warn(study.warnings)
+    return study
+
+
+def _study(options: argparse.Namespace, text: str | None, more: Sequence[str] = ()) -> Any:
+    """The study of a file, or of the `text` of standard input, with `more` PATH=VALUE set."""
     from uqsphere.study import load_study
 
     overrides = [*options.overrides, *more]
-    if str(options.file) == "-":
-        study = load_study("stdin", overrides, text=_standard_input())
-    else:
-        study = load_study(options.file, overrides)
-    for warning in study.warnings:
+    if text is None:
+        return load_study(options.file, overrides)
+    return load_study("stdin", overrides, text=text)
+
+
+def _warn(warnings: Sequence[str]) -> None:
+    for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return study
 
 
 def _standard_input() -> str:
@@ -459,6 +488,43 @@ def _run(options: argparse.Namespace) -> int:
         if verdict.target is not None and verdict.verdict != "met"
     ]
     return NOT_MET if open_targets else 0
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from uqsphere.propagation import run
+    from uqsphere.propagation.progress import watched
+    from uqsphere.report.sweep import finished_run, plan_sweep, sweep_text, write_sweep
+
+    text = _standard_input() if str(options.file) == "-" else None
+    seconds, folder = _budget(options), _folder(options, "sweep")
+    sweep = plan_sweep(options.over, folder, lambda values: _study(options, text, values))
+    _warn(list(dict.fromkeys(text for point in sweep.points for text in point.study.warnings)))
+    runs: dict[str, Any] = {}
+    with _interruptible() as stop:
+        for number, point in enumerate(sweep.points, 1):
+            values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
+            print(f"point {number} of {len(sweep.points)}: {values}", file=sys.stderr)
+            ready = finished_run(sweep, point)
+            if ready is None:
+                with watched(lines=True) as progress:
+                    ready = run(
+                        point.study,
+                        options.model,
+                        out=sweep.folder / point.name,
+                        threads=options.processes,
+                        seconds=seconds,
+                        progress=progress,
+                        stop=stop,
+                    )
+            if ready.results.accuracy.stopped != "interrupted":
+                runs[point.name] = ready
+                page = write_sweep(sweep, runs)
+            if stop():
+                break
+    if runs:
+        print(sweep_text(sweep, runs, _width()))
+        print(f"report: {page}")
+    return 0 if len(runs) == len(sweep.points) else INTERRUPTED
 
 
 def _report(options: argparse.Namespace) -> None:

@@ -1,0 +1,113 @@
+"""Sweeps: each point an ordinary run, kept and not repeated; what is refused before any run."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from uqsphere.cli import main
+from uqsphere.results import open_run
+
+STUDY = """
+title = "A product"
+seed = 1
+[inputs]
+a = { dist = "normal", mean = 1.0, sd = 0.1 }
+k = 2.0
+c = 1.0
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = 6.0
+target = 0.1
+[margins]
+solve = "k"
+between = [1.0, 20.0]
+[analysis]
+budget = { evaluations = 12000 }
+accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.3 }
+"""
+MODEL = 'calls = 0\ndef f(x):\n    return {"y": x["a"] * x["k"] * x["c"]}\n'
+SWEEP = ["sweep", "s.toml", "--model", "box.py:f", "-j", "1"]
+
+
+@pytest.fixture(autouse=True)
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(STUDY)
+    Path("box.py").write_text(MODEL)
+
+
+def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 0
+    assert "point 2 of 2: inputs.c = 2" in capsys.readouterr().err
+    table = pd.read_csv("s-sweep/sweep.csv")
+    assert table["folder"].tolist() == ["c-1", "c-2"]
+    assert table["use"][0] == pytest.approx(2.0 * table["use"][1], rel=0.05)
+    assert (table["verdict"] == "met").all()
+    assert open_run("s-sweep/c-2").results.study.overrides == ["inputs.c=2"]
+    page = Path("s-sweep/report.html").read_text("utf-8")
+    assert '<a href="c-2/report.html">' in page
+    stored = Path("s-sweep/c-1/results.json").stat().st_mtime_ns
+    assert main([*SWEEP, "--over", "inputs.c=1, 2, 3"]) == 0
+    assert Path("s-sweep/c-1/results.json").stat().st_mtime_ns == stored
+    assert len(pd.read_csv("s-sweep/sweep.csv")) == 3
+
+
+def test_two_keys_give_every_combination() -> None:
+    assert main([*SWEEP, "--over", "inputs.c=1, 2", "--over", "inputs.a.sd=0.1, 0.2"]) == 0
+    table = pd.read_csv("s-sweep/sweep.csv")
+    assert table[["inputs.c", "inputs.a.sd"]].to_numpy().tolist() == [[1, 0.1], [1, 0.2], [2, 0.1], [2, 0.2]]
+    assert table["use"][0] > table["use"][1]
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        (["c"], "must be KEY=VALUES"),
+        (["inputs.c=1,,2"], "must be KEY=VALUES"),
+        (["inputs.c=1, 1"], "given twice"),
+        (["inputs.c=1", "inputs.c=2"], "given twice"),
+        (["inputs.c=1", "inputs.k=1", "inputs.a.sd=1"], "at most 2 keys"),
+        (["inputs.c=1, x"], "s.toml"),
+        (["inputs.q=1, 2"], "q"),
+    ],
+)
+def test_what_makes_no_sweep_is_refused_before_any_run(
+    over: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = [word for text in over for word in ("--over", text)]
+    assert main([*SWEEP, *options]) == 2
+    assert words in capsys.readouterr().err
+    assert not Path("s-sweep").exists()
+
+
+def test_a_folder_with_a_run_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("s-sweep").mkdir()
+    Path("s-sweep/results.json").write_text("{}")
+    assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 5
+    assert "holds a run" in capsys.readouterr().err
+
+
+def test_an_interrupted_sweep_keeps_the_points_that_have_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import os
+    import signal
+
+    from uqsphere.report import sweep
+
+    write = sweep.write_sweep
+
+    def write_and_interrupt(*args: object) -> Path:
+        place = write(*args)  # type: ignore[arg-type]
+        os.kill(os.getpid(), signal.SIGINT)
+        return place
+
+    monkeypatch.setattr(sweep, "write_sweep", write_and_interrupt)
+    assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 130
+    assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]
+    assert "Use at most" in capsys.readouterr().out
