@@ -483,9 +483,9 @@ def _run(options: argparse.Namespace) -> int:
     if finished.results.accuracy.stopped == "interrupted":
         return INTERRUPTED
     open_targets = [
-        verdict
-        for verdict in finished.verdicts.values()
-        if verdict.target is not None and verdict.verdict != "met"
+        decision
+        for decision in finished.results.decisions
+        if decision.target is not None and decision.verdict != "met"
     ]
     return NOT_MET if open_targets else 0
 

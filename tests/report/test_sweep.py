@@ -60,7 +60,12 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
 def test_two_keys_give_every_combination() -> None:
     assert main([*SWEEP, "--over", "inputs.c=1, 2", "--over", "inputs.a.sd=0.1, 0.2"]) == 0
     table = pd.read_csv("s-sweep/sweep.csv")
-    assert table[["inputs.c", "inputs.a.sd"]].to_numpy().tolist() == [[1, 0.1], [1, 0.2], [2, 0.1], [2, 0.2]]
+    assert table[["inputs.c", "inputs.a.sd"]].to_numpy().tolist() == [
+        [1, 0.1],
+        [1, 0.2],
+        [2, 0.1],
+        [2, 0.2],
+    ]
     assert table["use"][0] > table["use"][1]
 
 
@@ -73,7 +78,7 @@ def test_two_keys_give_every_combination() -> None:
         (["inputs.c=1", "inputs.c=2"], "given twice"),
         (["inputs.c=1", "inputs.k=1", "inputs.a.sd=1"], "at most 2 keys"),
         (["inputs.c=1, x"], "s.toml"),
-        (["inputs.q=1, 2"], "q"),
+        (["analysis.q=1, 2"], "q"),
     ],
 )
 def test_what_makes_no_sweep_is_refused_before_any_run(

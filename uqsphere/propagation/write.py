@@ -24,6 +24,7 @@ from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
+from uqsphere.propagation.tested import points_of_tests
 from uqsphere.propagation.transition import limit_verdicts
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
@@ -101,7 +102,7 @@ def results_of(
             overrides=list(study.overrides),
             warnings=list(study.warnings),
             quantities={name: _quantity(design, tables, name) for name in design.described},
-            limits={limit.name: _limit(limit) for limit in design.limits},
+            limits={limit.name: _with_tests(design, tables, limit) for limit in design.limits},
             modes={mode.called: _assumed(mode) for mode in design.modes},
             not_judged=dict(design.not_judged),
             dependence=[_dependence(tie) for tie in study.dependence],
@@ -213,6 +214,11 @@ def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
             value = float(np.corrcoef(columns)[0, 1])
             entries.append(CorrelationEntry(of=[first, second], value=value))
     return entries
+
+
+def _with_tests(design: Design, tables: Tables, limit: Limit) -> LimitEntry:
+    points = points_of_tests(design, tables, limit)
+    return _limit(limit).model_copy(update={"test_points": points})
 
 
 def _limit(limit: Limit) -> LimitEntry:

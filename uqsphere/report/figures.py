@@ -176,10 +176,12 @@ def _targets(results: Results, limit: str | None) -> list[tuple[float, str]]:
 
 
 def _tests(results: Results, shown: set[str]) -> Tests | None:
-    """Band and points of the first limit that has tests."""
+    """Band and points of the limit with tests that governs, else of the first one."""
     for decision in results.decisions:
         names = [name for name in decision.limits if name in results.study.limits]
         tested = [name for name in names if results.study.limits[name].tests]
+        governing = decision.governing.removeprefix("limits.")
+        tested.sort(key=lambda name: name != governing)
         if not decision.band or not tested or tested[0] not in shown:
             continue
         ends = np.array([(point.at, point.low, point.high) for point in decision.band], dtype=float)

@@ -37,6 +37,7 @@ from uqsphere.report.sentences import (
     check_text,
     decision_texts,
     doubt_text,
+    evidence_texts,
     exceedance_name,
     shortfall_text,
 )
@@ -120,6 +121,7 @@ def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]
         checks=results.checks,
         check_text=check_text,
         assumptions=_assumptions(results),
+        evidence=evidence_texts(results),
         margins=[table for table in margins if table is not None],
         paper=_paper(results),
         accuracy=accuracy,
@@ -270,7 +272,8 @@ def _limits(results: Results) -> Table | None:
         head=(*head, "strength", "its source"),
         rows=body,
         marked=[k for k, row in enumerate(rows) if row.subject in governing],
-        note="bold: governs; * strength assumed, from the library; 95 % sampling intervals",
+        note="to use: with all that is open and the other failure modes; best estimate: this limit "
+        "by itself; bold: governs; * strength assumed, from the library",
     )
 
 

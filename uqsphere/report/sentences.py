@@ -24,7 +24,6 @@ from uqsphere.results.types import (
     CheckEntry,
     Decision,
     Doubt,
-    LimitVerdict,
     Range,
     Results,
     Shortfall,
@@ -81,23 +80,7 @@ class DecisionText:
 
 def decision_texts(results: Results) -> list[DecisionText]:
     """The words of every decision of a run."""
-    if not results.decisions:
-        return [_verdict_text(name, one) for name, one in results.verdicts.items()]
     return [decision_text(results, decision) for decision in results.decisions]
-
-
-def _verdict_text(name: str, verdict: LimitVerdict) -> DecisionText:
-    use, _, rest = verdict.headline.rstrip(".").partition(". ")
-    return DecisionText(
-        aim=name,
-        verdict=verdict.verdict,
-        use=use,
-        sentence=f"{rest}." if rest else "",
-        broken=verdict.detail,
-        next=verdict.next,
-        gains=[],
-        open=[],
-    )
 
 
 def decision_text(results: Results, decision: Decision) -> DecisionText:
@@ -111,8 +94,33 @@ def decision_text(results: Results, decision: Decision) -> DecisionText:
         broken=writer.at_the_plan(),
         next=writer.next(),
         gains=[(f"{gain.tests} tests", writer.number(gain.median)) for gain in decision.next.gains],
-        open=[caveat_text(caveat) for caveat in decision.caveats],
+        open=_open(results, decision),
     )
+
+
+def _open(results: Results, decision: Decision) -> list[str]:
+    """Why a verdict is not established, and checks that fail."""
+    synthetic = [one for one in decision.caveats if one.code == "synthetic tests"]
+    texts = [caveat_text(one) for one in decision.caveats if one.code != "synthetic tests"]
+    if synthetic:
+        names = [plain_name(one.subject).removesuffix(".strength") for one in synthetic]
+        texts.append(f"the tests of {listed(names)} are synthetic, not measured")
+    told = {one.subject for one in decision.caveats}
+    for check in results.checks:
+        if check.grade == "failure" and check.name not in told:
+            texts.append(f"check failed: {check.text}")
+    return texts
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence.
+
+    >>> listed(["a", "b", "c"]), listed(["a"])
+    ('a, b and c', 'a')
+    """
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 class _Writer:
@@ -155,7 +163,8 @@ class _Writer:
         if decision.use is not None:
             parts.append(self.governs())
         own = decision.own
-        if own is not None and (decision.use is None or own != decision.use.value):
+        used = None if decision.use is None else self.number(decision.use.value)
+        if own is not None and self.number(own) != used:
             parts.append(f"By your own limits: {self.allowed(own)}.")
         return " ".join(part for part in parts if part)
 
@@ -302,7 +311,7 @@ def _considering(doubt: Doubt) -> str:
     clauses = {
         "computation": "with the sampling uncertainty of the run",
         "tests": f"with what its {doubt.tests} tests leave open",
-        "distribution": f"with a {doubt.option} strength",
+        "distribution": f"with a {_family(doubt.option)} distribution of its strength",
         "contact law": "with contacts that yield",
         "carrier": f"with its strength transferred by {doubt.option}",
         "tie": "with its strength independent of the inputs",
@@ -315,14 +324,35 @@ def doubt_text(doubt: Doubt) -> str:
     """A row's head in the table of what the number rests on."""
     heads = {
         "computation": "as computed (95 % sampling interval)",
-        "tests": f"few tests ({doubt.tests})",
-        "distribution": f"{doubt.option} strength instead",
+        "tests": f"{doubt.tests} tests, {_family(doubt.option)} distribution",
+        "distribution": f"{_family(doubt.option)} distribution instead",
         "contact law": "contacts that yield",
         "carrier": f"strength transferred by {doubt.option}",
         "tie": "strength independent of the inputs",
         "assumed strength": "library strength" + (f", {doubt.option}" if doubt.option else ""),
     }
-    return heads[doubt.code]
+    return heads[doubt.code] if doubt.counts else f"{heads[doubt.code]} (damage, not counted)"
+
+
+def _family(option: str) -> str:
+    """A distribution by its name: "Weibull", "lognormal"."""
+    text = option.replace("_", " ")
+    return text.capitalize() if text in ("weibull", "gumbel", "frechet", "rayleigh") else text
+
+
+def evidence_texts(results: Results) -> list[str]:
+    """What the study's crushing tests say of strengths of the library."""
+    refuted = [one for one in results.evidence if one.refuted]
+    raised = [one for one in results.evidence if not one.refuted and one.raised > 1.0]
+    texts = []
+    if refuted:
+        names = listed([one.mode for one in refuted])
+        tests = f"your {refuted[0].tests} tests"
+        texts.append(f"Left out, because {tests} refute the library's strength: {names}.")
+    if raised:
+        factors = listed([f"{one.mode} (weak end times {one.raised:.2g})" for one in raised])
+        texts.append(f"Library strengths raised to what your tests allow: {factors}.")
+    return texts
 
 
 def caveat_text(caveat: Caveat) -> str:
@@ -330,8 +360,9 @@ def caveat_text(caveat: Caveat) -> str:
     name = plain_name(caveat.subject)
     if caveat.code == "assumed strength":
         return f"{name} rests on a strength of the library, not of this rock"
-    if caveat.code == "synthetic tests":
-        return f"the tests of {name} are synthetic, not measured"
+    if caveat.code == "size" and caveat.value is not None and caveat.bound is not None:
+        sizes = [value(x, "sphere.radius") for x in (caveat.value, caveat.bound)]
+        return f"the sphere ({sizes[0]}) is not of the tested size ({sizes[1]}, {name})"
     return caveat.text or f"{caveat.code}: {name}"
 
 

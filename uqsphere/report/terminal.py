@@ -32,9 +32,9 @@ def summary(results: Results, width: int = 79) -> str:
             lines += textwrap.wrap(text, width)
     if not results.study.limits:
         lines += ["", *textwrap.wrap(NO_LIMIT, width)]
-    for check in results.checks:
-        if check.grade == "failure":
-            lines += textwrap.wrap(f"Check failed: {check.text}", width)
+        for check in results.checks:
+            if check.grade == "failure":
+                lines += textwrap.wrap(f"Check failed: {check.text}", width)
     lines += _modes(results, width)
     lines += _paper(results, width)
     lines += _quantities(results, width)

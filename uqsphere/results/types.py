@@ -238,7 +238,9 @@ class LimitEntry(Part):
     source: str
     source_checked: bool = Field(default=True, description="whether the source itself was read")
     test_points: Sequence[Sequence[float]] | None = Field(
-        default=None, description="tests on the axis of the free number: value, share broken"
+        default=None,
+        description="tests on the axis of the free number: values, shares broken, 1 if "
+        "right-censored",
     )
     platens: str = Field(default="", description="platens of the tests")
     size_law: str = Field(default="", description="how the strength follows the size of the sphere")
