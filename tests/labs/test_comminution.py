@@ -239,12 +239,16 @@ def test_tests_that_do_not_overlap_show_no_scatter() -> None:
 
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
-    assert lines[0] == "distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent"
+    assert lines[0] == (
+        "distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent,smallest [mm],"
+        "largest [mm]"
+    )
     assert len(lines) == 4001
     energy = 60.0
     from_law = fitted.posterior.broken(energy, 0.01)[:, 0]
     for k in (0, 17, 4000 - 1):
-        name, scale, shape, bound, tests, size, exponent = lines[k + 1].split(",")
+        name, scale, shape, bound, tests, size, exponent, *sizes = lines[k + 1].split(",")
+        assert [float(size) for size in sizes] == [2.0, 20.0]
         larger = fitted.posterior.median(0.012)[k, 0] / fitted.posterior.median(0.01)[k, 0]
         assert larger == pytest.approx(1.2 ** float(exponent), rel=0.01)
         assert (tests, float(size)) == ("48", pytest.approx(10.0))
@@ -611,3 +615,33 @@ def test_every_offered_energy_is_shared_with_the_partner(rig: str, tmp_path: Pat
     whole = table(tmp_path, text, rig=rig, energy_is="input")
     assert whole.last.tolist() == [100.0, 80.0, 90.0, 120.0]
     assert any("credited with the whole energy offered" in note for note in whole.notes)
+
+
+def test_a_strength_beyond_the_tested_sizes_is_told_and_holds_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(8)
+    rows = [
+        f"{17 + 6 * rng.random():.4g},{100 * math.exp(0.4 * rng.standard_normal()):.4g},1"
+        for _ in range(30)
+    ]
+    (tmp_path / "tests.csv").write_text("\n".join(["d [mm],e [J/kg],outcome", *rows]) + "\n")
+    text = (
+        'strength_at = "{at}"\n[material]\nmaterial = "limestone"\n[tests]\nfile = "tests.csv"\n'
+        'diameter = "d [mm]"\nspecific_energy = "e [J/kg]"\nenergy_is = "sphere"\n'
+        'outcome = "outcome"\n'
+    )
+    for at, told in (("20 mm", False), ("80 mm", True)):
+        (tmp_path / "fit.toml").write_text(text.format(at=at))
+        command = ["comminution", "fit", str(tmp_path / "fit.toml"), "--out", str(tmp_path)]
+        assert main(command) == 0
+        assert ("80 mm is outside the tested sizes (17" in capsys.readouterr().err) is told
+    (tmp_path / "study.toml").write_text(
+        LOOP.format(height=0.01).replace('"10 mm"', '"40 mm"').replace('"break"', '"survive"')
+    )
+    study = uqsphere.load_study(tmp_path / "study.toml")
+    tested = study.limits[0].tested
+    assert tested is not None
+    assert tested.diameter == pytest.approx(0.08)
+    assert tested.beyond(0.08) == pytest.approx(0.08 / max(tested.diameters))
+    assert max(tested.diameters) < 0.0231

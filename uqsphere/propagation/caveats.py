@@ -70,17 +70,17 @@ def _model_range(
 
 
 def _sizes(settled: Settled) -> Iterator[Caveat]:
-    """Tests of spheres that differ by more than half from the sphere of the study."""
+    """A sphere that is more than half larger or smaller than all tested ones."""
     study = settled.aim.design.study
     for limit in settled.aim.limits:
         if limit.tested is None:
             continue
         diameter = 2.0 * study.at_means()["sphere.radius"]
-        ratio = diameter / limit.tested.diameter
-        if max(ratio, 1.0 / ratio) > _SIZES:
+        if limit.tested.beyond(diameter) > _SIZES:
+            sizes = limit.tested.diameters or (limit.tested.diameter,)
             yield Caveat(
                 code="size",
                 subject=settled.aim.design.subject(limit),
                 value=diameter,
-                bound=limit.tested.diameter,
+                bound=min(sizes, key=lambda size: abs(size - diameter)),
             )

@@ -69,7 +69,8 @@ class Tested:
     diameter: the mean one [m], to which `law` belongs.  forces [N], diameters [m]: of every test.
     platens: E [Pa], infinite if rigid, and nu.  sphere: as `uqsphere.mechanics.crushing` takes it.
     law: of the force at failure of a sphere of `diameter`.  exponent: that force goes with the
-    diameter to this power.  The draws of a lab have a diameter and an exponent alone.
+    diameter to this power.  The draws of a lab have a diameter and an exponent, and the smallest
+    and largest of the tested diameters.
     """
 
     diameter: float
@@ -79,6 +80,11 @@ class Tested:
     sphere: Mapping[str, float] = field(default_factory=dict)
     law: Law | None = None
     exponent: float = 2.0
+
+    def beyond(self, diameter: float) -> float:
+        """Ratio, at least 1, of a diameter [m] to the nearest size that was tested."""
+        sizes = self.diameters or (self.diameter,)
+        return max(diameter / max(sizes), min(sizes) / diameter, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +278,8 @@ class Observations(Table):
     draws: str | None = keyed(
         "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), "
         "`scale`, `shape`, and if "
-        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`"
+        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`, and the "
+        "`smallest` and `largest` diameter that was tested"
     )
     decimal: Literal[".", ","] | None = keyed("decimal mark, where a column can be read both ways")
     column: str | None = keyed("column of observations, in the quantity itself")
@@ -408,7 +415,11 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
 def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
     kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, {}
-    dimensions = {"scale": quantity.dimension, "least": quantity.dimension, "diameter": "length"}
+    dimensions = {
+        "scale": quantity.dimension,
+        "least": quantity.dimension,
+        **dict.fromkeys(("diameter", "smallest", "largest"), "length"),
+    }
     with opened(name, draft, "draws", table.decimal) as found:
         words = found.texts("distribution", "draws")
         found.refuse(
@@ -416,7 +427,17 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
             f"distribution: {one_of(kinds)} is required",
             np.array([w not in kinds for w in words]),
         )
-        for key in ("least", "scale", "shape", "bound", "tests", "diameter", "size_exponent"):
+        for key in (
+            "least",
+            "scale",
+            "shape",
+            "bound",
+            "tests",
+            "diameter",
+            "size_exponent",
+            "smallest",
+            "largest",
+        ):
             dimension = dimensions.get(key, "number")
             needed = key in ("scale", "shape") or any(
                 unit_in_heading(h, dimension)[0] == key for h in found.headings
@@ -425,7 +446,7 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
             columns[key] = (
                 found.numbers(key, dimension, unit, key="draws") if needed else np.zeros(len(found))
             )
-        least, scale, shape, bound, tests, size, exponent = columns.values()
+        least, scale, shape, bound, tests, size, exponent, smallest, largest = columns.values()
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
         found.refuse(
             "draws",
@@ -433,9 +454,14 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
             wrong,
         )
     draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
-    tested = (
-        Tested(diameter=float(size[0]), exponent=float(exponent.mean())) if size[0] > 0.0 else None
-    )
+    tested = None
+    if size[0] > 0.0:
+        ends = (float(smallest[0]), float(largest[0]))
+        tested = Tested(
+            diameter=float(size[0]),
+            exponent=float(exponent.mean()),
+            diameters=ends if 0.0 < ends[0] <= ends[1] else (),
+        )
     return Number(
         value=law_of_draws(draws.tolist(), int(tests[0])), synthetic=table.synthetic, tested=tested
     )

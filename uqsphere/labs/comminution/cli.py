@@ -41,7 +41,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(chosen: argparse.Namespace) -> None:
     from uqsphere.labs.comminution.feed import answer_feed
-    from uqsphere.labs.comminution.fit import fit
+    from uqsphere.labs.comminution.fit import UNTESTED, fit
     from uqsphere.labs.comminution.tests import load_tests
 
     asked = load_document(chosen.file, ComminutionDocument)
@@ -51,7 +51,13 @@ def _run(chosen: argparse.Namespace) -> None:
     at = asked.strength_at or math.sqrt(low * high)
     content = {**fitted.content, "strength_at": at}
     files = {"draws.csv": fitted.posterior.strength_csv(at), "fit.json": _json(content)}
-    text, warnings = _fit_text(content), fitted.content["warnings"]
+    text, warnings = _fit_text(content), [*fitted.content["warnings"]]
+    if at < low / UNTESTED or at > high * UNTESTED:
+        law = "" if fitted.content["size"] == "class" else f" by the size law {content['size']!r}"
+        warnings.append(
+            f"strength_at = {at * 1e3:.4g} mm is outside the tested sizes ({low * 1e3:.4g} to "
+            f"{high * 1e3:.4g} mm): draws.csv is an extrapolation{law}. Test this size"
+        )
     if chosen.command == "feed":
         answer = answer_feed(fitted.posterior, asked, folder)
         classes = [

@@ -25,7 +25,7 @@ from uqsphere.labs.comminution.document import (
     SizesTable,
 )
 from uqsphere.labs.comminution.energies import stiffness
-from uqsphere.labs.comminution.fit import Posterior, quantiles
+from uqsphere.labs.comminution.fit import UNTESTED, Posterior, quantiles
 from uqsphere.tables import read_table
 
 #: draws that a feed is computed for
@@ -253,7 +253,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
                 "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
             )
     low, high = posterior.tested
-    untested = (sizes < low * 0.84) | (sizes > high * 1.19)
+    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
     if float(mass[untested].sum()) > 0.005:
         warnings.append(
             f"{mass[untested].sum():.0%} of the feed lies beyond the tested {low * 1e3:.3g} to "

@@ -40,6 +40,8 @@ EFFECTIVE: Final = 1000.0
 #: fewer tests than this choose between lognormal and Weibull too often wrongly: both are averaged
 #: by their scores
 FEW: Final = 50
+#: ratio to the tested sizes beyond which a strength is extrapolated
+UNTESTED: Final = 1.19
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
 _GAMMAS: Final = np.linspace(math.log(0.5), math.log(50.0), 93)
 
@@ -135,20 +137,21 @@ class Posterior:
         return found
 
     def strength_csv(self, diameter: float) -> str:
-        """Draws of the strength of particles of one size, as a study takes them: distribution,
-        scale, shape, bound.
+        """Draws of the strength of particles of one size [m], as a study reads them.
+
+        Distribution, scale, shape, bound; number of tests; the size that they hold for, the local
+        power of the size law, and the tested sizes.
         """
         median = self.median(diameter)[:, 0]
-        exponent = np.log(self.median(1.01 * diameter) / self.median(diameter / 1.01))[
-            :, 0
-        ] / math.log(1.01**2)
+        step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
+        exponent = np.log(step)[:, 0] / math.log(1.01**2)
         bounded = np.array([model.law == "lognormal" for model in self.models])[
             self.law.astype(int)
         ]
         none = np.full(len(self), np.nan)
-        shape = np.where(
-            bounded, self.parameters.get("sigma", none), 0.6 * self.parameters.get("modulus", none)
-        )
+        modulus = self.parameters.get("modulus", none)
+        shape = np.where(bounded, self.parameters.get("sigma", none), 0.6 * modulus)
+        smallest, largest = self.tested
         columns: dict[str, Any] = {
             "distribution": np.where(bounded, "lognormal", "weibull"),
             "scale [J/kg]": np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape)),
@@ -157,10 +160,11 @@ class Posterior:
             "tests": self.tests,
             "diameter [mm]": diameter * 1e3,
             "size_exponent": exponent * (self.models[0].size != "class"),
+            "smallest [mm]": smallest * 1e3,
+            "largest [mm]": largest * 1e3,
         }
-        return csv_text(
-            tuple(columns), [np.broadcast_to(column, len(self)) for column in columns.values()]
-        )
+        rows = [np.broadcast_to(column, len(self)) for column in columns.values()]
+        return csv_text(tuple(columns), rows)
 
 
 @dataclass(frozen=True, kw_only=True)

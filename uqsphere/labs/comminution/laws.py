@@ -47,7 +47,9 @@ def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Ar
 
 def hazard(energy: Values, median: Values, modulus: Values) -> Array:
     """-ln(1 - P) of (L2)."""
-    return np.asarray(math.log(2.0) * (np.asarray(energy) / median) ** (0.6 * np.asarray(modulus)))
+    with np.errstate(over="ignore", divide="ignore"):
+        ratio = np.asarray(energy) / median
+        return np.asarray(math.log(2.0) * ratio ** (0.6 * np.asarray(modulus)))
 
 
 def broken_share(
@@ -86,11 +88,12 @@ def median_energy(
 ) -> Array:
     """E50 [J/kg] at a diameter [m], (L3); `energy` is E_inf [J/kg], or C [J/kg m^phi]."""
     d = np.asarray(diameter, dtype=float)
-    if size == "tavares":
-        return np.asarray(energy * (1.0 + (d0 / d) ** phi))
-    if size == "king":
-        return np.asarray(energy * (1.0 + d0 / d) ** phi)
-    return np.asarray(energy * d ** -np.asarray(phi))
+    with np.errstate(over="ignore"):
+        if size == "tavares":
+            return np.asarray(energy * (1.0 + (d0 / d) ** phi))
+        if size == "king":
+            return np.asarray(energy * (1.0 + d0 / d) ** phi)
+        return np.asarray(energy * d ** -np.asarray(phi))
 
 
 def before_blow(left: Values, gamma: Values) -> Array:
