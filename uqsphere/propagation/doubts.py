@@ -200,8 +200,9 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
         laws |= {name: other for name, other in _other_fits(law) if name not in laws}
     found: dict[str, tuple[Law, ...]] = {}
+    tests = tests_behind(limit) or (0.0,)
+    first, last = tests[0], tests[-1]
     for name, own in laws.items():
-        first, last = (tests_behind(limit) or (0.0,))[:: max(len(tests_behind(limit)) - 1, 1)][:2]
         generator = random_generator(
             seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
         )
