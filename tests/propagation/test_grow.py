@@ -13,8 +13,10 @@ import uqsphere
 from uqsphere.models.model import Model
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.grow import paired
+from uqsphere.propagation.limits import _searched
 from uqsphere.propagation.tables import Tables, evaluate
 from uqsphere.study import Study, load_study
+from uqsphere.uq import Estimate
 
 grow = sys.modules["uqsphere.propagation.grow"]
 STUDY = """
@@ -105,3 +107,37 @@ def test_a_probability_that_is_asked_for_by_name_comes_before_indices(
         assert failure["low"] < 1.01 * truth
         assert failure["high"] > truth / 1.01
         assert run.results.accuracy.runs <= 30_000
+
+
+def plane(**keys: object) -> Study:
+    return Study(
+        inputs={name: {"dist": "normal", "mean": 0.0, "sd": 1.0} for name in "ab"},
+        outputs="y",
+        limits={"fails": {"quantity": "y", "aim": "break", "strength": 0.0, **keys}},
+        seed=2,
+    )
+
+
+def test_a_target_is_met_once_the_sample_leaves_no_room_for_failures_unseen() -> None:
+    run = uqsphere.run(plane(target=5e-5), lambda x: {"y": 4.5 - x["a"]})
+    failure = run.probability("fails")
+    assert failure["value"] == pytest.approx(3.3977e-6, rel=0.05)
+    assert failure["high_unseen"] < 5e-5
+    assert run.results.accuracy.stopped == "accurate"
+
+
+def estimate(value: float, low: float, high: float, runs: int) -> Estimate:
+    return Estimate(
+        value=value, low=low, high=high, std_error=0.25 * (high - low), method="", evaluations=runs
+    )
+
+
+def test_failures_that_a_search_misses_and_the_sample_meets_are_in_the_interval() -> None:
+    search, sample = estimate(3e-6, 2.9e-6, 3.1e-6, 30_000), estimate(2e-4, 1e-4, 4e-4, 65_536)
+    both = _searched(search, sample, 65_536)
+    assert both.low == 2.9e-6
+    assert both.value == 2e-4
+    assert both.high == 4e-4
+    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536), 65_536)
+    assert alone.high == 3.1e-6
+    assert alone.high_unseen == pytest.approx(3.1e-6 + 3.0 / 65_536, rel=0.01)

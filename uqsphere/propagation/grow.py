@@ -35,6 +35,7 @@ from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evalua
 from uqsphere.results.types import Stop
 from uqsphere.study import Study
 from uqsphere.uq import Estimate, Sample
+from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.indices import Blocks, base_points
 
 #: points of a replicate at first
@@ -379,6 +380,11 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
             continue
         reached = estimate.half_width / estimate.value
         require(f"limits.{limit.name}", "failure_probability", reached, required.probability)
+        room = limit.target - (estimate.high or 1.0)
+        if limit.has_target and limit.name in tables.rare and room > 0.0:
+            # failures that the search did not aim at must not turn the verdict
+            unseen = count_bound(tables.sample.size)
+            require(f"limits.{limit.name}", "unseen_failures", unseen, room)
     for limit in design.limits if tables.line else ():
         margin, width = tables.margins[limit.name]
         if margin.value is not None and width is not None:

@@ -15,6 +15,7 @@ from uqsphere.propagation.tables import Tables
 from uqsphere.results import Answers
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, complement, exact, failure_of_aim
+from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.limit_state import reliability_index, safety_factor, tails
 
 
@@ -57,12 +58,7 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     state = state_of(design, limit, tables.sample)
     found = failure_of_aim(state, limit.aim)
     if limit.name in tables.rare:
-        searched = tables.rare[limit.name].estimate
-        # a search that has seen nothing knows no less than the sample does
-        if searched.value is not None or (searched.high or 1.0) <= (high := found.high or 1.0):
-            return searched
-        reason = f"no failure in {found.evaluations} samples; the probability is below {high:.2g}"
-        return found if found.value else replace(searched, high=high, reason=reason)
+        return _searched(tables.rare[limit.name].estimate, found, tables.sample.size)
     if (
         not design.drawn.names
         and found.value is not None
@@ -75,6 +71,26 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
         found,
         lambda sample: failure_given_inputs(state_of(design, limit, sample), limit.aim),
     )
+
+
+def _searched(searched: Estimate, sampled: Estimate, rows: int) -> Estimate:
+    """The answer of a search, beside the plain sample of so many rows: failures that the search did
+    not aim at are no more probable than a sample without them allows.
+    """
+    if searched.value is None or searched.high is None:
+        # a search that has seen nothing knows no less than the sample does
+        if sampled.value:
+            return sampled
+        high = min(1.0 if end is None else end for end in (searched.high, sampled.high))
+        reason = f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
+        return replace(searched, high=high, high_unseen=None, reason=reason)
+    if sampled.low is not None and sampled.low > searched.high:
+        # the sample has met failures that the search missed
+        return sampled.holding(searched)
+    unseen = min(searched.high + count_bound(rows), 1.0)
+    if searched.high_unseen is not None:
+        unseen = min(unseen, searched.high_unseen)
+    return replace(searched, high_unseen=unseen)
 
 
 def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
