@@ -107,11 +107,12 @@ class Settling:
             count = max(count, min(counts_at(line, wanted)))
 
     def best(self, settled: Settled) -> float | None:
-        """The number once the doubt that governs is gone: the failure mode left out, or the other
-        doubts.
+        """The number once the doubt that governs is gone: the failure mode, or a limit that leaves
+        no number, left out; else by the other doubts.
         """
         governing = settled.governing
-        if governing.code == ASSUMED:
+        alone = len(settled.aim.limits) == 1 and governing.limit is settled.aim.limits[0]
+        if governing.code == ASSUMED or (settled.number is None and not alone):
             return self.once(settled.aim.without(governing.limit.name), settled.line).number
         rest = [doubt for doubt in settled.doubts if doubt.key != governing.key]
         return _most_conservative(rest, least=settled.least)[0] if rest else None

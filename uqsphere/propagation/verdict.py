@@ -33,6 +33,7 @@ from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.line import line_of, plan_of, refined
+from uqsphere.propagation.promise import gains_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers, types
@@ -438,7 +439,10 @@ def _remedy(
         code = "replace the synthetic tests"
     if code is None:
         code, at_best = "change the plan", None
-    return types.Remedy(code=code, subject=subject, at_best=at_best)
+    gains: list[types.TestsGain] = []
+    if code == "test more" and judged.line is not None:
+        gains = gains_of(judged.line)
+    return types.Remedy(code=code, subject=subject, at_best=at_best, gains=gains)
 
 
 # --- rows of answers ------------------------------------------------------------------------------

@@ -350,7 +350,7 @@ def fit_strength(
     )
 
 
-def _distance(below: Array, leaving: Array) -> Array:
+def distance(below: Array, leaving: Array) -> Array:
     """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the
     Kaplan-Meier estimate.
     """
@@ -368,12 +368,12 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     """
     location, spread = _best(tests, law)
     z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
-    own = _distance(law.form.tails(z)[0][None, :], tests.leaving)[0]
+    own = distance(law.form.tails(z)[0][None, :], tests.leaving)[0]
     firsts = np.arange(0, z.size, max(1, -(-z.size // MANY)))
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     drawn = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
     centres, scales = (part[:, None] for part in law.maximum(drawn, np.ones(few.size), few - 1.0))
-    others = _distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(
+    others = distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(
         few.size / z.size
     )
     return float((1 + (others >= own).sum()) / (_OTHERS + 1))
