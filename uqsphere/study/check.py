@@ -27,9 +27,11 @@ from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW, RIGS
 from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
+from uqsphere.study.plausibility import warn_of_slips
 from uqsphere.study.study import Limit, Study, default_target, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.uq import Dependence, Law, LawError, make_joint
@@ -126,12 +128,35 @@ def tables(draft: Draft) -> Faults:
     except ValidationError as error:
         yield from faults_of(Document, error)
     else:
-        draft.rig, draft.plastic = draft.document.rig.kind, draft.document.contact.law == "plastic"
+        draft.rig, law = draft.document.rig.kind, draft.document.contact.law
+        draft.law_given = law is not None
         draft.known = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
         for table in [name for name in draft.data if name in SCENE]:
             for key in draft.data[table]:
                 if isinstance(number := getattr(getattr(draft.document, table), key), Number):
                     draft.numbers[numbers_of(table)[key].name] = number
+        draft.plastic = law == "plastic" or (law is None and _says_what_yields(draft))
+
+
+def _says_what_yields(draft: Draft) -> bool:
+    """Whether the study or the library says at which pressure a contact yields, and the model can
+    follow it.
+    """
+    model = draft.document.model
+    if draft.box or model.fidelity != "full" or model.compare_with_paper:
+        return False
+    given = ("sphere.onset_pressure", "contact.onset_pressure")
+    if any(name in draft.numbers for name in given):
+        return True
+    for table in SCENE:
+        name = getattr(getattr(draft.document, table), "material", None)
+        key = "onset_pressure" if table == "sphere" else "yield_strength"
+        materials = [library()[kind].get(str(name)) for kind in _KINDS.get(table, MATERIAL_KINDS)]
+        if f"{table}.{key}" in draft.numbers:
+            return True
+        if any(material is not None and key in material.properties for material in materials):
+            return True
+    return False
 
 
 # --- 2: which tables and numbers there are --------------------------------------------------------
@@ -356,8 +381,9 @@ def _scene(draft: Draft) -> Faults:
         with within("pulse"):
             draft.record = pulse_of(document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
-    try:
-        draft.scene = scene = Scene(
+
+    def scene_now() -> Scene:
+        return Scene(
             columns=columns,
             rig=draft.rig,
             options={name: str(word) for name, word in options.items()},
@@ -365,19 +391,23 @@ def _scene(draft: Draft) -> Faults:
             infinite=document.bars.infinite,
             rigid_contact=document.bars.rigid_contact,
             horizon=horizon or 1.0,
-            contact_law=document.contact.law,
+            contact_law="plastic" if draft.plastic else "hertz",
             hardness_at_onset=at_onset,
             record=draft.record,
         )
+
+    try:
+        draft.scene = scene = scene_now()
+        faces = _yielding_faces(scene)
+        known = faces and all(face.valid[0] for face in faces.values())
+        if draft.plastic and not draft.law_given and not known:
+            draft.plastic, faces = False, {}
+            options.pop("contact.law", None)
+            draft.scene = scene = scene_now()
     except ValueError as error:
         raise Fault(
             f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker"
         ) from None
-    faces = {
-        "sphere" if one.takes[0] else one.table: one.face
-        for one in scene.there
-        if one.face is not None
-    }
     if draft.plastic and not faces:
         bodies = dict.fromkeys(f"{one.table}.yield_strength" for one in scene.there)
         names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
@@ -443,6 +473,15 @@ def _scene(draft: Draft) -> Faults:
         )
 
 
+def _yielding_faces(scene: Scene) -> dict[str, Face]:
+    """The faces that yield, by the table of the softer body."""
+    return {
+        "sphere" if one.takes[0] else one.table: one.face
+        for one in scene.there
+        if isinstance(one.face, Face)
+    }
+
+
 def _gauges(draft: Draft) -> Faults:
     rod = draft.document.rod.gauge
     places: list[tuple[Place, str, float]] = [] if rod is None else [(("rod", "gauge"), "rod", rod)]
@@ -472,6 +511,13 @@ def _limits(draft: Draft) -> Faults:
             read_limit(draft, name, table)
         except Fault as fault:
             yield Fault(str(fault), "limits", name, *fault.at)
+
+
+def _slips(draft: Draft) -> Faults:
+    """Numbers far from the library's."""
+    if not draft.box:
+        warn_of_slips(draft)
+    yield from ()
 
 
 def _analysis(draft: Draft) -> Faults:
@@ -561,6 +607,6 @@ STAGES: Final = (
     (_forms,),
     (_model, _scene, _gauges),
     (_limits, _analysis),
-    (_dependence, _margins),
+    (_dependence, _margins, _slips),
 )
 BOX_STAGES: Final = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))

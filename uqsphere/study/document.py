@@ -157,8 +157,9 @@ class Pulse(Table):
 class Contact(Table):
     """The law of the contacts."""
 
-    law: Literal["hertz", "plastic"] = keyed(
-        '`"hertz"`, or `"plastic"`: the softer body yields or crushes', "hertz"
+    law: Literal["hertz", "plastic"] | None = keyed(
+        '`"hertz"`, or `"plastic"`: the softer body yields or crushes; without it `"plastic"` '
+        "where the study or the library says what yields"
     )
 
 
@@ -494,6 +495,7 @@ class Draft:
     box: bool = False
     rig: str = DEFAULT_RIG
     plastic: bool = False
+    law_given: bool = False
     known: tuple[str, ...] = ()
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)

@@ -145,6 +145,13 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         str(criterion or quantity),
         quantity in ("p_max", "first_peak") and criterion is None,
     )
+    if draft.plastic and not draft.law_given and quantity == "p_max" and pressure and meant is None:
+        meant = "hertz"
+        draft.warn(
+            ("limits", name),
+            'strength_is is missing and taken as "hertz", computed from a force by Hertz; write '
+            '"pressure" for a true pressure',
+        )
     for wrong, said in (
         (
             meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
@@ -154,7 +161,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
                 "out"
             ),
         ),
-        (draft.plastic and pressure and meant is None, _PRESSURES),
+        (draft.plastic and draft.law_given and pressure and meant is None, _PRESSURES),
         (
             draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength),
             'forces at failure become pressures by Hertz: write strength_is = "hertz"',
