@@ -70,8 +70,13 @@ def rows_of(results: dict) -> list[Row]:
                     *(short(row[k]) for k in ("value", "low", "high")),
                 ]
             )
-    for name, verdict in results["verdicts"].items():
-        rows.append([f"limits.{name}", "verdict", "", verdict["verdict"], None, None])
+    for decision in results["decisions"]:
+        aim, use = decision["aim"], decision["use"]
+        rows.append([aim, "verdict", "", decision["verdict"], None, None])
+        if use is not None:
+            # its own accuracy is that of a probability
+            number = short(use["value"])
+            rows.append([aim, "number to use", "", number, number * 0.95, number * 1.05])
     return rows
 
 

@@ -267,7 +267,6 @@ def run_effects(study: Study, name: str) -> dict[str, Any]:
     return {
         "answers": results.answers,
         "checks": results.checks,
-        "verdicts": results.verdicts,
         "decisions": results.decisions,
         "history": rows,
         "title": results.study.title,

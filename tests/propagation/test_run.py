@@ -113,7 +113,7 @@ def test_a_failure_probability_is_that_of_the_normal(plain: Run) -> None:
     p = float(stats.norm.sf(1.6))
     assert holds(plain, "limits.high", "failure_probability", p)
     assert plain.probability("high")["low"] < p < plain.probability("high")["high"]
-    assert plain.verdicts["high"].verdict == "met"
+    assert plain.decisions["survive"].verdict == "met"
 
 
 def test_a_strength_is_integrated_exactly() -> None:
@@ -167,7 +167,7 @@ def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
         assert row["low"] - 0.05 < truth < row["high"] + 0.05
     curve = run.curve("high")
     assert np.all(np.diff(curve["value"]) >= -1e-9)
-    use = run.verdicts["high"].use
+    use = run.decisions["survive"].use
     assert use.safe_end == "largest"
     assert use.value == pytest.approx((8.0 + 5.0 * float(stats.norm.ppf(0.1))) / 3.0, abs=0.15)
 

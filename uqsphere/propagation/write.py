@@ -25,7 +25,6 @@ from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.tested import points_of_tests
-from uqsphere.propagation.transition import limit_verdicts
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
 from uqsphere.results.answers import frame_of
@@ -110,7 +109,6 @@ def results_of(
         ),
         inputs={name: _input(design, name) for name in inputs},
         answers=answers.rows,
-        verdicts=limit_verdicts(design, decisions),
         decisions=list(decisions),
         evidence=[EvidenceEntry(**asdict(one)) for one in design.evidence],
         checks=[check.entry() for check in checks],

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.results.answers import frame_of
 from uqsphere.results.folder import read_results
-from uqsphere.results.types import LimitVerdict, Results
+from uqsphere.results.types import Decision, Results
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,9 +61,9 @@ class Run:
         return pd.read_csv(path)
 
     @property
-    def verdicts(self) -> dict[str, LimitVerdict]:
-        """The verdict on every limit, with its reasons."""
-        return dict(self.results.verdicts)
+    def decisions(self) -> dict[str, Decision]:
+        """The decision for each aim, survive or break: verdict, number to use, what it rests on."""
+        return {decision.aim: decision for decision in self.results.decisions}
 
     def sobol(self, quantity: str) -> pd.DataFrame:
         """First-order and total Sobol' indices of a quantity by input, with their 95 % intervals

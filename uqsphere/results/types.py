@@ -480,50 +480,6 @@ class Decision(Part):
     next: Remedy
 
 
-class Reason(Part):
-    """Why a verdict is not established."""
-
-    code: str
-    text: str
-
-
-class AllModes(Part):
-    """All failure modes together."""
-
-    probability: Range | None = None
-    margin: Range | None = None
-    reliability_index: Range | None = None
-    curve: Sequence[Sequence[Finite]] = []
-
-
-class NumberToUse(Part):
-    """The number to use of one limit."""
-
-    value: float
-    low: Finite
-    high: Finite
-    safe_end: Literal["largest", "smallest"]
-    path: str
-    text: str
-
-
-class LimitVerdict(Part):
-    """The verdict on one limit."""
-
-    verdict: VerdictWord
-    aim: Aim
-    target: Finite
-    probability: Range
-    all_modes: AllModes | None
-    governing: str
-    reasons: list[Reason]
-    use: NumberToUse | None
-    safety_factor: Finite
-    next: str
-    headline: str
-    detail: str
-
-
 # --- checks, accuracy, and the whole --------------------------------------------------------------
 
 
@@ -582,7 +538,6 @@ class Results(Part):
     study: StudyEntry
     inputs: dict[str, InputEntry]
     answers: list[Answer]
-    verdicts: dict[str, LimitVerdict]
     decisions: list[Decision] = []
     evidence: list[EvidenceEntry] = Field(
         default=[], description="what crushing tests say of strengths of the library"
