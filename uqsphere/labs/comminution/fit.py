@@ -1,22 +1,22 @@
 """From tests to the posterior of the fracture energy, and its draws as a strength.
 
-Every specimen says that its first fracture energy lies in (lo, hi], or what it is: ln f(e), or
-ln(P(hi) - P(lo)) from the tail that both lie in.  Parameters enter by their logarithms.  Sampler:
-importance sampling from Student's t, whose mean and covariance follow the draws of the round before
-(O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph. Stat. 13 (2004) 907), with
-truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
+Every specimen bounds its first fracture energy to (low, high], or gives it: ln f(e), or
+ln(P(high) - P(low)) from the tail that both ends lie in.  Parameters enter by their logarithms.
+Sampler: importance sampling from Student's t, whose mean and covariance follow the draws of the
+round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph. Stat. 13 (2004)
+907), with truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Flags, Values
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
@@ -24,7 +24,7 @@ from uqsphere.labs.comminution.tests import Specimens
 from uqsphere.labs.files import csv_text
 
 #: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the
-#: published ranges; the modulus is that of a Weibull law whose lognormal fit has such a sigma
+#: published ranges; the modulus of a Weibull law has the scatter that sigma has
 PRIORS: Final = {
     "phi": (0.0, 0.45),
     "d0": (math.log(0.005), 1.0),
@@ -35,11 +35,12 @@ PRIORS: Final = {
 _FLAT: Final = (0.0, math.inf)
 #: rounds of the sampler that adapt, most that are kept, degrees of freedom of its proposals
 _ADAPTING, _MOST, _FREEDOM = 6, 24, 5.0
-#: effective number that draws must reach to be believed
+#: effective number of draws below which a posterior has not converged
 EFFECTIVE: Final = 1000.0
-#: fewer tests than this choose between lognormal and Weibull too often wrongly: both are averaged
-#: by their scores
+#: number of tests below which lognormal and Weibull cannot be told apart reliably
 FEW: Final = 50
+#: most sizes that are listed
+_MOST_SIZES: Final = 200
 #: ratio to the tested sizes beyond which a strength is extrapolated
 UNTESTED: Final = 1.19
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
@@ -63,26 +64,26 @@ class Model:
 
     def median(self, p: Mapping[str, Values], diameter: Values) -> Array:
         """E50 [J/kg] of parameters (not logarithms) at diameters; they broadcast."""
-        if self.size == "class":
-            place = np.abs(np.log(np.asarray(diameter)[..., None] / np.array(self.classes))).argmin(
-                axis=-1
-            )
-            each = np.stack([np.asarray(p[f"e50_{k + 1}"]) for k in range(len(self.classes))])
-            first = (
-                each[place] if each.ndim == 1 else np.moveaxis(each[place.ravel(), ..., 0], 0, -1)
-            )
-            return np.asarray(first)
-        lead = "C" if self.size == "power" else "e_inf"
-        return laws.median_energy(self.size, diameter, p[lead], p["phi"], p.get("d0", math.nan))
+        if self.size != "class":
+            lead = "C" if self.size == "power" else "e_inf"
+            d0 = p.get("d0", math.nan)
+            return laws.median_energy(self.size, diameter, p[lead], p["phi"], d0)
+        away = np.abs(np.log(np.asarray(diameter)[..., None] / np.array(self.classes)))
+        place = away.argmin(axis=-1)
+        each = np.stack([np.asarray(p[f"e50_{k + 1}"]) for k in range(len(self.classes))])
+        if each.ndim == 1:
+            return np.asarray(each[place])
+        return np.asarray(np.moveaxis(each[place.ravel(), ..., 0], 0, -1))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """Draws (D,) of a law and its size effect; of an average the laws stand in proportion to their
-    weights.
+    """Draws (D,) of a law and its size effect; averaged laws share them by their weights.
 
-    law : (D,) index into `models`; parameters : by name, NaN where a draw's law has none; the
-    damage exponent `gamma` has its prior where the tests say nothing of it.
+    law : (D,) index into `models`.
+    parameters : by name, NaN for a law without the parameter; the damage exponent `gamma` has its
+        prior where the tests do not determine it.
+    tested : smallest and largest diameter [m]; tests : number of particles.
     """
 
     models: tuple[Model, ...]
@@ -127,14 +128,15 @@ class Posterior:
             share,
         )
 
-    def _each(self, diameter: Array, ask: Callable[..., Array], values: Values) -> Array:
-        values = np.broadcast_to(np.asarray(values, dtype=float), (len(self), len(diameter)))
-        found = np.empty((len(self), len(diameter)))
+    def _each(self, diameter: Array, function: Callable[..., Array], values: Values) -> Array:
+        shape = (len(self), len(diameter))
+        values = np.broadcast_to(np.asarray(values, dtype=float), shape)
+        answers = np.empty(shape)
         for k, model in enumerate(self.models):
             rows = np.flatnonzero(self.law == k)
             p = {name: self.parameters[name][rows, None] for name in model.names}
-            found[rows] = ask(model, p, diameter, values[rows])
-        return found
+            answers[rows] = function(model, p, diameter, values[rows])
+        return answers
 
     def strength_csv(self, diameter: float) -> str:
         """Draws of the strength of particles of one size [m], as a study reads them.
@@ -169,7 +171,7 @@ class Posterior:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """The posterior with what is to be said of it; `content` is plain JSON."""
+    """The posterior and its description, plain JSON."""
 
     posterior: Posterior
     content: dict[str, Any]
@@ -181,106 +183,115 @@ class Fit:
 def log_likelihoods(
     model: Model, tests: Specimens, gamma: float | None
 ) -> Callable[[Array], Array]:
-    """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of
-    specimens.
+    """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of specimens.
+
+    gamma : the damage exponent, None where it is one of the parameters.
     """
-    from scipy.special import log_ndtr
-
-    if not tests.repeated.any():
-        low, high = tests.bounds(np.array(4.0))
-    elif gamma is not None:
-        low, high = tests.bounds(np.array(gamma))
-    else:
-        low, high = tests.bounds(np.exp(_GAMMAS))
-        with np.errstate(divide="ignore"):
-            log_low, log_high = np.log(low), np.log(high)
     exact = tests.exact & tests.broke
-    step = _GAMMAS[1] - _GAMMAS[0]
-
-    def between(x: Array, y: Array) -> Array:
-        """Interpolated bounds; 0 and inf stay what they are."""
-        at = np.clip((x - _GAMMAS[0]) / step, 0.0, len(_GAMMAS) - 1.001)
-        k = at.astype(int)
-        part = (at - k)[..., None]
-        with np.errstate(invalid="ignore"):
-            return np.where(
-                np.isfinite(y[k]), np.exp(y[k] + part * (y[k + 1] - y[k])), np.exp(y[k])
-            )
-
-    def log_rest(h: Array) -> Array:
-        return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
-
-    def known(e: Array, median: Array, p: Mapping[str, Array]) -> Array:
-        """ln f(e)."""
-        if model.law == "weibull":
-            last = laws.hazard(e, median, p["modulus"])
-            return np.asarray(np.log(0.6 * p["modulus"] * last / e) - last)
-        z, top = laws.standard(e, median, p["sigma"], model.ratio), model.ratio * median
-        found = (
-            -0.5 * z * z - np.log(p["sigma"] * math.sqrt(2.0 * math.pi) * e) - np.log1p(-e / top)
-        )
-        return np.where(e < top, found, -np.inf)
-
-    def inside(lo: Array, hi: Array, median: Array, p: Mapping[str, Array]) -> Array:
-        """ln(P(hi) - P(lo))."""
-        if model.law == "weibull":
-            first, last = (laws.hazard(e, median, p["modulus"]) for e in (lo, hi))
-            return np.where(
-                np.isposinf(first), -np.inf, -first + log_rest(np.maximum(last - first, 0.0))
-            )
-        a, z = (laws.standard(e, median, p["sigma"], model.ratio) for e in (lo, hi))
-        # the normal law is even: both ends in the lower tail
-        upper = a + z > 0.0
-        larger, smaller = log_ndtr(np.where(upper, -a, z)), log_ndtr(np.where(upper, -z, a))
-        return np.where(
-            np.isneginf(larger), -np.inf, larger + log_rest(np.maximum(larger - smaller, 0.0))
-        )
+    bounds = _bounds(model, tests, gamma)
 
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(model.names)}
         median = model.median(p, tests.diameter)
-        lo, hi = low, high
-        if low.ndim > 1:
-            g = x[..., model.names.index("gamma")]
-            lo, hi = between(g, log_low), between(g, log_high)
-        found = np.empty(median.shape)
+        low, high = bounds(x)
+        likelihood = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if exact.any():
-                found[..., exact] = known(hi[..., exact], median[..., exact], p)
-            if not exact.all():
-                found[..., ~exact] = inside(
-                    lo[..., ~exact], hi[..., ~exact], median[..., ~exact], p
+                likelihood[..., exact] = _log_density(
+                    model, p, high[..., exact], median[..., exact]
                 )
-        return np.asarray(tests.weight * found)
+            if not exact.all():
+                likelihood[..., ~exact] = _log_between(
+                    model, p, (low[..., ~exact], high[..., ~exact]), median[..., ~exact]
+                )
+        return np.asarray(tests.weight * likelihood)
 
     return value
 
 
+def _bounds(
+    model: Model, tests: Specimens, gamma: float | None
+) -> Callable[[Array], tuple[Array, Array]]:
+    """A function from logarithms of parameters to the bounds of the first fracture energies."""
+    if gamma is not None or not tests.repeated.any():
+        fixed = tests.bounds(np.array(4.0 if gamma is None else gamma))
+        return lambda x: fixed
+    low, high = tests.bounds(np.exp(_GAMMAS))
+    with np.errstate(divide="ignore"):
+        log_low, log_high = np.log(low), np.log(high)
+    step, place = _GAMMAS[1] - _GAMMAS[0], model.names.index("gamma")
+
+    def between(x: Array, y: Array) -> Array:
+        """Interpolated bounds; 0 and inf stay."""
+        at = np.clip((x - _GAMMAS[0]) / step, 0.0, len(_GAMMAS) - 1.001)
+        node = at.astype(int)
+        part = (at - node)[..., None]
+        with np.errstate(invalid="ignore"):
+            inner = np.exp(y[node] + part * (y[node + 1] - y[node]))
+        return np.where(np.isfinite(y[node]), inner, np.exp(y[node]))
+
+    return lambda x: (between(x[..., place], log_low), between(x[..., place], log_high))
+
+
+def _log_density(model: Model, p: Mapping[str, Array], energy: Array, median: Array) -> Array:
+    """ln f(e)."""
+    if model.law == "weibull":
+        hazard = laws.hazard(energy, median, p["modulus"])
+        return np.asarray(np.log(0.6 * p["modulus"] * hazard / energy) - hazard)
+    z, top = laws.standard(energy, median, p["sigma"], model.ratio), model.ratio * median
+    density = -0.5 * z * z - np.log(p["sigma"] * math.sqrt(2.0 * math.pi) * energy)
+    return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
+
+
+def _log_between(
+    model: Model, p: Mapping[str, Array], ends: tuple[Array, Array], median: Array
+) -> Array:
+    """ln(P(high) - P(low))."""
+    from scipy.special import log_ndtr
+
+    if model.law == "weibull":
+        low, high = (laws.hazard(end, median, p["modulus"]) for end in ends)
+        between = -low + _log_rest(np.maximum(high - low, 0.0))
+        return np.where(np.isposinf(low), -np.inf, between)
+    low, high = (laws.standard(end, median, p["sigma"], model.ratio) for end in ends)
+    # the normal distribution is even: both ends in the lower tail
+    upper = low + high > 0.0
+    larger = log_ndtr(np.where(upper, -low, high))
+    smaller = log_ndtr(np.where(upper, -high, low))
+    between = larger + _log_rest(np.maximum(larger - smaller, 0.0))
+    return np.where(np.isneginf(larger), -np.inf, between)
+
+
+def _log_rest(h: Array) -> Array:
+    """ln(1 - exp(-h))."""
+    return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+
+
 def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
-    """The parameters of a law with their priors; of one size the scatter's is flat, which is exact
-    there.
+    """The parameters of a law with their priors.
+
+    Tests of one size have a flat prior of the scatter, which makes the intervals exact.
     """
     want, sizes = asked.tests, tests.sizes
-    size = want.size if len(sizes) > 1 else "class"
-    largest = tests.diameter >= 0.75 * tests.diameter.max()
-    middle = float(np.average(np.log(tests.last[largest]), weights=tests.weight[largest]))
+    several = len(sizes) > 1
+    size = want.size if several else "class"
     if size == "class":
-        found = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
+        priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
-        known = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
-        found = {name: known[name] for name in laws.SIZES[size]}
+        largest = tests.diameter >= 0.75 * tests.diameter.max()
+        energies = np.log(tests.last[largest])
+        middle = float(np.average(energies, weights=tests.weight[largest]))
+        usual = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
+        priors = {name: usual[name] for name in laws.SIZES[size]}
     shape = laws.LAWS[law]
-    found[shape] = PRIORS[shape] if len(sizes) > 1 else _FLAT
+    priors[shape] = PRIORS[shape] if several else _FLAT
     if want.gamma == "fit" and tests.repeated.any():
-        found["gamma"] = PRIORS["gamma"]
-    own = {name: (one.log_mean, one.log_sd) for name, one in want.prior.items() if name in found}
-    return Model(
-        law=law,
-        size=size,
-        ratio=want.ratio,
-        priors={**found, **own},
-        classes=sizes if size == "class" else (),
-    )
+        priors["gamma"] = PRIORS["gamma"]
+    for name, prior in want.prior.items():
+        if name in priors:
+            priors[name] = (prior.log_mean, prior.log_sd)
+    classes = sizes if size == "class" else ()
+    return Model(law=law, size=size, ratio=want.ratio, priors=priors, classes=classes)
 
 
 # --- sampling -------------------------------------------------------------------------------------
@@ -289,9 +300,8 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
 def sample(
     model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
 ) -> dict[str, Any]:
-    """Draws (n, d) of the posterior, its mode, and the effective number of draws that their weights
-    leave.
-    """
+    """Draws (n, d) of the posterior, the likelihood at its mode, and the effective number of
+    draws."""
     each = log_likelihoods(model, tests, gamma)
     centre = np.array([mean for mean, _ in model.priors.values()])
     sd = np.array([sd for _, sd in model.priors.values()])
@@ -299,8 +309,8 @@ def sample(
     def value(x: Array) -> Array:
         prior = -0.5 * np.square(np.where(np.isinf(sd), 0.0, (x - centre) / sd)).sum(axis=-1)
         with np.errstate(invalid="ignore"):
-            found = each(x).sum(axis=-1) + prior
-        return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(found), found, -np.inf)
+            total = each(x).sum(axis=-1) + prior
+        return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(total), total, -np.inf)
 
     mode, covariance = _mode(model, tests, value)
     middle, d, n = mode, len(mode), 1 << 12
@@ -336,9 +346,7 @@ def sample(
 
 
 def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """The mode (d,) of the posterior, and about its covariance (d, d): 1 where the tests say
-    nothing.
-    """
+    """The mode (d,) of the posterior and its approximate covariance (d, d)."""
     from scipy.optimize import minimize
 
     x = np.array([mean for mean, _ in model.priors.values()])
@@ -352,38 +360,43 @@ def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tu
         return min(-float(value(y)), 1e15)
 
     near = minimize(loss, x, method="Nelder-Mead", options={"maxiter": 4000}).x
-    found = minimize(loss, near, method="BFGS")
-    return np.asarray(found.x), np.asarray(found.hess_inv)
+    best = minimize(loss, near, method="BFGS")
+    return np.asarray(best.x), np.asarray(best.hess_inv)
 
 
 # --- the fit --------------------------------------------------------------------------------------
 
 
-def _overlap(tests: Specimens) -> bool:
-    """Whether some particle survived more than broke another of its size, was hit again, or told
-    its own energy.
-    """
-    groups = [np.abs(np.log(tests.diameter / size)) < 0.006 for size in tests.sizes]
-    pairs = [(tests.last[near & ~tests.broke], tests.last[near & tests.broke]) for near in groups]
-    crossed = [
-        survived.max(initial=0.0) >= broken.min(initial=np.inf) for survived, broken in pairs
-    ]
-    return bool((tests.repeated | (tests.exact & tests.broke)).any() or any(crossed))
+def _at_size(tests: Specimens, size: float) -> Flags:
+    """The specimens of one size."""
+    return np.asarray(np.abs(np.log(tests.diameter / size)) < 0.006)
+
+
+def _shows_scatter(tests: Specimens) -> bool:
+    """Whether a particle was hit again, gave its own energy, or survived more than broke another of
+    its size."""
+    if (tests.repeated | (tests.exact & tests.broke)).any():
+        return True
+    for size in tests.sizes:
+        near = _at_size(tests, size)
+        survived, broken = tests.last[near & ~tests.broke], tests.last[near & tests.broke]
+        if survived.max(initial=0.0) >= broken.min(initial=np.inf):
+            return True
+    return False
 
 
 def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
-    """The posterior of the tests, and what is to be said of it.
+    """The posterior of the tests, with its description.
 
-    Raises UsageError for tests of which nothing follows: without a prior any law without scatter
+    Raises UsageError for tests without any scatter and no prior of it: any law without scatter
         agrees with them.
     """
     want = asked.tests
-    if not _overlap(tests) and not {"sigma", "modulus"} & set(want.prior):
+    if not _shows_scatter(tests) and not {"sigma", "modulus"} & set(want.prior):
         raise UsageError(
-            "no particle survived an energy that broke another one of its size: such tests do "
-            "not show "
-            "how strengths scatter; test more between those energies, or give a prior of sigma and "
-            "modulus"
+            "the tests do not show how strengths scatter: no particle survived an energy that "
+            "broke another of its size. Test more between those energies, or give a prior of sigma "
+            "and modulus"
         )
     names = ("lognormal", "weibull") if want.law == "average" else (want.law,)
     gamma = want.gamma if isinstance(want.gamma, float) else None
@@ -394,8 +407,8 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         done = sample(model, tests, gamma, rng, asked.draws)
         chains.append(done["draws"])
         # leave-one-out by importance: 1/mean(1/p) of every specimen
-        each = np.exp(np.minimum(-done["each"](chains[k]) / tests.weight, 600.0))
-        scores.append(float(-np.log(np.mean(each, axis=0)) @ tests.weight))
+        inverse = np.exp(np.minimum(-done["each"](chains[k]) / tests.weight, 600.0))
+        scores.append(float(-np.log(np.mean(inverse, axis=0)) @ tests.weight))
         about[law] = {
             "log_likelihood": done["log_likelihood"],
             "loo": scores[k],
@@ -404,32 +417,47 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         }
     weights = np.exp(np.array(scores) - max(scores))
     weights /= weights.sum()
+    for law, weight in zip(names, weights.tolist(), strict=True):
+        about[law]["weight"] = weight
+    posterior = _mixed(models, chains, weights, tests, asked)
+    return Fit(posterior=posterior, content=_described(posterior, about, tests, asked))
+
+
+def _mixed(
+    models: Sequence[Model],
+    chains: Sequence[Array],
+    weights: Array,
+    tests: Specimens,
+    asked: ComminutionDocument,
+) -> Posterior:
+    """The draws of all laws by their weights, in random order."""
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
-    law_of = np.repeat(np.arange(len(names)), np.diff(ends, prepend=0))
+    law_of = np.repeat(np.arange(len(models)), np.diff(ends, prepend=0))
     rng = np.random.default_rng([asked.seed, 733])
     order = rng.permutation(len(law_of))
-    every = dict.fromkeys(name for model in models for name in model.names)
-    parameters = {name: np.full(len(law_of), np.nan) for name in every}
-    for k, (model, rows) in enumerate(zip(models, chains, strict=True)):
-        own = np.flatnonzero(law_of == k)
+    parameters: dict[str, Array] = {}
+    for k, (model, chain) in enumerate(zip(models, chains, strict=True)):
+        places = np.flatnonzero(law_of == k)
+        rows = np.linspace(0, len(chain) - 1, len(places)).astype(int)
         for j, name in enumerate(model.names):
-            parameters[name][own] = np.exp(
-                rows[np.linspace(0, len(rows) - 1, len(own)).astype(int), j]
-            )
+            column = parameters.setdefault(name, np.full(len(law_of), np.nan))
+            column[places] = np.exp(chain[rows, j])
     if "gamma" not in parameters:
         mean, sd = PRIORS["gamma"]
-        drawn = np.exp(mean + sd * rng.standard_normal(len(law_of)))
-        parameters["gamma"] = np.full(len(law_of), gamma) if gamma is not None else drawn
-    posterior = Posterior(
+        gamma = np.exp(mean + sd * rng.standard_normal(len(law_of)))
+        if isinstance(asked.tests.gamma, float):
+            gamma = np.full(len(law_of), asked.tests.gamma)
+        parameters["gamma"] = gamma
+    return Posterior(
         models=tuple(models),
         law=law_of[order],
         tested=(float(tests.diameter.min()), float(tests.diameter.max())),
-        parameters={name: v[order] for name, v in parameters.items()},
+        parameters={name: values[order] for name, values in parameters.items()},
         tests=int(tests.weight.sum()),
     )
-    return _described(
-        posterior, about, dict(zip(names, weights.tolist(), strict=True)), tests, asked
-    )
+
+
+# --- its description ------------------------------------------------------------------------------
 
 
 def quantiles(values: Array) -> dict[str, float]:
@@ -439,70 +467,20 @@ def quantiles(values: Array) -> dict[str, float]:
 
 
 def _described(
-    posterior: Posterior,
-    about: dict[str, Any],
-    weights: dict[str, float],
-    tests: Specimens,
-    asked: ComminutionDocument,
-) -> Fit:
-    warnings = list(tests.notes)
-    parameters, priors = (
-        {},
-        {name: prior for model in posterior.models for name, prior in model.priors.items()},
-    )
-    for name, values in posterior.parameters.items():
-        sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
-        own = float(np.nanstd(np.log(values)))
-        parameters[name] = {
-            **quantiles(values),
-            "prior_sd": None if math.isinf(sd) else sd,
-            "sd": own,
-        }
-        if name in priors and not math.isinf(sd) and own > 0.7 * sd:
-            warnings.append(f"these tests do not determine {name}: it keeps its prior")
-    sizes = []
-    for size in tests.sizes[:200]:
-        near = np.abs(np.log(tests.diameter / size)) < 0.006
-        half, hundredth = (
-            posterior.energy_at(0.5, size)[:, 0],
-            posterior.energy_at(0.01, size)[:, 0],
-        )
-        step = np.log(posterior.median(size * 1.01) / posterior.median(size / 1.01))[:, 0] / 0.0199
-        sizes.append(
-            {
-                "diameter": size,
-                "tests": int(tests.weight[near].sum()),
-                "broke": int(tests.weight[near & tests.broke].sum()),
-                "breaks_half": quantiles(half),
-                "E50": quantiles(posterior.median(size)[:, 0]),
-                "breaks_1_percent": quantiles(hundredth),
-                "slope": quantiles(-step),
-            }
-        )
-    if len(about) > 1:
-        gap = about["lognormal"]["loo"] - about["weibull"]["loo"]
-        if abs(gap) > 2.0:
-            better = "lognormal" if gap > 0.0 else "weibull"
-            warnings.append(
-                f"the {better} law predicts these tests better (log score by {abs(gap):.1f})"
-            )
-        elif tests.weight.sum() < FEW:
-            warnings.append(
-                "too few tests to choose between lognormal and Weibull: both are averaged"
-            )
-    for law, one in about.items():
-        if not one["settled"]:
-            warnings.append(
-                f"{law}: the draws did not settle (effective number {one['effective']:.0f})"
-            )
-    if asked.tests.synthetic:
-        warnings.append("the tests are synthetic data: no number here is of a rock")
-    content = {
+    posterior: Posterior, about: dict[str, Any], tests: Specimens, asked: ComminutionDocument
+) -> dict[str, Any]:
+    """A fit as plain JSON."""
+    want = asked.tests
+    parameters, undetermined = _parameters(posterior)
+    warnings = [*tests.notes, *undetermined, *_about_laws(about, float(tests.weight.sum()))]
+    if want.synthetic:
+        warnings.append("the tests are synthetic data: the numbers describe no real rock")
+    return {
         "title": asked.title,
         "seed": asked.seed,
-        "law": asked.tests.law,
+        "law": want.law,
         "size": posterior.models[0].size,
-        "ratio": asked.tests.ratio if math.isfinite(asked.tests.ratio) else None,
+        "ratio": want.ratio if math.isfinite(want.ratio) else None,
         "tests": {
             "specimens": len(tests.weight),
             "particles": int(tests.weight.sum()),
@@ -511,9 +489,63 @@ def _described(
             "repeated": int(tests.repeated.sum()),
             "diameters": list(posterior.tested),
         },
-        "laws": {law: {**one, "weight": weights[law]} for law, one in about.items()},
+        "laws": about,
         "parameters": parameters,
-        "sizes": sizes,
+        "sizes": [_about_size(posterior, tests, size) for size in tests.sizes[:_MOST_SIZES]],
         "warnings": warnings,
     }
-    return Fit(posterior=posterior, content=content)
+
+
+def _parameters(posterior: Posterior) -> tuple[dict[str, Any], list[str]]:
+    """Parameters with their priors; notes on those that keep their prior."""
+    priors: dict[str, tuple[float, float]] = {}
+    for model in posterior.models:
+        priors |= model.priors
+    parameters, notes = {}, []
+    for name, values in posterior.parameters.items():
+        prior_sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
+        flat = math.isinf(prior_sd)
+        sd = float(np.nanstd(np.log(values)))
+        parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
+        if name in priors and not flat and sd > 0.7 * prior_sd:
+            notes.append(f"the tests do not determine {name}: its prior decides it")
+    return parameters, notes
+
+
+def _about_laws(about: Mapping[str, Any], number: float) -> list[str]:
+    """Notes on the choice between the laws, and on draws that did not converge."""
+    notes = []
+    if len(about) > 1:
+        gap = about["lognormal"]["loo"] - about["weibull"]["loo"]
+        if abs(gap) > 2.0:
+            better = "lognormal" if gap > 0.0 else "weibull"
+            notes.append(
+                f"the {better} law predicts these tests better (log score by {abs(gap):.1f})"
+            )
+        elif number < FEW:
+            notes.append(
+                f"fewer than {FEW} tests cannot choose between lognormal and Weibull: both are "
+                "averaged"
+            )
+    notes += [
+        f"{law}: the draws did not converge (effective number {done['effective']:.0f}, at least "
+        f"{EFFECTIVE:.0f})"
+        for law, done in about.items()
+        if not done["settled"]
+    ]
+    return notes
+
+
+def _about_size(posterior: Posterior, tests: Specimens, size: float) -> dict[str, Any]:
+    """Energies of one tested size, and the local slope of the size law."""
+    near = _at_size(tests, size)
+    step = posterior.median(size * 1.01) / posterior.median(size / 1.01)
+    return {
+        "diameter": size,
+        "tests": int(tests.weight[near].sum()),
+        "broke": int(tests.weight[near & tests.broke].sum()),
+        "breaks_half": quantiles(posterior.energy_at(0.5, size)[:, 0]),
+        "E50": quantiles(posterior.median(size)[:, 0]),
+        "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)[:, 0]),
+        "slope": quantiles(-np.log(step)[:, 0] / math.log(1.01**2)),
+    }
