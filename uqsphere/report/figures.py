@@ -5,17 +5,28 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.report.format import capital, label, meaning, short, table_of, value
-from uqsphere.report.fragility import BLUE, GREEN, INK, PURPLE, RED, Chart, Curve, Mark, Tests
+from uqsphere.report.fragility import (
+    BLUE,
+    GREEN,
+    HIGHEST,
+    INK,
+    PURPLE,
+    RED,
+    Chart,
+    Curve,
+    Mark,
+    Tests,
+)
 from uqsphere.report.fragility import draw_fragility as draw_chart
 from uqsphere.report.pictures import Density, Indices, draw_convergence, draw_density, draw_indices
 from uqsphere.report.sentences import chart_title, decision_text
@@ -191,7 +202,7 @@ def _tests(results: Results, shown: set[str]) -> Tests | None:
         points = np.array(results.study.limits[tested[0]].test_points or np.empty((2, 0)))
         places, shares = points[:2]
         stopped = points[2] > 0.0 if len(points) > 2 else np.zeros(len(places), dtype=bool)
-        known = np.isfinite(low) & np.isfinite(high)
+        known = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
         return Tests(
             curve=tested[0],
             x=x[known],
@@ -202,6 +213,17 @@ def _tests(results: Results, shown: set[str]) -> Tests | None:
             stopped=stopped,
         )
     return None
+
+
+def _inside(low: Array, high: Array) -> Flags:
+    """Where a band is to be drawn: no point whose ends fall back, and behind the upper edge of the
+    frame only as long as the lower end rises.
+    """
+    if high[-1] < high[0]:
+        return _inside(low[::-1], high[::-1])[::-1]
+    before = np.concatenate([[0.0], np.maximum.accumulate(low)[:-1]])
+    rises = high >= np.maximum.accumulate(high)
+    return rises & ((high < HIGHEST) | ((low > before) & (low < HIGHEST)))
 
 
 def density_of(results: Results, quantity: str) -> Density | None:
@@ -298,19 +320,33 @@ def fragility_pictures(results: Results) -> list[Picture]:
         return []
     right = max([6.4 * len(curve.name) for curve in chart.curves] + [90.0])
 
-    def draw(figure: Figure, left: float, right: float, above: float, below: float) -> None:
+    def draw(figure: Figure, chart: Chart, edges: tuple[float, float, float, float]) -> None:
         width, height = figure.get_size_inches() * 72.0
+        left, right, above, below = edges
         room = (left / width, below / height)
         size = (1.0 - (left + right) / width, 1.0 - (above + below) / height)
         draw_chart(figure.add_axes((*room, *size)), chart)
 
     title, text = chart_title(results), _chart_text(results, chart)
-    wide = partial(draw, left=62.0, right=min(right, 190.0) + 12.0, above=58.0, below=74.0)
-    narrow = partial(draw, left=58.0, right=92.0, above=84.0, below=92.0)
+    wide = partial(draw, chart=chart, edges=(62.0, min(right, 190.0) + 12.0, 58.0, 74.0))
+    narrow = partial(draw, chart=_brief_chart(chart), edges=(58.0, 92.0, 84.0, 84.0))
     return [
         Picture(title=title, text=text, svg=picture_svg(wide, 822.0, 430.0)),
         Picture(title=title, text=text, svg=picture_svg(narrow, 370.0, 430.0)),
     ]
+
+
+def _brief_chart(chart: Chart) -> Chart:
+    """A chart with shorter texts under its axis."""
+    marks = []
+    for mark in chart.marks:
+        sign = "≥" if mark.least else "≤"
+        number = mark.text.partition("most ")[2] or mark.text.partition("least ")[2]
+        marks.append(replace(mark, text=f"{sign} {number}"))
+    planned = chart.planned
+    if planned is not None:
+        planned = (planned[0], planned[1].replace("planned", "plan"))
+    return replace(chart, marks=marks, planned=planned)
 
 
 def _chart_text(results: Results, chart: Chart) -> str:

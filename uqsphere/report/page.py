@@ -85,6 +85,22 @@ def write_page(folder: Path) -> Path:
     return folder / "report.html"
 
 
+def notebook_html(results: Results) -> str:
+    """Decisions, figures and tables of a run, for a notebook's cell."""
+    pictures = _pictures(results)
+    return render(
+        "notebook.html",
+        title=results.study.title,
+        decisions=decision_texts(results),
+        no_limit=NO_LIMIT,
+        pictures=pictures,
+        first=_first(results, pictures),
+        limits=_limits(results),
+        quantities=_quantities(results),
+        indices=_indices(results),
+    )
+
+
 def render(template: str, **variables: Any) -> str:
     """A template of this package as HTML in which units keep their numbers."""
     from jinja2 import Environment, PackageLoader

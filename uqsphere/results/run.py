@@ -41,6 +41,12 @@ class Run:
             f"{accuracy.runs:,} model runs>"
         )
 
+    def _repr_html_(self) -> str:
+        """Decisions, figures and tables, for a notebook."""
+        from uqsphere.report.page import notebook_html
+
+        return notebook_html(self.results)
+
     @cached_property
     def answers(self) -> pd.DataFrame:
         """The long table of answers, SI units: subject, answer, at, value, low, high, low_unseen,

@@ -1,0 +1,26 @@
+"""A run in a notebook: the same decision, figures and tables as on its page."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from uqsphere.report.format import keep_units
+from uqsphere.report.page import page
+from uqsphere.report.sentences import decision_texts
+from uqsphere.results import Run
+from uqsphere.results.types import Results
+
+REPORTS = sorted((Path(__file__).parents[2] / "reports").glob("*/results.json"))
+
+
+@pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
+def test_a_run_shows_itself_as_its_page_does(path: Path) -> None:
+    results = Results.model_validate_json(path.read_bytes())
+    html = Run(results=results)._repr_html_()
+    assert "<html" not in html
+    titles = set(re.findall("<h3>([^<]+)", html)) - {keep_units(results.study.title)}
+    assert len(titles) >= 2
+    assert titles <= set(re.findall("<h3>([^<]+)", page(results)))
+    for text in decision_texts(results):
+        assert text.verdict in html
