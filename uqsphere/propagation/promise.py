@@ -17,7 +17,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.doubts import ENDS, LAWS, REFUTED, TESTS
+from uqsphere.propagation.doubts import ENDS, LAWS, REFUTED, TESTS, tests_behind
 from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
@@ -62,8 +62,11 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
         for doubt in settled.doubts
         if doubt.code != TESTS and doubt.margin is not None and math.isfinite(doubt.margin)
     ]
+    today = max(len(tests_behind(limit)) for limit in limits)
     gains = []
     for n in sizes:
+        if n <= today:
+            continue
         uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
         numbers = np.full(_SERIES, settled.line.values[0 if settled.least else -1])
         for margin in others:

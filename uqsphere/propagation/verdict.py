@@ -426,7 +426,10 @@ def _remedy(
     number = None if judged.line is None else judged.line.number
     nowhere = judged.line is not None and (number is None or math.isinf(number))
     if nowhere and governing.code != ASSUMED:
-        return types.Remedy(code="widen the range", subject="margins.between")
+        others = None
+        if judged.line is not None and number is None and len(judged.aim.limits) > 1:
+            others = judged.settling.best(judged.line)
+        return types.Remedy(code="widen the range", subject="margins.between", at_best=others)
     if verdict == "met":
         return types.Remedy(code="nothing")
     at_best = None
