@@ -71,12 +71,18 @@ def path_of(place: Place) -> str:
     ).removeprefix(".")
 
 
+#: larger whole numbers are not written out
+_LARGEST_SHOWN: Final = 10**60
+
+
 def shown(value: object, longest: int = 60) -> str:
     """A value of a file as its message shows it."""
     if isinstance(value, Mapping | list | tuple):
         return "a table" if isinstance(value, Mapping) else "an array"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, int) and abs(value) > _LARGEST_SHOWN:
+        return f"a whole number of {len(f'{abs(value):x}'):,} hexadecimal digits"
     if isinstance(value, int | float):
         return bare_number(value)
     if isinstance(value, str):
@@ -110,6 +116,10 @@ def unknown(what: str, word: object, known: Iterable[str]) -> str:
 
 #: what a message of tomllib with the faulty line may have, and the way out
 _HINTS: Final = {
+    r"\n[^{}\n]*\{[^}\n]*$": (
+        "a table in braces stands on one line: { … }; or write it as a table of its own, such as "
+        "[limits.NAME.strength]"
+    ),
     r"(?:declare|mutate) .*(?:twice|immutable)|overwrite a value": "this is written twice",
     r"character '\\n'|Unterminated": "a text in quotes does not end on its line",
     "\x00": "found a NUL byte, and a study is a text file",
@@ -124,6 +134,10 @@ _HINTS: Final = {
 }
 
 
+#: whole numbers of a file are doubles at last
+_LARGEST_WHOLE: Final = 10**300
+#: unknown keys and other faults of a table that are told
+MOST_FAULTS: Final = 50
 #: reading a key of many parts takes a time that grows with the square of its length
 _DOTS: Final = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
 
@@ -139,10 +153,16 @@ def read_text(path: Path) -> str:
 
 
 def parse_text(text: str, path: Path) -> dict[str, Any]:
-    """TOML text → plain values; raises StudyError for a fault of syntax with its line."""
+    """TOML text → plain values; raises StudyError for a fault of syntax, and for whole numbers that
+    no double holds, with the line.
+    """
     try:
         if not (dots := _DOTS.search(text)):
-            return tomllib.loads(text)
+            data = tomllib.loads(text)
+            huge = next(_huge_numbers(data), None)
+            if huge is not None:
+                raise refusal(path, text, [Fault("this whole number is too large", *huge)])
+            return data
         line, said = (
             text[: dots.start()].count("\n") + 1,
             "a dotted key goes more than 12 levels deep",
@@ -164,6 +184,18 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         )
         said = f"this is not valid TOML: {message[:160]}{hint}"
     raise StudyError(str(path), [Problem(line=line, path="", message=said)])
+
+
+def _huge_numbers(node: Any, place: Place = ()) -> Iterator[Place]:
+    """Places of whole numbers that no double holds: they could not even be printed."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _huge_numbers(value, (*place, key))
+    elif isinstance(node, list):
+        for index, value in enumerate(node):
+            yield from _huge_numbers(value, (*place, index))
+    elif isinstance(node, int) and abs(node) > _LARGEST_WHOLE:
+        yield place
 
 
 def lines_of(text: str) -> dict[Place, int]:
@@ -303,6 +335,19 @@ _WORDS: Final = {
 }
 
 
+#: keys that are often given in the place of another one, and the way out
+_SLIPS: Final = {
+    "diameter": ("radius", "give radius, which is half of it"),
+    "d": ("radius", "give radius, which is half of the diameter"),
+    "g": ("E", "give E = 2 G (1 + nu)"),
+    "shear_modulus": ("E", "give E = 2 G (1 + nu)"),
+    "youngs_modulus": ("E", "Young's modulus is the key E"),
+    "poisson": ("nu", "Poisson's ratio is the key nu"),
+    "poissons_ratio": ("nu", "Poisson's ratio is the key nu"),
+    "rho": ("density", "the density is the key density"),
+}
+
+
 def load_document(path: Path, kind: type[Kind]) -> Kind:
     """An input file as its document; StudyError with every fault, AccessError where it cannot be
     read.
@@ -325,15 +370,22 @@ def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
 
 def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
     """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
-    found: dict[Place, Fault] = {}
-    for fault in error.errors(include_url=False):
+    faults: dict[Place, Fault] = {}
+    above: set[Place] = set()  # every place on the way to a fault
+    for number, entry in enumerate(error.errors(include_url=False)):
+        if len(faults) >= MOST_FAULTS:
+            rest = error.error_count() - number
+            faults[entry["loc"]] = Fault(f"and {rest:,} more, which are not listed", *entry["loc"])
+            break
         # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys,
         # "[key]"
-        place = tuple(part for part in fault["loc"] if not _MEMBER.fullmatch(str(part)))
-        if not any(other[: len(place)] == place for other in found):
-            at = getattr(fault.get("ctx", {}).get("error"), "at", ())
-            found[place] = Fault(_text(kind, fault, place), *place, *at)
-    return list(found.values())
+        place = tuple(part for part in entry["loc"] if not _MEMBER.fullmatch(str(part)))
+        if place in above:
+            continue
+        at = getattr(entry.get("ctx", {}).get("error"), "at", ())
+        faults[place] = Fault(_text(kind, entry, place), *place, *at)
+        above |= {place[:n] for n in range(len(place) + 1)}
+    return list(faults.values())
 
 
 def _text(kind: Any, fault: Any, place: Place) -> str:
@@ -350,6 +402,9 @@ def _text(kind: Any, fault: Any, place: Place) -> str:
         meaning = kind.model_fields[name].description
         return f"{name} is missing{f': {meaning}' if meaning else ''}".replace("`", "")
     if fault["type"] == "extra_forbidden":
+        key, way = _SLIPS.get(name.lower(), ("", ""))
+        if key in kind.model_fields:
+            return f"unknown key {shown(name)}: {way}"
         near = suggestion(name, kind.model_fields) or f"; known here: {one_of(kind.model_fields)}"
         return f"unknown key {shown(name)}{near}"
     message = fault["msg"]

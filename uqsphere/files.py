@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from uqsphere.errors import AccessError, UsageError
+from uqsphere.errors import AccessError, UsageError, as_text
 
 #: what a JSON document holds
 Json = Any
@@ -31,22 +31,22 @@ def open_given(path: Path, largest: int) -> Iterator[BinaryIO]:
     try:
         kind = os.stat(path)
         if stat.S_ISDIR(kind.st_mode):
-            raise UsageError(f"{path}: this is a folder; give the file inside it")
+            raise UsageError(f"{as_text(path)}: this is a directory. Give the file inside it")
         if not stat.S_ISREG(kind.st_mode):
-            raise AccessError(f"{path}: this is not a regular file")
+            raise AccessError(f"{as_text(path)}: this is not a regular file")
         handle = os.open(path, flags)
     except FileNotFoundError:
-        raise AccessError(f"{path}: there is no such file") from None
+        raise AccessError(f"{as_text(path)}: there is no such file") from None
     except (OSError, ValueError) as error:
         raise AccessError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+            f"{as_text(path)}: cannot be read: {getattr(error, 'strerror', None) or error}"
         ) from None
     with os.fdopen(handle, "rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > largest:
             raise TooLarge(
-                f"{path}: it has {size / 2**20:,.0f} MiB, and {largest / 2**20:,.0f} MiB are "
-                "read at most"
+                f"{as_text(path)}: the file has {size / 2**20:,.0f} MiB; at most "
+                f"{largest / 2**20:,.0f} MiB are read"
             )
         yield stream
 
@@ -57,4 +57,6 @@ def read_given(path: Path, largest: int) -> bytes:
         try:
             return stream.read(largest)
         except OSError as error:
-            raise AccessError(f"{path}: cannot be read: {error.strerror or error}") from None
+            raise AccessError(
+                f"{as_text(path)}: cannot be read: {error.strerror or error}"
+            ) from None

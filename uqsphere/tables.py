@@ -13,7 +13,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
@@ -25,13 +25,27 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError, as_text
 from uqsphere.files import TooLarge, read_given
-from uqsphere.units import UNITS, typed_units
+from uqsphere.units import UNITS, nearest_unit, typed_units
 
 LARGEST: Final = 32 << 20
 #: columns of a table, and characters of a line
 MOST_COLUMNS, _LONGEST = 2_000, 100_000
 _MOST_LINES: Final = 8
-_COLUMN_UNIT: Final = re.compile(r"\s*[\[(/,_]\s*|\s+in\s+|\s+")
+#: cells and rows of a workbook
+_MOST_CELLS: Final = 400_000
+_COLUMN_UNIT: Final = re.compile(r"\s*[/,_]\s*|\s+in\s+|\s+")
+_BRACKET: Final = re.compile(r"[\[(]\s*([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)\s*[\])]")
+#: a factor before or behind a unit: 10 MPa, x10 MPa, 10^3 MPa, 1e3 N, MPa x 10
+_FACTOR: Final = re.compile(
+    r"(?<![A-Za-z0-9.^])(?:[x×*]\s*)?(?:10+|10\s*\^\s*[+-]?\d+|10\*\*[+-]?\d+|\d*\.?\d+[eE][+-]?\d+"
+    r"|0?\.0*1)(?=[\s\]):/,_]|$)|[x×*]\s*\d[\d.]*(?=[\s\]):/,_]|$)"
+)
+#: #DIV/0!, #N/A, #NAME?, #WERT!, #NV
+_ERROR_VALUE: Final = re.compile(r"#(?:[^\W\d_][\w/ ]*[!?]|DIV/0!|N/A|NV|N/D|NB)")
+_OTHER_SHEETS: Final = "other sheets"
+#: numbers beyond this have no squares
+LARGEST_NUMBER: Final = 1e150
+_TOO_LARGE: Final = "a number is too large"
 #: other spellings of units in headings
 _SPELLED: Final = {
     "µε": "με",
@@ -110,22 +124,82 @@ class TableError(UsageError):
 def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     """Bare name and unit of a heading; None where it names no unit of the dimension.
 
+    A bracket counts as a whole, so that a factor in it is never dropped.
+
     >>> unit_in_heading("rate_kN_s", "loading_rate"), unit_in_heading("D in mm", "length")
     (('rate', 'kN/s'), ('D', 'mm'))
+    >>> unit_in_heading("stress [10 MPa]", "pressure")
+    ('stress [10 MPa]', None)
     """
-    for gap in _COLUMN_UNIT.finditer(heading[:200]):
-        rest = heading[gap.end() :].strip().rstrip("])").strip()
-        if rest.isdigit() and "[" not in gap.group():
+    heading = heading[:200]
+    units = {
+        bracket: unit
+        for bracket in _BRACKET.finditer(heading)
+        if (unit := _known_unit(bracket[1], dimension))
+    }
+    if len(units) == 1:
+        ((bracket, unit),) = units.items()
+        name, behind = heading[: bracket.start()].strip(), heading[bracket.end() :]
+        if name and not factor_in_heading(behind):
+            return name, unit
+    for gap in _COLUMN_UNIT.finditer(heading):
+        name, rest = heading[: gap.start()].strip(), heading[gap.end() :].strip()
+        if not name or rest.isdigit() or _is_open(name) or factor_in_heading(name):
             continue
-        for spelled in (
-            rest,
-            rest.replace("_", "/"),
-            rest.replace("²", "2").replace("³", "3"),
-            _SPELLED.get(rest, ""),
-        ):
-            if spelled in UNITS[dimension] and spelled and gap.start():
-                return heading[: gap.start()].strip(), spelled
+        if rest == "in" and not set("/,") & set(gap.group()):
+            continue  # the inner diameter D_in is no length in inches
+        known = _known_unit(rest, dimension)
+        if known is not None:
+            return name, known
     return heading, None
+
+
+def factor_in_heading(heading: str) -> str:
+    """The factor that a heading has beside a unit, such as x10 or 10^3; empty without one."""
+    factor = _FACTOR.search(heading)
+    return "" if factor is None else factor[0].strip()
+
+
+def _known_unit(text: str, dimension: str) -> str | None:
+    """The unit of a dimension that a text spells."""
+    text = text.strip().removeprefix("in ").strip()
+    ascii_powers = text.replace("²", "2").replace("³", "3")
+    for spelled in (text, text.replace("_", "/"), ascii_powers, _SPELLED.get(text, "")):
+        if spelled and spelled in UNITS[dimension]:
+            return spelled
+    return None
+
+
+def _is_open(text: str) -> bool:
+    """Whether a bracket in a text is not closed."""
+    return text.count("[") > text.count("]") or text.count("(") > text.count(")")
+
+
+def unknown_unit(heading: str, dimension: str) -> str:
+    """What is wrong with the unit that a heading seems to have, and the way out; empty where it
+    seems to have none.
+
+    >>> unknown_unit("Load [KN]", "force")
+    "'KN' is not a unit of this column; did you mean 'kN'?"
+    """
+    heading = heading[:200].strip()
+    brackets = _BRACKET.findall(heading)
+    text = brackets[-1].strip() if brackets else re.split(r"[\s_/,]+", heading)[-1]
+    known = [unit for unit in UNITS[dimension] if unit]
+    factor = factor_in_heading(heading)
+    if factor:
+        unit = next((u for u in known if re.search(rf"(?<!\w){re.escape(u)}(?!\w)", heading)), "")
+        way = f" and write [{unit}]" if unit else ""
+        return (
+            f"its heading {as_text(heading, 60)!r} has the factor {factor!r}. Multiply the values "
+            f"by it{way}"
+        )
+    if text in known:
+        return f"is {text!r} its unit? Write a name and [{text}]"
+    near = nearest_unit(text, dimension)
+    if near:
+        return f"{as_text(text, 30)!r} is not a unit of this column; did you mean {near!r}?"
+    return f"{as_text(text, 30)!r} is not a unit of this column" if brackets else ""
 
 
 def _decimal_mark(texts: Iterable[str]) -> str:
@@ -141,8 +215,8 @@ def _decimal_mark(texts: Iterable[str]) -> str:
 
 @dataclass(kw_only=True)
 class Table:
-    """The cells of a file as texts: rows that count with the numbers of their lines, and what is to
-    be told of them.
+    """The cells of a file as texts: rows of data with the numbers of their lines, notes for the
+    user, and lines that follow an empty one (`apart`).
     """
 
     name: str
@@ -151,6 +225,7 @@ class Table:
     lines: list[int]
     notes: list[str] = field(default_factory=list)
     decimal: str = ""
+    apart: frozenset[int] = frozenset()
     faults: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -166,8 +241,8 @@ class Table:
         sums = _each(lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows)
         again = _each(lambda row: row == self.headings, self.rows)
         return {
-            "a summary row is no row of data: delete it": sums,
-            "the headings again: pasted twice?": again,
+            "this is a summary row, not data. Delete it": sums,
+            "the headings are repeated; pasted twice?": again,
         }
 
     def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
@@ -188,11 +263,9 @@ class Table:
         near = get_close_matches(column, [*self.headings, *bare], n=1)
         hint = f"; did you mean {near[0]!r}?" if near and not twice else ""
         known = ", ".join(repr(h[:24]) for h in self.headings[:12])
+        often = "twice or more" if twice else "not"
         raise TableError(
-            f"the column {column!r} is {'twice or more' if twice else 'not'} in {self.name!r}, "
-            "which has "
-            f"{known}{hint}",
-            key,
+            f"the column {column!r} is {often} in {self.name!r}, which has {known}{hint}", key
         )
 
     def unit_of(self, column: str | int, dimension: str) -> str | None:
@@ -220,23 +293,34 @@ class Table:
         """
         at = self.place(column, dimension, key)
         if dimension == "number":
-            return self._parsed(at, str(column), key, blank)
+            values = self._parsed(at, str(column), key, blank)
+            self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
+            return values
         heading, units = self.headings[at], UNITS[dimension]
         column = heading if str(column).isdigit() else str(column)
         own, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
         if unit is not None and unit not in units:
-            raise TableError(f"found {unit!r}, allowed: {typed_units(dimension)}", unit_key)
+            raise TableError(
+                f"{unit_key} must be one of {typed_units(dimension)}, not {unit!r}", unit_key
+            )
         if unit and own and units[unit] != units[own]:
-            raise TableError(f"found {unit!r}, but the heading {heading!r} says {own!r}", unit_key)
+            raise TableError(
+                f"{unit_key} is {unit!r}, but the heading {heading!r} has {own!r}", unit_key
+            )
         if unit is None and own is None:
+            wrong = unknown_unit(heading, dimension)
+            if wrong:
+                raise TableError(f"{column!r}: {wrong} ({typed_units(dimension)})", key)
             first = next(iter(units))
             more = f', or add {unit_key} = "{first}"' if key in _UNIT_KEYS else ""
             raise TableError(
-                f'the unit of the column {column!r} is missing: write it in the heading, "{column} '
+                f'the unit of the column {column!r} is missing. Write it in the heading, "{column} '
                 f'[{first}]"{more} ({typed_units(dimension)})',
                 key,
             )
-        return units[unit or own or ""] * self._parsed(at, column, key, blank)
+        values = units[unit or own or ""] * self._parsed(at, column, key, blank)
+        self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
+        return values
 
     def _parsed(self, at: int, column: str, key: str, blank: bool) -> Array:
         """Numbers of a column without its unit: which mark is the decimal one, and what is no
@@ -275,22 +359,21 @@ class Table:
                 )
         number = _each(NUMBER["," if mark == "," else "."].fullmatch, texts)
         empty = _each(lambda text: text.lower() in NOTHING if blank else not text, texts)
-        if (strange := ~(number | empty | bad)).any():
-            refuse(
-                (
-                    f"found {as_text(texts[int(np.argmax(strange))], 60)!r}, where a number is "
-                    "required"
-                ),
-                strange,
-            )
+        formulas = _each(lambda text: text.startswith("="), texts)
+        refuse(
+            "a formula without a stored value: save the file in a spreadsheet program, or paste "
+            "values",
+            formulas & ~number,
+        )
+        strange = ~(number | empty | bad)
+        if strange.any():
+            text = as_text(texts[int(np.argmax(strange))], 60)
+            refuse(f"{text!r} is not a number", strange)
         if not blank:
             refuse("an empty cell", empty)
         pairs = zip(texts, number & ~bad, strict=True)
-        found = np.array(
-            [float(text.replace(",", ".")) if good else math.nan for text, good in pairs]
-        )
-        refuse("a number too large", np.isinf(found))
-        return found
+        values = [float(text.replace(",", ".")) if good else math.nan for text, good in pairs]
+        return np.array(values)
 
     def refuse(self, key: str, said: str, wrong: Flags) -> None:
         """Note that rows are wrong, (n,), which say what the others do not; each line is told of
@@ -308,11 +391,8 @@ class Table:
         strange = _each(lambda text: text not in words, texts) & ~np.logical_or.reduce(
             [*self._no_data.values()]
         )
-        said = (
-            f"{column}: found {as_text(texts[int(np.argmax(strange))], 60)!r}, where {meant} is "
-            "required"
-        )
-        self.refuse(key, said, strange)
+        text = as_text(texts[int(np.argmax(strange))], 60) if strange.any() else ""
+        self.refuse(key, f"{column}: {text!r} is not {meant}", strange)
         return _each(lambda text: words.get(text, False), texts)
 
     def check(self) -> None:
@@ -343,35 +423,38 @@ class Table:
                 f"{self.name}: {_lines([self.lines[k] for k in again])} repeat"
                 f"{'s' * (len(again) == 1)} earlier rows: pasted twice?"
             )
-        columns = [
-            [text.replace(",", ".") for text in column] for column in zip(*self.rows, strict=True)
-        ]
-        columns = [
-            column
-            for column in columns
-            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column))
-        ]
-        if len(columns) < 2 or len(self.rows) < 5:
+        self._note_sums()
+
+    def _note_sums(self) -> None:
+        """Note rows near the end that are the mean or the sd of all above; one that stands behind
+        an empty line needs a single column for that.
+        """
+        columns = []
+        for cells in zip(*self.rows, strict=True):
+            column = [text.replace(",", ".") for text in cells]
+            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
+                columns.append(column)
+        if not columns or len(self.rows) < 5:
             return
         values = np.array(columns, dtype=float)
+        digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
         for k in range(max(3, len(self.rows) - 8), len(self.rows)):
-            above, step = (
-                values[:, :k],
-                np.array([10.0 ** -len(column[k].partition(".")[2]) for column in columns]),
-            )
+            above, step = values[:, :k], np.array([10.0 ** -column[k] for column in digits])
+            least = 1 if self.lines[k] in self.apart else max(2, len(columns) - 1)
             for what, sums in (("mean", above.mean(axis=1)), ("sd", above.std(axis=1, ddof=1))):
                 alike = (np.abs(values[:, k] - sums) <= 0.51 * step) & (sums != 0.0)
-                if alike.sum() >= max(2, len(columns) - 1):
+                if alike.sum() >= least:
                     self.notes.append(
-                        f"{self.name}: line {self.lines[k]} is the {what} of the rows above: "
-                        "if it is a summary row, delete it"
+                        f"{self.name}: line {self.lines[k]} is the {what} of the rows above; if it "
+                        "is a summary row, delete it"
                     )
                     return
 
 
 def _lines(lines: list[int]) -> str:
     more = f" and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
-    return f"line{'s' * (len(lines) > 1)} {', '.join(map(str, lines[:_MOST_LINES]))}{more}"
+    noun = "lines" if len(lines) > 1 else "line"
+    return f"{noun} {', '.join(map(str, lines[:_MOST_LINES]))}{more}"
 
 
 def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
@@ -379,34 +462,119 @@ def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
     return np.array([bool(holds(cell)) for cell in cells], dtype=bool)
 
 
-def read_table(path: Path, *, decimal: str = "") -> Table:
+def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     """The table of a CSV or .xlsx file; its first line that is no comment (`#`) has the headings.
+
+    sheet : of a workbook (default: the first that is not empty).
+
+    A title, or the preamble of an instrument, may stand above the headings.  Every line that is
+    left out between rows of data is noted; an empty one is an empty cell of a single column.
 
     Raises TableError for what is no table, AccessError as `uqsphere.files.read_given`.
     """
-    lines, notes = read_lines(path)
-    lines = {k: line for k, line in lines.items() if not is_comment(line)}
-    first = next(iter(lines.values()), "")
-    rows = cells_of(lines, next((divider for divider in "\t;" if divider in first), ","), path.name)
-    return table_of(path.name, rows, notes, decimal)
+    lines, notes = read_lines(path, sheet=sheet)
+    name = as_text(path.name)
+    live = {k: line for k, line in lines.items() if not is_comment(line)}
+    first = next(iter(live.values()), "")
+    divider = next((mark for mark in "\t;" if mark in first), ",")
+    if divider == "," and len(live) > 1:  # a title has no divider
+        last = [*live.values()][-1]
+        divider = next((mark for mark in "\t;" if mark in last and mark not in first), ",")
+    rows = _below_preamble(cells_of(live, divider, name), name, notes)
+    start, end = min(rows, default=0), max(rows, default=0)
+    comments = [k for k in lines if k not in live and start < k < end]
+    if comments:
+        notes.append(f"{name}: {_lines(comments)}: comments (#), left out")
+    empty = [k for k in range(start, end) if k not in lines]
+    apart = frozenset(k for k in rows if k - 1 in set(empty))
+    if empty and max(map(len, rows.values())) == 1:
+        rows = dict(sorted({**rows, **{k: [""] for k in empty}}.items()))
+    elif empty:
+        notes.append(f"{name}: {_lines(empty)}: empty, left out")
+    try:
+        table = table_of(name, rows, notes, decimal)
+    except TableError as error:
+        others = [note for note in notes if _OTHER_SHEETS in note]
+        raise TableError("; ".join([str(error), *others]), error.key) from None
+    table.apart = apart
+    return table
 
 
-def read_lines(path: Path, largest: int = LARGEST) -> tuple[dict[int, str], list[str]]:
+def _below_preamble(
+    rows: dict[int, list[str]], name: str, notes: list[str]
+) -> dict[int, list[str]]:
+    """Rows from the headings on: below titles of one cell, and below what an instrument writes
+    above its columns.
+    """
+    lines = list(rows)
+    start = _headings_below_titles(rows, lines) or _headings_above_numbers(rows, lines)
+    if start == 0:
+        return rows
+    notes.append(f"{name}: {_lines(lines[:start])}: above the headings, left out")
+    return {k: rows[k] for k in lines[start:]}
+
+
+def _headings_below_titles(rows: Mapping[int, list[str]], lines: list[int]) -> int:
+    """The place of the first row of several cells, none of which is a number, below rows of one
+    text; 0 without such.
+    """
+    for place, line in enumerate(lines):
+        cells = [cell for cell in rows[line] if cell]
+        if any(map(_is_numeric, cells)) or not cells:
+            return 0
+        if len(cells) > 1:
+            return place
+    return 0
+
+
+def _headings_above_numbers(rows: Mapping[int, list[str]], lines: list[int]) -> int:
+    """The place of the last row of texts if all rows below it are numbers and none above it; 0
+    without such.
+    """
+    below = len(lines)
+    while below > 0 and _all_numbers(rows[lines[below - 1]]):
+        below -= 1
+    if below == len(lines) or below < 2:
+        return 0
+    place = below - 1
+    if are_units(rows[lines[place]]):
+        place -= 1
+    cells = rows[lines[place]]
+    texts = [cell for cell in cells if cell and cell.lower() not in NOTHING]
+    if len(texts) < 2 or any(map(_is_numeric, cells)) or any(map(is_error_value, cells)):
+        return 0
+    return 0 if any(_all_numbers(rows[line]) for line in lines[:place]) else place
+
+
+def _is_numeric(cell: str) -> bool:
+    return bool(NUMBER["."].fullmatch(cell) or NUMBER[","].fullmatch(cell))
+
+
+def _all_numbers(row: Sequence[str]) -> bool:
+    cells = [cell for cell in row if cell]
+    return len(cells) > 1 and all(map(_is_numeric, cells))
+
+
+def read_lines(
+    path: Path, largest: int = LARGEST, sheet: str = ""
+) -> tuple[dict[int, str], list[str]]:
     """Lines of a CSV or .xlsx file by their numbers, empty ones left out, and notes; cells of a
     sheet end with tabs.
 
     Raises TableError for what is no text or sheet, AccessError as `uqsphere.files.read_given`.
     """
-    name, notes = path.name, list[str]()
+    name, notes = as_text(path.name), list[str]()
     try:
         data = read_given(path, largest)
     except TooLarge:
         raise TableError(f"{name!r} is larger than {largest >> 20} MiB") from None
     if data.startswith(b"PK\x03\x04"):
-        lines = _sheet(data, name, notes)
+        lines = _sheet(data, name, notes, sheet)
+    elif sheet:
+        raise TableError(f"sheet belongs to workbooks, and {name!r} is a text file", "sheet")
     else:
         # only what ends a line everywhere: a text may have other marks of Unicode
-        lines = dict(enumerate(re.split("\r\n|\r|\n", _decoded(data, name, notes)), 1))
+        lines = dict(enumerate(re.split("\r*\n|\r", _decoded(data, name, notes)), 1))
         if re.fullmatch("sep=.", lines[1]):
             del lines[1]
         if (longest := max(map(len, lines.values()), default=0)) > _LONGEST:
@@ -417,8 +585,17 @@ def read_lines(path: Path, largest: int = LARGEST) -> tuple[dict[int, str], list
 
 
 def is_comment(line: str) -> bool:
-    """Whether a line is a comment."""
-    return line.lstrip(" ").startswith("#")
+    """Whether a line is a comment, and not a row that begins with an error of a spreadsheet."""
+    return line.lstrip(" ").startswith("#") and not is_error_value(re.split("[,;\t]", line)[0])
+
+
+def is_error_value(cell: str) -> bool:
+    """Whether a cell is what spreadsheets write for an error, in any of their languages.
+
+    >>> [is_error_value(cell) for cell in ("#DIV/0!", "#N/A", "#NV", "#REF!", "# a note")]
+    [True, True, True, True, False]
+    """
+    return _ERROR_VALUE.fullmatch(cell.strip(' "')) is not None
 
 
 def cells_of(
@@ -440,7 +617,7 @@ def cells_of(
         return {k: [cell.strip() for cell in divided(line)] for k, line in lines.items()}
     except csv.Error:
         raise TableError(
-            f"{name!r}: a text in quotes goes over several lines: keep every row on its line"
+            f"{name!r}: a text in quotes extends over several lines. Keep every row on one line"
         ) from None
 
 
@@ -456,10 +633,10 @@ def table_of(
     while headings and not headings[-1]:
         headings = headings[:-1]
     width = len(headings)
-    if wide := [line for line, row in numbered if any(row[width:])]:
+    wide = [line for line, row in numbered if any(row[width:])]
+    if wide:
         raise TableError(
-            f"{name}: line {wide[0]}: more cells than headings: a decimal comma between commas? "
-            "save it with semicolons"
+            f"{name}: line {wide[0]}: more cells than headings. {_way_out(headings, numbered)}"
         )
     if width > MOST_COLUMNS:
         raise TableError(f"{name!r} has {width:,} columns; {MOST_COLUMNS:,} are read at most")
@@ -480,45 +657,102 @@ def table_of(
     )
 
 
+def _way_out(headings: Sequence[str], numbered: Sequence[tuple[int, list[str]]]) -> str:
+    """What may have brought a row more cells than headings."""
+    cells = [cell for _, row in numbered[:20] for cell in row]
+    if sum(1 for heading in headings if heading) == 1 and len(numbered) > 1:
+        return f"Is {as_text(headings[0], 40)!r} a title? Delete its line"
+    whole = [cell for cell in cells if cell]
+    if whole and all(cell.lstrip("+-").isdigit() for cell in whole):
+        return "A decimal comma between commas? Save the file with semicolons"
+    return "Give every column a heading"
+
+
 def are_units(row: list[str]) -> bool:
     """Whether the cells of a row are units."""
     return any(row) and {cell.strip("[]() ") for cell in row} <= _ALL_UNITS
 
 
-def _sheet(data: bytes, name: str, notes: list[str]) -> dict[int, str]:
-    """Rows of the first sheet of a workbook that has any, by their numbers, a tab behind each
-    cell.
+def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, str]:
+    """Rows of a sheet of a workbook, by default the first that has any, by their numbers, a tab
+    behind each cell.
     """
-    from zipfile import ZipFile
-
     from openpyxl import load_workbook
 
-    full: dict[str, dict[int, list[str]]] = {}
     try:
-        if (
-            size := sum(part.file_size for part in ZipFile(io.BytesIO(data)).infolist())
-        ) > 8 * LARGEST:
+        formulas = _has_formulas(data, name)
+        book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+        titles = [sheet.title for sheet in book.worksheets]
+        if wanted and wanted not in titles:
+            known = ", ".join(repr(as_text(title, 40)) for title in titles[:12])
             raise TableError(
-                f"{name!r} unpacks to {size >> 20:,} MiB; {8 * LARGEST >> 20} MiB are read at most"
+                f"there is no sheet {wanted!r} in {name!r}, which has {known}", "sheet"
             )
-        for sheet in load_workbook(io.BytesIO(data), read_only=True, data_only=True).worksheets:
-            sheet.reset_dimensions()  # what a file says of its size may be wrong
-            rows = {
-                k: [_cell_text(cell) for cell in row]
-                for k, row in enumerate(sheet.iter_rows(values_only=True), 1)
-                if any(cell is not None for cell in row)
-            }
-            full |= {sheet.title: rows} if rows else {}
+        full: dict[str, dict[int, list[str]]] = {}
+        for sheet in book.worksheets:
+            if wanted in ("", sheet.title):
+                full |= {sheet.title: rows} if (rows := _rows_of(sheet, name)) else {}
+        title, rows = next(iter(full.items()), (wanted, {}))
+        if formulas and title:
+            _mark_formulas(rows, load_workbook(io.BytesIO(data), read_only=True)[title])
     except TableError:
         raise
     except Exception as error:
         raise TableError(f"{name!r} cannot be read as .xlsx: {type(error).__name__}") from None
-    if len(full) > 1:
-        notes.append(f"{name} has {len(full)} sheets: the first, {next(iter(full))!r}, is read")
-    rows = next(iter(full.values()), {})
+    others = [other for other in full if other != title]
+    if others and not wanted:
+        listed = ", ".join(repr(as_text(other, 40)) for other in others[:6])
+        notes.append(
+            f"{name}: the sheet {title!r} is read; {_OTHER_SHEETS}: {listed} "
+            f'(sheet = "{as_text(others[0], 40)}")'
+        )
     # a row ends with its last cell that is not empty
     width = min(max(map(len, rows.values()), default=0), MOST_COLUMNS)
     return {k: "\t".join([*row, *[""] * (width + 1 - len(row))]) for k, row in rows.items()}
+
+
+def _has_formulas(data: bytes, name: str) -> bool:
+    """Whether some cell of a workbook is a formula; raises TableError where it is too large."""
+    from zipfile import ZipFile
+
+    archive = ZipFile(io.BytesIO(data))
+    size = sum(part.file_size for part in archive.infolist())
+    if size > 8 * LARGEST:
+        raise TableError(
+            f"{name!r} unpacks to {size >> 20:,} MiB; at most {8 * LARGEST >> 20} MiB are read"
+        )
+    found, rows = False, 0
+    for part in archive.infolist():
+        if part.filename.startswith("xl/worksheets/"):
+            content = archive.read(part)
+            found = found or b"<f>" in content or b"<f " in content
+            rows += content.count(b"<c ") + content.count(b"<c>") + content.count(b"<row")
+            if rows > _MOST_CELLS:
+                raise TableError(
+                    f"{name!r} has more than {_MOST_CELLS:,} cells. Save the sheet as CSV"
+                )
+    return found
+
+
+def _rows_of(sheet: Any, name: str) -> dict[int, list[str]]:
+    """The cells of a sheet by the numbers of their rows, without empty rows."""
+    sheet.reset_dimensions()  # what a file says of its size may be wrong
+    rows = {}
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        if any(cell is not None for cell in row):
+            rows[number] = [_cell_text(cell) for cell in row]
+    return rows
+
+
+def _mark_formulas(rows: dict[int, list[str]], sheet: Any) -> None:
+    """Put a formula in the place of each empty cell that holds one: it has no stored value."""
+    sheet.reset_dimensions()
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        for place, cell in enumerate(row):
+            if isinstance(cell, str) and cell.startswith("="):
+                cells = rows.setdefault(number, [])
+                cells += [""] * (place + 1 - len(cells))
+                cells[place] = cells[place] or _cell_text(cell)
 
 
 def _cell_text(cell: object) -> str:
@@ -535,7 +769,7 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
     if b"\0" in data[:4096]:
-        raise TableError(f"{name!r} is no text: save it as CSV or .xlsx")
+        raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -107,6 +107,20 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "number": {"": 1.0},
 }
 
+#: units that are often written otherwise, in small letters
+_MISSPELLED: Final = {
+    "lbs": "lbf",
+    "lb": "lbf",
+    "newton": "N",
+    "newtons": "N",
+    "kilonewton": "kN",
+    "inch": "in",
+    "inches": "in",
+    "micron": "um",
+    "microns": "um",
+    "sec": "s",
+    "seconds": "s",
+}
 #: a number, with single underscores between digits as in TOML
 _NUMBER: Final = re.compile(
     r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII
@@ -242,10 +256,27 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             raise UnitError(
                 f'{text!r}: a tip speed needs the rotor\'s diameter: write "{number} rpm at 0.9 m"'
             )
+        near = nearest_unit(unit, dimension)
+        hint = f'; did you mean "{number} {near}"?' if near else ""
         raise UnitError(
-            f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})"
+            f"unknown unit {unit!r} for a {dimension.replace('_', ' ')}{hint} (units: {allowed})"
         )
     return _finite(float(number) * table[unit], text)
+
+
+def nearest_unit(text: str, dimension: str) -> str:
+    """The unit of a dimension that a text was likely meant to be; empty without one.
+
+    >>> nearest_unit("KN", "force"), nearest_unit("lbs", "force"), nearest_unit("mn", "force")
+    ('kN', 'lbf', '')
+    """
+    plain = re.sub(r"[\^*\s]", "", text)
+    for spelled in (plain, _MISSPELLED.get(plain.lower(), "")):
+        if spelled and spelled in UNITS[dimension]:
+            return spelled
+    # kn is kN; mn may be mN or MN
+    folded = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
+    return folded[0] if len(folded) == 1 else ""
 
 
 def likely_unit(raw: Any, quantity: Quantity) -> str:

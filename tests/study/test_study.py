@@ -435,7 +435,7 @@ def test_schema_and_page() -> None:
 def test_what_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "mark.toml").write_bytes(b"\xef\xbb\xbf" + BASE.encode())
     assert load_study(tmp_path / "mark.toml").title == "granite"
-    with pytest.raises(UsageError, match="this is a folder"):
+    with pytest.raises(UsageError, match="this is a directory"):
         load_study(tmp_path)
     (tmp_path / "large.toml").write_bytes(b"# x\n" * 2_600_000)
     with pytest.raises(UsageError, match="1 MiB are read at most"):

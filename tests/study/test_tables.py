@@ -56,7 +56,10 @@ def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
     (tmp_path / "u.csv").write_text("D,F,note\nmm,kN,-\n14.9,7.42,total loss\n")
     book.create_sheet("more").append(["x"])
     book.save(tmp_path / "t.xlsx")
-    assert "2 sheets: the first, 'Sheet', is read" in read_table(tmp_path / "t.xlsx").notes[0]
+    assert (
+        "t.xlsx: the sheet 'Sheet' is read; other sheets: 'more'"
+        in read_table(tmp_path / "t.xlsx").notes[0]
+    )
     table = read_table(tmp_path / "u.csv")
     assert table.numbers("F", "force").tolist() == [7420.0]
     table.finish()
@@ -96,6 +99,26 @@ def test_workbooks_that_are_larger_than_they_seem(
         ("specific energy (J/kg)", "specific_energy", ("specific energy", "J/kg")),
         ("force_kN", "length", ("force_kN", None)),
         ("m", "length", ("m", None)),
+        ("force (peak) [kN]", "force", ("force (peak)", "kN")),
+        ("force [kN] (peak)", "force", ("force", "kN")),
+        ("K_Ic [MPa.sqrt(m)]", "toughness", ("K_Ic", "MPa.sqrt(m)")),
+        ("P10 in kN", "force", ("P10", "kN")),
+        ("run 10 [mm]", "length", ("run 10", "mm")),
+        # a factor is never dropped
+        ("stress [10 MPa]", "pressure", ("stress [10 MPa]", None)),
+        ("stress [x10 MPa]", "pressure", ("stress [x10 MPa]", None)),
+        ("stress [10^3 MPa]", "pressure", ("stress [10^3 MPa]", None)),
+        ("stress [MPa x 10]", "pressure", ("stress [MPa x 10]", None)),
+        ("stress (MPa) x 10", "pressure", ("stress (MPa) x 10", None)),
+        ("stress /10 MPa", "pressure", ("stress /10 MPa", None)),
+        ("stress in 10 MPa", "pressure", ("stress in 10 MPa", None)),
+        ("stress, 10 MPa", "pressure", ("stress, 10 MPa", None)),
+        ("stress_1e3_MPa", "pressure", ("stress_1e3_MPa", None)),
+        ("time [0.1 us]", "time", ("time [0.1 us]", None)),
+        ("force[x1000 N]", "force", ("force[x1000 N]", None)),
+        # an inner diameter is no inch
+        ("D_in", "length", ("D_in", None)),
+        ("D [in]", "length", ("D", "in")),
     ],
 )
 def test_units_in_headings(heading: str, dimension: str, found: tuple[str, str | None]) -> None:
@@ -107,9 +130,9 @@ FAULTY = {
     "an empty cell": ("D,F\n14.9,7.42\n15.1,\n15,8\n15,\n", "t.csv: lines 3, 5: F: an empty cell"),
     "a text": (
         "D,F\n14.9,7.42\n15.1,broken\n",
-        "line 3: F: found 'broken', where a number is required",
+        "line 3: F: 'broken' is not a number",
     ),
-    "a unit in a cell": ("D,F\n14.9,7.42 kN\n", "line 2: F: found '7.42 kN'"),
+    "a unit in a cell": ("D,F\n14.9,7.42 kN\n", "line 2: F: '7.42 kN' is not a number"),
     "a mark of thousands": ("D;F\n14,9;1.234,5\n15;7,4\n", "line 2: F: a mark of thousands"),
     "a thousands dot among whole numbers": (
         "D,F\n14,2.830\n15,2260\n",
@@ -129,23 +152,29 @@ FAULTY = {
     ),
     "pasted with its headings": (
         "D,F\n1,2\nD,F\n1,2\n",
-        "t.csv: line 3: the headings again: pasted twice?",
+        "t.csv: line 3: the headings are repeated; pasted twice?",
     ),
     "comma or thousands": ("D;F\n14;2,830\n15;2,260\n", 'add decimal = ","'),
     "two decimal marks": ("D;F\n14;2,83\n15;2.26\n", "decimal point and comma in one column"),
-    "summary rows": ("n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n", "lines 4, 5: a summary row"),
+    "summary rows": (
+        "n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n",
+        "lines 4, 5: this is a summary row",
+    ),
     "a decimal comma between commas": ("D,F\n14,9,7,42\n", "line 2: more cells than headings"),
     "no such column": ("D,G\n1,2\n", "the column 'F' is not in 't.csv', which has 'D', 'G'"),
     "a column twice": ("F,F\n1,2\n", "'F' is twice or more in"),
     "headings alone": ("D,F\n", "no row below its headings"),
     "nothing": ("\n\n", "'t.csv' is empty"),
-    "bytes": ("\0\0\0\1\2\3", "no text"),
-    "too large": ("D,F\n1,1e999\n", "a number too large"),
+    "bytes": ("\0\0\0\1\2\3", "is not a text file"),
+    "too large": ("D,F\n1,1e999\n", "a number is too large"),
     "a text in quotes over two lines": (
         'D,F\n1,"2\n3",4\n',
-        "a text in quotes goes over several lines",
+        "a text in quotes extends over several lines",
     ),
-    "a long text": ("D,F\n1," + "x" * 5000 + "\n", "found '" + "x" * 59 + "…', where"),
+    "a long text": (
+        "D,F\n1," + "x" * 5000 + "\n",
+        "line 2: F: '" + "x" * 59 + "…' is not a number",
+    ),
     "a long line": (
         "D,F\n1,2" + " " * 200_000 + "\n",
         "a line of 200,003 characters; 100,000 are read at most",
@@ -213,8 +242,8 @@ def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -
     table = read_table(tmp_path / "t.csv")
     assert table.numbers("F", "force", key="force").tolist() == [1000.0]
     for unit, said in (
-        ("N", "the heading 'F [kN]' says 'kN'"),
-        ("mm", "found 'mm', allowed: N, mN, kN"),
+        ("N", "the heading 'F [kN]' has 'kN'"),
+        ("mm", "force_unit must be one of N, mN, kN"),
     ):
         with pytest.raises(TableError) as caught:
             table.numbers("F", "force", unit, key="force")

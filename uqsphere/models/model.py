@@ -183,7 +183,7 @@ class Model:
         else:
             return answers
         for row in alone.tolist():
-            if self._differs_alone(names, rows[row : row + 1], answers.values[row], columns):
+            if self._differs_by_itself(names, rows[row : row + 1], answers.values[row], columns):
                 break
         return answers
 
@@ -191,7 +191,7 @@ class Model:
     def _damaged(self) -> int:
         return 0 if self._cache is None else self._cache.damaged
 
-    def _differs_alone(
+    def _differs_by_itself(
         self, names: Sequence[str], row: Array, answer: Array, columns: Sequence[str]
     ) -> bool:
         """Whether a row (1, d) has another answer than (q,) when it is called alone; a note says

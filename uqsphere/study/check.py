@@ -53,7 +53,7 @@ _NO_SPHERE: Final = (
 FORMS: Final[Mapping[str, Mapping[str, str]]] = {
     **forms.FORMS,
     "rod": {"": "E nu density diameter length"},
-    "pulse": {**forms.FORMS["pulse"], "measured": "file; columns units factor gain"},
+    "pulse": {**forms.FORMS["pulse"], "measured": "file; sheet columns units factor gain"},
     "analysis": {"a black box": "; cost time_limit"},
     "model": {
         name: "; first_loading_only whole_record compare_with_paper"

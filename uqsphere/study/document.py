@@ -147,9 +147,12 @@ class Pulse(Table):
     file: str | None = keyed(
         "`measured`: table of time and strain (compression positive), a file beside the study"
     )
-    columns: Pair | None = keyed("`measured`: names of both columns; without it the first two")
+    sheet: str | None = keyed("`measured`: sheet of a workbook (default: the first with data)")
+    columns: Pair | None = keyed(
+        "`measured`: column names of time and signal (default: the first two)"
+    )
     units: Pair | None = keyed(
-        "`measured`: units of time, and of strain or volts; without it those of the headings"
+        "`measured`: units of time, and of strain or volts (default: those of the headings)"
     )
     factor: Positive | None = keyed("`measured`: strain of one volt")
 
@@ -211,10 +214,10 @@ class ModelChoice(Table):
     )
     first_loading_only: bool = keyed("end the record when the first reflected wave is back", False)
     whole_record: bool = keyed(
-        "go on after the first loss of contact, to the horizon (bars)", False
+        "continue after the first loss of contact, to the horizon (bars)", False
     )
     horizon: Seconds | None = keyed(
-        "latest end of the record; without it eight round trips of the longer bar"
+        "latest end of the record (default: eight round trips of the longer bar)"
     )
     compare_with_paper: bool = keyed(
         "print the paper's formulas as printed beside the corrected ones", False
@@ -236,15 +239,13 @@ class LimitTable(Table):
     )
     aim: Aim = keyed("the quantity must stay below the strength, or exceed it", "survive")
     target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Num = keyed(
-        "factor on the quantity for what the model leaves out; may scatter", 1.0
-    )
+    model_factor: Num = keyed("model-uncertainty factor on the demand; may be random", 1.0)
     fracture: bool | None = keyed(
-        "whether exceeding it breaks the sphere; without it the quantity decides"
+        "whether exceeding it breaks the sphere (default: by the quantity)"
     )
     energy_is: Literal["contact", "sphere", "input"] | None = keyed(
-        "of `specific_energy`, required but for bars: stored in both bodies, in the sphere, or "
-        "offered"
+        "energy of `specific_energy` (required except for bars): stored in both contacts, in the "
+        "sphere, or the impact energy"
     )
     modulus: Annotated[float, *_fixed("modulus")] | None = keyed(
         "of a weakest link, unless the strength has it"
@@ -350,8 +351,7 @@ class Analysis(Table):
 
     quantities: Annotated[tuple[str, ...], *_several()] = keyed(
         (
-            "answered to this accuracy; without it `p_max` and `contact_duration`, or all "
-            "outputs of "
+            "computed to this accuracy (default: `p_max` and `contact_duration`, or all outputs of "
             "a black box"
         ),
         (),
@@ -373,21 +373,18 @@ class Analysis(Table):
     )
     second_order: bool = keyed("Sobol' indices of all pairs of inputs as well", False)
     failure_modes: Literal["all", "given"] = keyed(
-        "`all`: those of the sphere's material that have no limit, too", "all"
+        "`all`: also modes without a limit, with library strengths", "all"
     )
     damage_counts: bool = keyed(
         "a ring crack, which damages the surface, counts as fracture (glass, catalysts)", False
     )
     on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
-        'failed evaluations: `"bound"` counts each once as exceeding and once as not; `"drop"` '
-        "leaves out up to 1 %, "
-        'a share such as `"5 %"` up to that',
+        'failed runs: `"bound"`: the interval covers both outcomes; `"drop"`: up to 1 % are '
+        'dropped, or a percentage such as `"5 %"`',
         "abort",
     )
-    cost: Seconds | None = keyed("time of one evaluation of a black box; without it measured")
-    time_limit: Seconds | None = keyed(
-        "longest time of one evaluation of a black box; a longer one has failed"
-    )
+    cost: Seconds | None = keyed("run time of one black-box evaluation (default: measured)")
+    time_limit: Seconds | None = keyed("time limit of one black-box evaluation")
 
     @property
     def policy(self) -> str:
@@ -436,7 +433,7 @@ class Words(Table):
     """A study file, without the numbers of the scene."""
 
     title: str = keyed(
-        "heading of the report, without it the file's name; not part of the study's hash", ""
+        "heading of the report (default: the file's name); not part of the study's hash", ""
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = keyed("the same seed gives the same answers", 0)
     sphere: Body = Body.model_construct()

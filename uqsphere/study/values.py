@@ -6,6 +6,7 @@ Such a file has a column of observations, crushing tests, draws of a fit, or the
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -273,15 +274,15 @@ class Observations(Table):
     draws of a fit.
     """
 
-    dist: Literal["empirical"] | None = keyed("may be left out where a file is named")
+    dist: Literal["empirical"] | None = keyed("optional with a file")
     file: str | None = keyed("CSV or .xlsx beside the study")
     draws: str | None = keyed(
-        "in its place: draws of a fit, with columns `distribution` (lognormal or weibull), "
-        "`scale`, `shape`, and if "
-        "need be `least`, `bound`, `tests`, and their `diameter` with a `size_exponent`, and the "
-        "`smallest` and `largest` diameter that was tested"
+        "in its place: posterior samples of a fit, columns `distribution` (lognormal or weibull), "
+        "`scale`, `shape`; optional: `least`, `bound`, `tests`, `diameter`, `size_exponent`, and the "
+        "`smallest` and `largest` diameter tested"
     )
-    decimal: Literal[".", ","] | None = keyed("decimal mark, where a column can be read both ways")
+    sheet: str | None = keyed("sheet of a workbook (default: the first that is not empty)")
+    decimal: Literal[".", ","] | None = keyed("decimal mark, if a column can be read both ways")
     column: str | None = keyed("column of observations, in the quantity itself")
     unit: str | None = keyed("its unit, if the heading has none")
     force: str | None = keyed("in place of `column`: forces at which spheres broke between platens")
@@ -290,24 +291,21 @@ class Observations(Table):
     diameter_unit: str | None = keyed("unit of the diameters, if the heading has none")
     rate: str | None = keyed("column of loading rates, with their unit in the heading")
     platens: Any = keyed(
-        'what it was measured between: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars"
+        'platens of the tests: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars"
     )
     censored: str | None = keyed(
         "column of flags: 1 for a test stopped before a failure (right-censored)"
     )
-    count: str | None = keyed("column of numbers of equal tests; without it one a row")
+    count: str | None = keyed("column with the number of equal tests (default: one a row)")
     modulus: Positive | None = keyed(
-        "Weibull modulus of the tests that is known; then few failures, or none, are enough"
+        "known Weibull modulus; then few failures, or none, are enough"
     )
     fit: str | None = keyed(
         "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, "
-        "`rayleigh`, `gamma` or "
-        "`beta`; without it `weibull` of forces, else `kde`"
+        "`rayleigh`, `gamma` or `beta` (default: `weibull` of forces, else `kde`)"
     )
-    unbiased: bool = keyed("takes the bias of few tests out of the modulus or the scatter", False)
-    synthetic: bool = keyed(
-        "the observations are synthetic, so that no verdict is established by them", False
-    )
+    unbiased: bool = keyed("corrects modulus or scatter for the bias of few tests", False)
+    synthetic: bool = keyed("synthetic data: they establish no verdict", False)
     lower: Any = None
     upper: Any = None
 
@@ -316,7 +314,8 @@ class Observations(Table):
         kind = "force" if self.column is None and (self.force or self.diameter) else "column"
         kind = "draws" if self.draws is not None else kind
         if strange := sorted(
-            self.model_fields_set - {"dist", "decimal", "synthetic", kind, *_TAKEN[kind].split()}
+            self.model_fields_set
+            - {"dist", "decimal", "sheet", "synthetic", kind, *_TAKEN[kind].split()}
         ):
             raise Fault(
                 f"{strange[0]} does not belong to {kind} = …: leave one of them out", strange[0]
@@ -326,30 +325,35 @@ class Observations(Table):
 
 @contextmanager
 def opened(
-    name: str, draft: Draft, key: str = "file", decimal: str | None = None
+    name: str,
+    draft: Draft,
+    key: str = "file",
+    decimal: str | None = None,
+    sheet: str | None = None,
 ) -> Iterator[Cells]:
     """The table of a file in the study's folder; at the end all faults that were noted of it are
     one Fault.
     """
     home, given = draft.folder.resolve(), Path(name)
+    if not name.isprintable():
+        raise Fault(
+            f"the file name {json.dumps(name)[:80]} has a control character: \\t in double quotes "
+            "is a tab. Write / in place of \\",
+            key,
+        )
     try:
         path = (home / given).resolve()
         if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
             raise Fault(
-                (
-                    f"found {shown(name)}: a study reads files of its own folder only, by a "
-                    "relative "
-                    "path"
-                ),
-                key,
+                f"{key} must be a relative path inside the study's folder, not {shown(name)}", key
             )
         if not path.exists():
             near = suggestion(name, [item.name for item in home.iterdir()] if home.is_dir() else [])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
         draft.files[given.as_posix()] = path
-        found = read_table(path, decimal=decimal or "")
-        yield found
-        found.finish()
+        table = read_table(path, decimal=decimal or "", sheet=sheet or "")
+        yield table
+        table.finish()
     except TableError as fault:
         raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
     except Fault:
@@ -420,7 +424,7 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
         "least": quantity.dimension,
         **dict.fromkeys(("diameter", "smallest", "largest"), "length"),
     }
-    with opened(name, draft, "draws", table.decimal) as found:
+    with opened(name, draft, "draws", table.decimal, table.sheet) as found:
         words = found.texts("distribution", "draws")
         found.refuse(
             "draws",
@@ -480,7 +484,7 @@ def observations(
         if getattr(table, key) is None and key in _EXAMPLES:
             raise Fault(f'{key} is missing: add {key} = "{_EXAMPLES[key]}"')
     columns = {}
-    with opened(str(table.file), draft, decimal=table.decimal) as found:
+    with opened(str(table.file), draft, "file", table.decimal, table.sheet) as found:
         for key, dimension in dimensions.items():
             name, unit = (
                 getattr(table, key),
@@ -585,7 +589,7 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
     """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the
     lab's.
     """
-    with opened(str(table.file), draft) as found:
+    with opened(str(table.file), draft, sheet=table.sheet) as found:
         columns = table.columns or tuple(found.headings[:2])
         if len(columns) != 2:
             raise Fault(

@@ -308,7 +308,17 @@ def _of_scipy(name: str) -> Family | None:
     shapes = tuple((found.shapes or "").replace(",", " ").split())
 
     def form(loc: float, scale: float, **own: float) -> tuple[float, float, Form]:
-        return loc, scale, forms.form_of(name, found(**own), (*shapes, "")[0])
+        for shape, value in own.items():
+            # beyond these SciPy searches for quantiles for minutes
+            if value != 0.0 and not 1e-4 <= abs(value) <= 1e5:
+                raise LawError(f"{name}: {shape} must be between 1e-4 and 1e5 in size", shape)
+        first = (*shapes, "")[0]
+        try:
+            return loc, scale, forms.form_of(name, found(**own), first)
+        except (ArithmeticError, ValueError) as error:
+            if isinstance(error, LawError):
+                raise
+            raise LawError(f"{name} has no law with these shapes", first) from error
 
     return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form)
 

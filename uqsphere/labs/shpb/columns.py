@@ -16,7 +16,7 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.recorded import read_recorded
 from uqsphere.labs.shpb.signals import Changes
-from uqsphere.tables import Table, unit_in_heading
+from uqsphere.tables import Table, factor_in_heading, unit_in_heading
 from uqsphere.units import UNITS
 
 #: most bytes of a file
@@ -89,6 +89,11 @@ class Column:
         for dimension in ("time", "strain", "voltage", *UNITS):
             if unit := unit_in_heading(text, dimension)[1]:
                 return dimension, unit
+        if factor := factor_in_heading(text):
+            raise UsageError(
+                f"the heading {text!r} has the factor {factor!r}. Multiply the values by it and "
+                "write the unit alone"
+            )
         return "", given
 
     def checked(self) -> Array:
