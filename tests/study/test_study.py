@@ -438,7 +438,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="this is a directory"):
         load_study(tmp_path)
     (tmp_path / "large.toml").write_bytes(b"# x\n" * 2_600_000)
-    with pytest.raises(UsageError, match="1 MiB are read at most"):
+    with pytest.raises(UsageError, match="at most 1 MiB are read"):
         load_study(tmp_path / "large.toml")
     (tmp_path / "loop.toml").symlink_to(tmp_path / "loop.toml")
     for path in (tmp_path / "none.toml", tmp_path / "a\0b", tmp_path / "loop.toml"):

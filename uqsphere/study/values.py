@@ -278,8 +278,8 @@ class Observations(Table):
     file: str | None = keyed("CSV or .xlsx beside the study")
     draws: str | None = keyed(
         "in its place: posterior samples of a fit, columns `distribution` (lognormal or weibull), "
-        "`scale`, `shape`; optional: `least`, `bound`, `tests`, `diameter`, `size_exponent`, and the "
-        "`smallest` and `largest` diameter tested"
+        "`scale`, `shape`; optional: `least`, `bound`, `tests`, `diameter`, `size_exponent`, and "
+        "the `smallest` and `largest` diameter tested"
     )
     sheet: str | None = keyed("sheet of a workbook (default: the first that is not empty)")
     decimal: Literal[".", ","] | None = keyed("decimal mark, if a column can be read both ways")
