@@ -176,5 +176,5 @@ def test_the_gauge_of_a_rod_sees_the_force_at_the_face_later() -> None:
     inside = times + 0.2 / speed < 2.0 * 1.5 / speed - 0.2 / speed
     due = -found.forces_at(times)[:, 1] / (205e9 * section)
     np.testing.assert_allclose(strain[inside], due[inside], rtol=1e-9, atol=1e-15)
-    with pytest.raises(ValueError, match="beyond the rod"):
+    with pytest.raises(ValueError, match="must be on the rod"):
         rod_record(found, 2.0, times)

@@ -156,7 +156,7 @@ def test_first_touch_is_no_loss():
 
 
 def test_what_cannot_be_traced_is_refused():
-    with pytest.raises(ValueError, match="at least 2 points"):
+    with pytest.raises(ValueError, match="must be at least 2"):
         trace(granite(), points=1)
     with pytest.raises(ValueError, match="outside the domain"):
         trace(granite(sphere_nu=0.7))

@@ -235,7 +235,7 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "to tension, -4")]
+    ("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "the strain reaches 4")]
 )
 def test_noise_ahead_of_a_pulse_is_no_contact(
     load: Load, tmp_path: Path, noise: float, back: float, said: str
@@ -272,7 +272,7 @@ def test_a_record_without_a_pulse_is_refused(load: Load, tmp_path: Path) -> None
         '[striker]\nspeed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }\nlength = "0.8 m"\n'
     )
     with pytest.raises(
-        StudyError, match=r"pulse\.file: found 0 samples of a pulse, 8 or more are required"
+        StudyError, match=r"pulse\.file: the pulse must have at least 8 samples, not 0"
     ):
         load(
             BASE.split("[margins]")[0],

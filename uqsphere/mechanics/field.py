@@ -1,10 +1,9 @@
-"""The waves in the bars: at the two faces, anywhere along them, and as strain gauges see them.
+"""Waves in the bars: at the contacts, anywhere along the bars, and in strain gauge signals.
 
-They are read off the polynomials that the integrator leaves, by theory (4) and (5), unrolled into a
-sum over the echoes, so that the instants asked for cost nothing in accuracy.  A bar has a wave that
-arrives at its face and one that leaves it: between them they say all there is to say about the bar.
-The paper's (3.17) for the forces holds for gauges half-way along, bars of equal length and no
-reflection; here a gauge sits anywhere, and every reflection is in its signal.
+They are evaluated from the polynomials of the integrator by theory (4) and (5), unrolled into a sum
+over reflections, at any instant without loss of accuracy.  The waves that arrive at the contact and
+leave it determine the whole bar.  The paper's (3.17) holds for gauges midway along bars of equal
+length without reflections; here a gauge may be anywhere, and every reflection is in its signal.
 """
 
 from __future__ import annotations
@@ -21,14 +20,15 @@ from uqsphere.mechanics.scene import Scene
 
 #: the bars by name, in the order of every pair of numbers
 BARS: Final = ("incident", "receiving")
-#: echoes weaker than this, over the first wave, are left out: far below the rounding of a double
+#: reflected waves weaker than this, relative to the first wave, are neglected
 _FAINT: Final = 1e-18
 
 
 @dataclass(frozen=True, kw_only=True)
 class Waves:
-    """Particle velocities at the faces [m/s], (m,): towards the sphere (f, h) and away from it
-    (g_A, k_B).
+    """Particle velocities at the contacts [m/s], (m,).
+
+    incident, returning: towards the sphere (f, h).  leaving_a, leaving_b: away from it (g_A, k_B).
     """
 
     incident: Array
@@ -38,40 +38,47 @@ class Waves:
 
     @classmethod
     def none(cls, count: int) -> Waves:
-        """Where nothing moves."""
+        """Waves of bodies at rest."""
         still = np.zeros(count)
         return cls(incident=still, returning=still, leaving_a=still, leaving_b=still)
 
 
 def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
-    """The wave that leaves a face at `times` [s], (m,) [m/s]: g_A of the incident bar (0), k_B of
-    the receiving (1).
+    """The wave that leaves a contact, (m,) [m/s]: g_A of the incident bar (0), k_B (1).
 
-    g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z],   k_B(t) = sum_k R_3^k P_B(t - k
-    T_3)/Z. sides (m,): -1 takes the value before a jump at that instant, 1 (everywhere if None) the
-    value after it.
+        g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z]
+        k_B(t) = sum_k R_3^k P_B(t - k T_3)/Z
+
+    times: (m,) [s].  sides (m,): -1 for the value before a jump at that instant, 1 (default) for
+    the value after it.
     """
     return _echoes(motion, bar, times, _sided(motion, times, sides), first=0)
 
 
 def arriving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
-    """The wave that arrives at a face at `times` [s], (m,) [m/s]: f = f_in + R_1 g_A(t - T_1) in
-    the incident bar (0), h = R_3 k_B(t - T_3) in the receiving bar (1).
+    """The wave that arrives at a contact, (m,) [m/s]; arguments as of `leaving`.
+
+    It is f = f_in + R_1 g_A(t - T_1) in the incident bar (0), h = R_3 k_B(t - T_3) in the receiving
+    bar (1).
     """
     nudge = _sided(motion, times, sides)
-    echo = _echoes(motion, bar, times, nudge, first=1)
-    return _pulse(motion.scene, motion.row, times + nudge) + echo if bar == 0 else echo
+    reflected = _echoes(motion, bar, times, nudge, first=1)
+    if bar == 0:
+        return _pulse(motion.scene, motion.row, times + nudge) + reflected
+    return reflected
 
 
 def _sided(motion: Motion, times: Array, sides: Array | None) -> Array:
-    """What moves an instant to the asked side of a jump although t - k T is rounded."""
+    """Shift of an instant to the requested side of a jump, above the rounding of t - k T."""
     scale = float(motion.scene.scales.time[motion.row])
     nudge = 1e-12 * (np.abs(times) + scale)
-    return np.asarray(nudge if sides is None else nudge * sides)
+    if sides is None:
+        return np.asarray(nudge)
+    return np.asarray(nudge * sides)
 
 
 def _echoes(motion: Motion, bar: int, times: Array, nudge: Array, *, first: int) -> Array:
-    """sum over k >= first of R^k times what left the face anew at t - k T."""
+    """Sum over k >= first of R^k times the wave that first left the contact at t - k T."""
     scene, row = motion.scene, motion.row
     end, trip, impedance = motion.reflection(bar), motion.round_trip(bar), motion.impedance
     last = float(times.max(initial=0.0)) * (1.0 + 1e-12)
@@ -88,7 +95,7 @@ def _echoes(motion: Motion, bar: int, times: Array, nudge: Array, *, first: int)
 
 
 def waves_at(motion: Motion, times: Array, *, sides: Array | None = None) -> Waves:
-    """All four waves at the faces at `times` [s]; `sides` as of `leaving`."""
+    """All four waves at the contacts at `times` [s]; `sides` as of `leaving`."""
     return Waves(
         incident=arriving(motion, 0, times, sides=sides),
         returning=arriving(motion, 1, times, sides=sides),
@@ -101,29 +108,25 @@ def _pulse(scene: Scene, row: int, times: Array) -> Array:
     return 0.5 * float(scene.columns["striker.speed"][row]) * pulse_value(scene.pulse, row, times)
 
 
-# --- Stress and particle velocity anywhere in both bars at any time, from the characteristics of
-# the wave equation. Along t + d/c0 = const the wave that runs towards the sphere keeps its value,
-# along t - d/c0 = const the one that runs away from it (d the distance from the sphere): theory (4)
-# and (5) at the faces give the whole plane.
+# --- Stress and particle velocity anywhere in both bars, by the method of characteristics.  The
+# wave towards the sphere is constant along t + d/c0, the wave away from it along t - d/c0 (d: the
+# distance from the sphere), so that theory (4) and (5) at the contacts give the whole plane.
 
-#: instants and places may exceed what is known by this share of it: that is rounding
+#: relative tolerance of instants and positions beyond the computed range
 _ROUNDING: Final = 1e-9
-#: share of the pulse's stress that counts as tension, and its most where the record has tension of
-#: its own
-_LEVEL: Final = 1e-6
-_MOST_LEVEL: Final = 0.05
-#: instants at each face from which the first tension is sought; how often the search zooms in and
-#: on how many points, by a factor of 8 each time: 8^12 is more than the digits of a double
-_COARSE: Final = 1500
+#: fraction of the pulse's stress that counts as tension; its maximum for a measured pulse
+_TENSION_LEVEL: Final = 1e-6
+_LARGEST_TENSION_LEVEL: Final = 0.05
+#: search for the first tension: instants at each contact; zooms, each by a factor of 8 (8^12
+#: exceeds the digits of a double), and points of a zoom
+_SEARCH_POINTS: Final = 1500
 _ZOOMS: Final = 12
-_FINE: Final = 33
+_ZOOM_POINTS: Final = 33
 
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """Stress [Pa], tension positive, and particle velocity [m/s] away from the struck end, both of
-    one shape.
-    """
+    """Stress [Pa], tension positive, and particle velocity [m/s], positive from A to B."""
 
     stress: Array
     velocity: Array
@@ -141,18 +144,20 @@ class Tension:
 def field_at(
     motion: Motion, bar: str, position: Values, times: Values, *, sides: Array | None = None
 ) -> Field:
-    """Stress and particle velocity at places of a bar, (m,).
+    """Stress and particle velocity at positions of a bar, (m,).
 
     With d the distance from the sphere, rho and c0 of the bars:
 
         incident:   sigma = rho c0 [g_A(t - d/c0) - f(t + d/c0)],   v = f(t + d/c0) + g_A(t - d/c0)
         receiving:  sigma = rho c0 [h(t + d/c0) - k_B(t - d/c0)],   v = k_B(t - d/c0) + h(t + d/c0)
 
-    bar: `incident` or `receiving`; position: d [m], one or (m,); times (m,): [s] since first touch,
-    before which the pulse is under way; sides (m,): see `leaving`.  ValueError for an unknown bar,
-    a place that is not on it, times that are no finite (m,) array, or one for which the history had
-    to go on longer (`last_time`). Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (2.1), (2.2),
-    (3.13), (3.14), re-derived (docs/errata.md), and carried on through every reflection.
+    bar: `incident` or `receiving`.  position: d [m], one or (m,).  times: (m,) [s] since first
+    touch; negative while the pulse approaches.  sides (m,): see `leaving`.
+
+    Raises ValueError for an unknown bar, a position beyond its end, times that are not a finite
+    (m,) array, or a time after `last_time`.
+    Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (2.1), (2.2), (3.13), (3.14), re-derived
+    (docs/errata.md) and extended to all reflections.
 
     >>> from uqsphere.mechanics.integrator.solve import motion
     >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01,
@@ -168,7 +173,7 @@ def field_at(
     """
     times = np.asarray(times, dtype=float)
     if times.ndim != 1 or not np.isfinite(times).all():
-        raise ValueError(f"times must be finite numbers in one row (m,), found shape {times.shape}")
+        raise ValueError(f"times must be a finite array of shape (m,), not {times.shape}")
     position = np.broadcast_to(np.asarray(position, dtype=float), times.shape)
     number = check_position(motion, bar, position)
     _check_end(motion, bar, position, times)
@@ -176,11 +181,13 @@ def field_at(
     towards = arriving(motion, number, times + delay, sides=sides)
     away = leaving(motion, number, times - delay, sides=sides)
     stress = motion.scene.columns["bars.density"][motion.row] * motion.wave_speed * (away - towards)
-    return Field(stress=stress if number == 0 else -stress, velocity=towards + away)
+    if number == 1:
+        stress = -stress
+    return Field(stress=stress, velocity=towards + away)
 
 
 def check_position(motion: Motion, bar: str, position: Values) -> int:
-    """Number of a bar, 0 or 1; ValueError for an unknown bar or a place that is not on it."""
+    """Number of a bar, 0 or 1; ValueError for an unknown bar or a position beyond its end."""
     if bar not in BARS:
         raise ValueError(f"unknown bar {bar!r} (allowed: {', '.join(BARS)})")
     number = BARS.index(bar)
@@ -189,15 +196,14 @@ def check_position(motion: Motion, bar: str, position: Values) -> int:
     outside = ~((position >= 0.0) & (position <= length * (1.0 + _ROUNDING)))
     if outside.any():
         raise ValueError(
-            f"{position[outside][0]:g} m from the sphere is not on the {bar} bar of {length:g} m"
+            f"position on the {bar} bar must be between 0 and {length:g} m, not "
+            f"{position[outside][0]:g} m"
         )
     return number
 
 
 def last_time(motion: Motion, bar: str, position: Values) -> Values:
-    """The last instant [s] at which the motion up to the horizon decides what a place of a bar
-    sees.
-    """
+    """Last instant [s] at which the motion up to the horizon determines a position of a bar."""
     number = BARS.index(bar)
     delay = np.asarray(position, dtype=float) / motion.wave_speed
     if not motion.echoes(number):
@@ -211,81 +217,77 @@ def _check_end(motion: Motion, bar: str, position: Array, times: Array) -> None:
     if late.any():
         k = int(np.argmax(late))
         raise ValueError(
-            f"the history ends at {motion.horizon:.6g} s, which decides the {bar} bar at "
-            f"{position[k]:g} m up to "
-            f"{last[k]:.6g} s only, and {times[k]:.6g} s is requested: compute a history with a "
-            "longer horizon"
+            f"time must be at most {last[k]:.6g} s at {position[k]:g} m of the {bar} bar, not "
+            f"{times[k]:.6g} s; compute a history with a later horizon"
         )
 
 
 def field_grid(motion: Motion, places: Values, times: Values) -> Field:
-    """The field (m, k) on a grid of instants (m,) [s] and places (k,) [m] of both bars.
+    """The field (m, k) on a grid of instants (m,) [s] and positions (k,) [m] of both bars.
 
-    The sphere stands at 0: negative in the incident bar, positive in the receiving bar; 0 is the
-    incident face.
+    The sphere is at 0; positions are negative in the incident bar and positive in the receiving
+    bar.
     """
     places, times = np.asarray(places, dtype=float), np.asarray(times, dtype=float)
     stress, velocity = np.zeros((len(times), len(places))), np.zeros((len(times), len(places)))
     for bar, inside in (("incident", places <= 0.0), ("receiving", places > 0.0)):
-        where = np.abs(places[inside])
-        found = field_at(motion, bar, np.tile(where, len(times)), np.repeat(times, len(where)))
-        stress[:, inside] = found.stress.reshape(len(times), -1)
-        velocity[:, inside] = found.velocity.reshape(len(times), -1)
+        distance = np.abs(places[inside])
+        field = field_at(
+            motion, bar, np.tile(distance, len(times)), np.repeat(times, len(distance))
+        )
+        stress[:, inside] = field.stress.reshape(len(times), -1)
+        velocity[:, inside] = field.velocity.reshape(len(times), -1)
     return Field(stress=stress, velocity=velocity)
 
 
 def tension_level(motion: Motion) -> float:
-    """Stress over the pulse's nominal stress rho c0 v0/2 from which on `first_tension` calls it
-    tension.
+    """Stress over rho c0 v0/2 above which `first_tension` reports tension.
 
-    A measured pulse has tension of its own, before its foot and after its end, where noise and
-    baseline leave the strain of a pressing wave on the other side of zero.  One and a half times
-    the largest of it is the level then, and 5 % at the most: what is more than that is no noise.
+    Noise and baseline errors put a measured pulse below zero before its foot and after its end; the
+    level is then 1.5 times the largest such value, at most 5 %.
     """
     record = motion.scene.record
     if record is None:
-        return _LEVEL
+        return _TENSION_LEVEL
     joints = np.asarray(record.breaks)
     step = np.linspace(0.0, 1.0, 65) * np.diff(joints)[:, None]
     coefficients = np.asarray(record.coefficients)
     strain = sum(coefficients[:, k, None] * step**k for k in range(coefficients.shape[1]))
-    return float(np.clip(-1.5 * np.min(strain), _LEVEL, _MOST_LEVEL))
+    return float(np.clip(-1.5 * np.min(strain), _TENSION_LEVEL, _LARGEST_TENSION_LEVEL))
 
 
 def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Tension | None:
-    """Where and when the stress of a bar first rises above `share` (`tension_level`) of the pulse's
-    stress rho c0 v0/2.
+    """First tension of a bar: the stress exceeds `share` of the pulse's stress rho c0 v0/2.
 
-    Tension is where more leaves than arrives, g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), with u
-    = t - d/c0 and w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on
-    a grid and by zooming in. None where the bar sees none up to the horizon.
+    share: default `tension_level`.  Tension occurs where g_A(u) > f(w) (receiving bar: h(w) >
+    k_B(u)), u = t - d/c0 and w = t + d/c0.  The least u + w with 0 <= w - u <= 2 l/c0 is found on a
+    grid and by zooming in.  None if there is no tension up to the horizon.
     """
     number = check_position(motion, bar, 0.0)
-    share = tension_level(motion) if share is None else share
+    if share is None:
+        share = tension_level(motion)
     level = share * 0.5 * float(motion.scene.columns["striker.speed"][motion.row])
     trip, horizon = motion.round_trip(number), motion.horizon
     nodes = _nodes(motion, number, horizon)
     away, towards = leaving(motion, number, nodes), arriving(motion, number, nodes)
-    best, found = np.inf, (0, 0)
+    best, places = np.inf, (0, 0)
     for k, begin in enumerate(nodes):
         if 2.0 * begin >= best:
             break
-        stop = min(
-            np.searchsorted(
-                nodes, min(begin + trip * (1.0 + _ROUNDING), best - begin), side="right"
-            ),
-            len(nodes),
-        )
+        latest = min(begin + trip * (1.0 + _ROUNDING), best - begin)
+        stop = min(np.searchsorted(nodes, latest, side="right"), len(nodes))
         pulled = _pull(number, away[k], towards[k:stop]) > level
-        if pulled.any() and begin + nodes[k + (first := int(np.argmax(pulled)))] < best:
-            best, found = begin + nodes[k + first], (k, k + first)
+        if pulled.any():
+            first = k + int(np.argmax(pulled))
+            if begin + nodes[first] < best:
+                best, places = begin + nodes[first], (k, first)
     if not np.isfinite(best):
         return None
-    at = [_around(nodes, k) for k in found]
-    point = (nodes[found[0]], nodes[found[1]])
+    at = [_around(nodes, k) for k in places]
+    point = (nodes[places[0]], nodes[places[1]])
     for _ in range(_ZOOMS):
         grids = [
-            np.append(np.linspace(low, high, _FINE), here)
+            np.append(np.linspace(low, high, _ZOOM_POINTS), here)
             for (low, high), here in zip(at, point, strict=True)
         ]
         u, w = (grid.ravel() for grid in np.meshgrid(*grids, indexing="ij"))
@@ -294,7 +296,7 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
         total = np.where(inside & (pull > level), u + w, np.inf)
         k = int(np.argmin(total))
         point = (float(u[k]), float(w[k]))
-        widths = [(high - low) / (_FINE - 1) for low, high in at]
+        widths = [(high - low) / (_ZOOM_POINTS - 1) for low, high in at]
         at = [
             (here - 2.0 * width, here + 2.0 * width)
             for here, width in zip(point, widths, strict=True)
@@ -306,11 +308,13 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
 
 
 def _pull(number: int, away: Values, towards: Values) -> Values:
-    return away - towards if number == 0 else towards - away
+    if number == 0:
+        return away - towards
+    return towards - away
 
 
 def _nodes(motion: Motion, number: int, horizon: float) -> Array:
-    """Instants of a face: an even grid with the kinks of the pulse and what comes back of them."""
+    """Instants at a contact: an even grid, the kinks of the pulse, and their reflections."""
     breaks = motion.scene.pulse.breaks[motion.row]
     kinks = breaks[np.isfinite(breaks)]
     if motion.echoes(number):
@@ -319,7 +323,7 @@ def _nodes(motion: Motion, number: int, horizon: float) -> Array:
         )
     near = min(horizon, 4.0 * motion.round_trip(number), 20.0 * motion.pulse_end)
     grid = np.concatenate(
-        [np.linspace(0.0, horizon, _COARSE), np.linspace(0.0, near, _COARSE), kinks]
+        [np.linspace(0.0, horizon, _SEARCH_POINTS), np.linspace(0.0, near, _SEARCH_POINTS), kinks]
     )
     return np.unique(grid[(grid >= 0.0) & (grid <= horizon)])
 
@@ -328,15 +332,15 @@ def _around(nodes: Array, k: int) -> tuple[float, float]:
     return float(nodes[max(k - 1, 0)]), float(nodes[min(k + 1, len(nodes) - 1)])
 
 
-#: a wave is over once it stays below this share of its largest value
-_OVER: Final = 0.01
-#: instants of a round trip at which a wave is looked at to see when it is over
-_LOOKS: Final = 4000
+#: a wave has ended once it stays below this fraction of its peak
+_ENDED_LEVEL: Final = 0.01
+#: instants of a round trip at which a wave is evaluated to find its end
+_END_POINTS: Final = 4000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Overlap:
-    """Two waves at one gauge at once: their names, begin and end [s]."""
+    """Two waves that overlap at a gauge: their names, begin and end [s]."""
 
     first: str
     second: str
@@ -348,9 +352,9 @@ class Overlap:
 class GaugeRecord:
     """The signal of one gauge.
 
-    bar: `incident` or `receiving`; position: distance from the sphere [m]; time, strain (m,): [s]
-    since first touch, jumps twice (before, after), tension positive; overlaps: where waves cannot
-    be told apart.
+    bar: `incident` or `receiving`.  position: distance from the sphere [m].  time, strain (m,): [s]
+    since first touch, instants of jumps twice (before, after); tension positive.  overlaps: times
+    at which waves cannot be separated.
     """
 
     bar: str
@@ -361,7 +365,7 @@ class GaugeRecord:
 
     @property
     def name(self) -> str:
-        """Bar and place, as in tables: ``incident 750 mm``."""
+        """Bar and position, as in tables: ``incident 750 mm``."""
         return f"{self.bar} {self.position * 1e3:.6g} mm"
 
 
@@ -371,10 +375,10 @@ class GaugeRecord:
 def gauge_strain(
     motion: Motion, bar: str, position: float, times: Values, *, sides: Array | None = None
 ) -> Array:
-    """Axial strain at a place of a bar, (m,), tension positive: the stress of `field_at` over E_b.
+    """Axial strain at a position of a bar, (m,), tension positive: stress of `field_at` over E_b.
 
-    One-dimensional waves: no dispersion, and a gauge closer to the sphere than a few bar diameters
-    sees the local field as well.  W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived
+    One-dimensional waves without dispersion; within a few bar diameters of the sphere a gauge also
+    measures the local field.  Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived
     (docs/errata.md).
     """
     check_position(motion, bar, position)
@@ -383,14 +387,15 @@ def gauge_strain(
 
 
 def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
-    """The signal of a gauge from the arrival of the first wave to the end of what the motion
-    decides.
+    """The signal of a gauge from the first wave to `last_time`.
 
-    On an even grid of so many `points`, with jumps twice on top.
+    points: of an even grid, to which the jumps are added twice.
     """
     number = check_position(motion, bar, position)
     delay = position / motion.wave_speed
-    begin, end = (-1.1 * delay if number == 0 else 0.0), float(last_time(motion, bar, position))
+    begin, end = 0.0, float(last_time(motion, bar, position))
+    if number == 0:
+        begin = -1.1 * delay
     grid = np.linspace(begin, end, points)
     jumps = _jumps(motion, number)
     jumps = np.unique(np.concatenate([jumps - delay, jumps + delay]))
@@ -407,9 +412,7 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
 
 
 def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
-    """Instants in order, jumps twice; `sides` is -1 at the first of the two instants of a jump,
-    else 1.
-    """
+    """Sorted instants with jumps twice, and sides: -1 at the first instant of a jump, else 1."""
     times = np.concatenate([smooth, jumps, jumps])
     sides = np.concatenate([np.ones(len(smooth)), -np.ones(len(jumps)), np.ones(len(jumps))])
     order = np.lexsort((sides, times))
@@ -417,9 +420,7 @@ def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
 
 
 def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
-    """Where gauges are put that nobody placed: half-way along, as in the paper; a bar without a
-    length has none.
-    """
+    """Default gauges: midway along each bar with a length, as in the paper."""
     places = []
     for number, bar in enumerate(BARS):
         half = 0.25 * motion.wave_speed * motion.round_trip(number)
@@ -429,7 +430,7 @@ def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
 
 
 def _jumps(motion: Motion, number: int) -> Array:
-    """When a wave of a bar jumps or bends at the face: the pulse, and what has come back of it."""
+    """Instants of jumps and kinks at the contact: of the pulse and of its reflections."""
     breaks = motion.scene.pulse.breaks[motion.row]
     breaks = breaks[np.isfinite(breaks)] if number == 0 else np.zeros(0)
     if not motion.echoes(number):
@@ -439,32 +440,31 @@ def _jumps(motion: Motion, number: int) -> Array:
 
 
 def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
-    """Where a gauge sees two waves at once.
+    """Overlapping waves at a gauge.
 
-    The incident and the reflected wave overlap for position < c0 t_pulse/2; the wave that leaves
-    the sphere is met by its own reflection where it is not over by then, that is, below 1 % of its
-    largest value for good.
+    The incident and the reflected wave overlap for position < c0 t_pulse/2.  The wave that leaves
+    the sphere overlaps its own reflection if it has not ended by then (1 % of its peak).
     """
     number = check_position(motion, bar, position)
     delay = position / motion.wave_speed
-    names = (
-        ("reflected", "its return from the struck end")
-        if number == 0
-        else ("transmitted", "its return")
-    )
-    found = []
+    names = ("transmitted", "its reflection")
+    if number == 0:
+        names = ("reflected", "its reflection from the struck end")
+    overlapping = []
     if number == 0 and motion.pulse_end > 2.0 * delay:
-        # a step overlaps to the end of what is known
+        # a step overlaps to the end of the computed time
         end = min(motion.pulse_end - delay, float(last_time(motion, bar, position)))
-        found.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
-    # until then the wave that leaves the face passes the gauge before it has come back there
-    back = np.inf if not motion.echoes(number) else motion.round_trip(number) - 2.0 * delay
+        overlapping.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
+    # return of the wave that leaves the contact, in the time of the contact
+    back = np.inf
+    if motion.echoes(number):
+        back = motion.round_trip(number) - 2.0 * delay
     if back < min(motion.round_trip(number), motion.horizon):
-        looks = np.linspace(0.0, min(motion.round_trip(number), motion.horizon), _LOOKS)
+        looks = np.linspace(0.0, min(motion.round_trip(number), motion.horizon), _END_POINTS)
         wave = np.abs(leaving(motion, number, looks, sides=-np.ones_like(looks)))
-        above = looks[wave > _OVER * wave.max()]
+        above = looks[wave > _ENDED_LEVEL * wave.max()]
         if above.size and above[-1] > back:
-            found.append(
+            overlapping.append(
                 Overlap(
                     first=names[0],
                     second=names[1],
@@ -472,14 +472,13 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
                     end=float(above[-1]) + delay,
                 )
             )
-    return tuple(found)
+    return tuple(overlapping)
 
 
 def force_imbalance(force_a: Values, force_b: Values) -> Array:
-    """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 where one face alone is pressed, 0
-    where none is.
+    """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 for a single force, 0 without force.
 
-    G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267, who ask for R <= 0.05.
+    Source: G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267; R <= 0.05.
 
     >>> force_imbalance([0.0, 1.0, 1.0], [0.0, 0.0, 0.9]).round(4).tolist()
     [0.0, 2.0, 0.1053]

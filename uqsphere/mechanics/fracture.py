@@ -1,12 +1,9 @@
-"""When a sphere breaks: the first moment at which a criterion's course over the loading reaches its
-strength.
+"""Time of fracture: the first instant at which a demand reaches its strength during the loading.
 
-Nearly every criterion is a rising function of the largest contact force so far, the others of the
-energy stored so far; where faces yield too, for below its largest approach a face presses less than
-it did there.  A strength is therefore a level of force or energy, and the fracture the first time
-at which the motion comes to it.  What the record of the quantities of interest holds is held here
-too: the loading ends with the first loss of contact.  Criteria that grow their strength with the
-rate take the one rate of the sample, that of the whole record.
+Demands increase with the peak contact force so far, some with the peak stored energy so far, also
+if contacts yield.  A strength is therefore a level of force or energy, and fracture is the first
+time at which the motion reaches it, within the evaluation window of the quantities of interest.
+Criteria with a rate effect use one rate per sample, that of the whole window.
 """
 
 from __future__ import annotations
@@ -27,24 +24,25 @@ from uqsphere.mechanics.outputs import Columns, Path, columns_of, pressed_to
 from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
 
-#: halvings that refine a crossing in one of the parts of a step, as many as its series has powers:
-#: to 2^-49 of the step
+#: halvings that refine a crossing within a part of a step, to 2^-49 of the step
 _HALVINGS: Final = 45
 _SHARES: Final = np.arange(1, ORDER + 1) / ORDER
 _POWERS: Final = _SHARES[None, :] ** np.arange(TERMS)[:, None]
-#: rows whose motions are held in memory together
-_BLOCK: Final = 256
+#: rows whose motions are kept in memory together
+_BLOCK_ROWS: Final = 256
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fractures:
     """Fracture of n specimens by L criteria.
 
-    times (n, L): first time at which each criterion reaches its strength [s], as if the sphere held
-    the others; infinite where it does not.  first (n,): the criterion that is reached first; -1
-    where none is, and the numbers below are NaN: time [s], the larger contact force [N], energy
-    stored in both contacts [J], and imbalance, the difference of the two forces at that moment over
-    the largest so far.  early (n,): whether it comes before the first reflected wave is back.
+    times (n, L): first time at which each criterion reaches its strength [s], as if the sphere
+        survived the others; infinite if it does not.
+    first (n,): the criterion that is reached first; -1 if there is none, and NaN below.
+    time, force, energy (n,): time of fracture [s], the larger contact force [N], the energy stored
+        in both contacts [J].
+    imbalance (n,): difference of the contact forces at fracture over the peak force so far.
+    early (n,): whether fracture precedes the first reflected wave.
     """
 
     times: Array
@@ -58,13 +56,13 @@ class Fractures:
 
 @dataclass(frozen=True, kw_only=True)
 class _Course:
-    """One row's motion in scaled variables: start and length (m,), approaches (m, 2, 17), and its
-    nodes.
+    """One row's motion in scaled variables.
 
-    `times` (16 m,) of the nodes, which divide every step into 16 parts, `force` and `energy` (16
-    m,) the largest drive and the largest energy so far.  What drives is the approach, whose 3/2
-    power is the force of Hertz, or the force itself where faces have laws of their own: `forces`
-    (m, 2, 17), and `deepest` (16 m, 2) the largest approaches so far.
+    start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
+    m,): of the nodes, which divide every step into 16 parts.  force, energy (16 m,): peak drive and
+    peak energy so far; the drive is the approach, whose 3/2 power is the Hertz force, or the force
+    itself for contacts that yield or differ.  forces (m, 2, 17), deepest (16 m, 2): coefficients of
+    such forces, and peak approaches so far.
     """
 
     start: Array
@@ -77,15 +75,14 @@ class _Course:
     deepest: Array | None = None
 
     def along(self, over: str) -> Array:
-        return self.force if over == "force" else self.energy
+        if over == "force":
+            return self.force
+        return self.energy
 
 
 def _values(states: Array, share: Array) -> Array:
-    """Approaches (..., 2) at a share (...) of the steps with the coefficients (..., 2, 17); never
-    negative.
-    """
-    found = polyval(share[..., None], np.moveaxis(states, -1, 0), tensor=False)
-    return np.maximum(found, 0.0)
+    """Approaches (..., 2), at least 0, at a fraction (...) of steps (..., 2, 17)."""
+    return np.maximum(polyval(share[..., None], np.moveaxis(states, -1, 0), tensor=False), 0.0)
 
 
 def _stored(approach: Array) -> Array:
@@ -93,10 +90,10 @@ def _stored(approach: Array) -> Array:
     return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
 
 
-def _held(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Array:
-    """Energy of both contacts where faces have laws of their own: (2/5) q (x - x_r), (C10), (...)
-    of rows (...).
-    """
+def _stored_by_law(
+    scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array
+) -> Array:
+    """Energy of contacts that yield or differ: (2/5) q (x - x_r), (C10), (...) of rows (...)."""
     total = np.zeros(push.shape[:-1])
     unit = scene.scales.approach[rows]
     for pole, partner in enumerate(scene.partners):
@@ -120,10 +117,8 @@ def _nodes(states: Array) -> Array:
 
 
 def _course(motion: Motion) -> _Course:
-    """The course of one motion, which ends where contact is lost or no larger force or energy can
-    come.
-    """
-    # contact may be lost inside the last step
+    """The course of one motion up to contact loss, or until no larger force or energy can occur."""
+    # contact may be lost within the last step
     inside = motion.start < motion.end
     start, states = motion.start[inside], motion.states[inside, :2]
     length = np.minimum(motion.length[inside], motion.end - start)
@@ -141,7 +136,7 @@ def _course(motion: Motion) -> _Course:
         )
     forces = motion.forces[inside] * cut
     push, deepest = _nodes(forces), np.maximum.accumulate(approach, axis=0)
-    held = _held(motion.scene, np.array([motion.row]), push, approach, deepest)
+    held = _stored_by_law(motion.scene, np.array([motion.row]), push, approach, deepest)
     return _Course(
         start=start,
         length=length,
@@ -158,22 +153,20 @@ def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
     """The demand at a force [N] or a stored energy [J] of each row."""
     if path.criterion is None:
         return value**path.power
-    pressed = (
-        {"energy": value}
-        if path.over == "energy"
-        else {"P_max": value, **pressed_to(scene, rows, value)}
-    )
+    pressed = {"energy": value}
+    if path.over != "energy":
+        pressed = {"P_max": value, **pressed_to(scene, rows, value)}
     columns = Columns({**columns_of(scene, rows), **pressed})
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
 
 def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) -> Array:
-    """Share of the largest force or energy, `top` (n,) in SI, at which the demand is `share` (n,)
-    of its largest.
+    """Fraction of the peak force or energy, `top` (n,) [SI], at which the demand is `share` (n,) of
+    its peak.
     """
     wanted = share * _demands(scene, rows, path, top)
     if path.criterion is None:
-        return np.asarray(share if path.power == 1.0 else share ** (1.0 / path.power))
+        return np.asarray(share ** (1.0 / path.power))
     low, high = np.zeros(len(rows)), np.ones(len(rows))
     return bisect(
         lambda part: _demands(scene, rows, path, part * top) < wanted, low, high, _HALVINGS
@@ -190,38 +183,43 @@ def first_fractures(
     tolerance: float = 1e-5,
     threads: int | None = None,
 ) -> Fractures:
-    """The moment at which each of n specimens first reaches a strength.
+    """Fracture of n specimens: the first instant at which each reaches a strength.
 
-    shares (n, L): strength over the largest demand of the record; 1 and above is not reached, 0 and
-    below at first touch. paths: how the L criteria follow the loading.  rows (n,): the row of the
-    scene that loads a specimen; its own if None. fidelity: `full` or `massless`.  A specimen whose
-    row cannot be integrated reaches nothing.  ValueError if shares is not (n, L), or the fidelity
-    has no Hertz contact.
+    shares (n, L): strength over the peak demand; at 1 and above the strength is not reached, at 0
+    and below at first touch.  paths: how the L criteria follow the loading.  rows (n,): the row of
+    the scene that loads each specimen (default: its own).  fidelity: `full` or `massless`.  A
+    specimen whose row cannot be integrated does not break.
+
+    Raises ValueError for another shape of shares, or another fidelity.
     """
     if fidelity not in ("full", "massless"):
-        raise ValueError(f"fracture needs the fidelity full or massless, found {fidelity!r}")
+        raise ValueError(f"fidelity must be 'full' or 'massless' for fracture, not {fidelity!r}")
     rows = np.arange(len(scene)) if rows is None else np.asarray(rows)
     n = len(rows)
     if shares.shape != (n, len(paths)):
-        raise ValueError(f"shares must be ({n}, {len(paths)}), found {shares.shape}")
+        raise ValueError(f"shares must have the shape ({n}, {len(paths)}), not {shares.shape}")
     # time, force, energy and imbalance at each crossing
     found = np.full((4, *shares.shape), np.nan)
     found[0] = np.inf
     loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
-    followed = ("energy",) if any(path.over == "energy" for path in paths) else ("P_max",)
+    followed = ("P_max",)
+    if any(path.over == "energy" for path in paths):
+        followed = ("energy",)
     follow = partial(
         motions, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed
     )
-    for begin in range(0, len(loaded), _BLOCK):
-        moved = follow(scene, loaded[begin : begin + _BLOCK])
-        known = {
-            one.row: _course(one) for one in moved if isinstance(one, Motion) and len(one.start)
+    for begin in range(0, len(loaded), _BLOCK_ROWS):
+        moved = follow(scene, loaded[begin : begin + _BLOCK_ROWS])
+        courses_of = {
+            motion.row: _course(motion)
+            for motion in moved
+            if isinstance(motion, Motion) and len(motion.start)
         }
-        here = np.isin(rows, list(known))
+        here = np.isin(rows, list(courses_of))
         for at, path in enumerate(paths):
             picked = np.flatnonzero(here & (shares[:, at] < 1.0))
             if len(picked):
-                courses = [known[int(row)] for row in rows[picked]]
+                courses = [courses_of[int(row)] for row in rows[picked]]
                 found[:, picked, at] = _cross(
                     scene, rows[picked], courses, path, shares[picked, at]
                 )
@@ -247,25 +245,18 @@ def _first(found: Array, first_echo: Array) -> Fractures:
 def _cross(
     scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, shares: Array
 ) -> Array:
-    """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each
-    row, (4, n).
-    """
+    """Time [s], larger force [N], energy [J], imbalance at the first crossing of rows, (4, n)."""
     scales = scene.scales
     unit = scales.time[rows]
-    last = [
-        int(np.searchsorted(c.times, e)) if path.early else len(c.times)
-        for c, e in zip(courses, scene.first_echo[rows] / unit, strict=True)
-    ]
-    tops = np.array(
-        [c.along(path.over)[max(end - 1, 0)] for c, end in zip(courses, last, strict=True)]
-    )
-    # the force over its drive: that of Hertz goes with the 3/2 power of the approach
+    tops = _tops(courses, path, scene.first_echo[rows] / unit)
+    # the Hertz force is the 3/2 power of its drive, the approach
     power = 1.5 if courses[0].forces is None else 1.0
-    to_si = scales.force[rows] * (
-        tops**power if path.over == "force" else scales.approach[rows] * tops
-    )
-    at_level = _levels(scene, rows, path, to_si, np.clip(shares, 0.0, 1.0))
-    levels = tops * (at_level ** (1.0 / power) if path.over == "force" else at_level)
+    if path.over == "force":
+        peak, exponent = scales.force[rows] * tops**power, power
+    else:
+        peak, exponent = scales.force[rows] * scales.approach[rows] * tops, 1.0
+    at_level = _levels(scene, rows, path, peak, np.clip(shares, 0.0, 1.0))
+    levels = tops * at_level ** (1.0 / exponent)
     at = np.array(
         [
             min(int(np.searchsorted(c.along(path.over), level)), len(c.times) - 1)
@@ -276,7 +267,9 @@ def _cross(
 
     def below(share: Array) -> Flags:
         drive, energy = moment(share)
-        return np.asarray((drive.max(axis=1) if path.over == "force" else energy) < levels)
+        if path.over == "force":
+            return np.asarray(drive.max(axis=1) < levels)
+        return np.asarray(energy < levels)
 
     high = _SHARES[at % ORDER]
     _, high = bisect(below, high - 1.0 / ORDER, high, _HALVINGS)
@@ -299,12 +292,21 @@ def _cross(
     )
 
 
+def _tops(courses: Sequence[_Course], path: Path, first_echo: Array) -> Array:
+    """Peak drive or energy of each course, of an `early` path before the first reflected wave."""
+    tops = []
+    for course, echo in zip(courses, first_echo, strict=True):
+        last = len(course.times)
+        if path.early:
+            last = int(np.searchsorted(course.times, echo))
+        tops.append(course.along(path.over)[max(last - 1, 0)])
+    return np.array(tops)
+
+
 def _moment(
     scene: Scene, rows: Places, courses: Sequence[_Course], at: Places
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """What drives both faces (n, 2), and the energy in both (n,), at shares (n,) of the steps of
-    the nodes `at`.
-    """
+    """Function of fractions (n,) of the steps of nodes `at`: drives (n, 2), energies (n,)."""
     step = at // ORDER
     states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
     if courses[0].forces is None:
@@ -328,6 +330,6 @@ def _moment(
 
     def of_laws(share: Array) -> tuple[Array, Array]:
         approach, push = _values(states, share), _values(forces, share)
-        return push, _held(scene, rows, push, approach, np.maximum(deepest, approach))
+        return push, _stored_by_law(scene, rows, push, approach, np.maximum(deepest, approach))
 
     return of_laws

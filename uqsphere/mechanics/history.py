@@ -1,8 +1,7 @@
-"""One scene over time: forces, pressures, approaches, waves, contacts lost and found, on to the
-horizon.
+"""One scene over time: forces, pressures, approaches, waves, contact loss and recontact.
 
-Everything is read off the polynomials that the integrator leaves, so that the instants asked for
-cost nothing in accuracy.
+All values are evaluated from the polynomials of the integrator, at any instant without loss of
+accuracy.
 """
 
 from __future__ import annotations
@@ -39,26 +38,25 @@ if TYPE_CHECKING:
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
 
-#: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the
-#: integrator
+#: an approach above this many tolerances of the largest counts as contact, as in the integrator
 _TOUCH: Final = 5.0
 
 
-# --- loads, dents, velocities and energies of one motion, for every rig and every law of contact --
-# What a face has taken follows from its largest force so far, which gives depth, dent and plastic
-# work by the law of virgin loading (`uqsphere.mechanics.yielding`), and a smaller one lies on the
-# spring of unloading.  Velocities of the partners' contact points: V_A = w + alpha_A', V_B = w -
-# alpha_B', (R1).
+# --- forces, indentation, velocities and energies of one motion, for every rig and contact law ----
+# The peak force so far gives depth, residual indentation and plastic work of a contact by the law
+# of first loading (`uqsphere.mechanics.yielding`); a smaller force lies on the unloading curve.
+# Velocities of the counter-bodies at the contacts: V_A = w + alpha_A', V_B = w - alpha_B', (R1).
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balance:
-    """Faces A, B, sphere and partners at m instants; SI.
+    """Contacts A and B, sphere and counter-bodies at m instants; SI.
 
-    (2, m) of the faces: approach (negative while apart), force, contact radius, dent left, stored
-    elastic energy, plastic work; partner: velocities of the partners' contact points, 0 where
-    nothing stands; passed: work of partner A on the sphere, and of the sphere on partner B, since
-    first touch.  (m,) of the sphere: its velocity, and its kinetic energy.
+    Of the contacts, (2, m): approach (negative while separated), force, radius, residual
+    indentation `dent`, elastic energy `stored`, plastic work.  partner (2, m): velocities of the
+    counter-bodies at the contacts, 0 without a contact.  passed (2, m): work of counter-body A on
+    the sphere, and of the sphere on B, since first touch.  sphere, kinetic (m,): velocity and
+    kinetic energy of the sphere.
     """
 
     time: Array
@@ -75,27 +73,24 @@ class Balance:
 
     @property
     def mean_pressure(self) -> Array:
-        """P/(pi a²) at both faces, (2, m) [Pa]; 0 while apart."""
+        """P/(pi a²) at both contacts, (2, m) [Pa]; 0 while separated."""
         area = np.pi * np.square(self.radius)
         return np.divide(self.force, area, out=np.zeros_like(area), where=area > 0.0)
 
     @property
     def residual(self) -> Array:
-        """What the energies lack of those at first touch, (m,) [J]: zero but for the rule by which
-        work is summed.
-        """
-        held = self.kinetic + self.stored.sum(axis=0) + self.plastic.sum(axis=0)
-        return np.asarray(held - held[0] - self.passed[0] + self.passed[1])
+        """Energy balance, (m,) [J]: zero except for the quadrature error of the work."""
+        energy = self.kinetic + self.stored.sum(axis=0) + self.plastic.sum(axis=0)
+        return np.asarray(energy - energy[0] - self.passed[0] + self.passed[1])
 
 
 def balance_of(motion: Motion, times: Array) -> Balance:
-    """The balance of a motion at ascending instants (m,) [s]; the work between them is summed by
-    the trapezoidal rule.
+    """The balance of a motion at ascending instants (m,) [s]; work by the trapezoidal rule.
 
-    ValueError for a massless motion, in which the sphere has no velocity of its own.
+    Raises ValueError for a massless motion, in which the sphere has no velocity of its own.
     """
     if motion.fidelity == "massless":
-        raise ValueError("a sphere without mass has no velocity of its own: take the full model")
+        raise ValueError("a massless sphere has no velocity of its own; use the full model")
     scene, row = motion.scene, motion.row
     states, rates, forces = (
         motion.states_at(times),
@@ -135,8 +130,9 @@ def balance_of(motion: Motion, times: Array) -> Balance:
 def _face(
     motion: Motion, pole: int, gap: Array, force: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Approach, radius, dent, stored and plastic energy of a face; `gap` is its approach above the
-    dent.
+    """Approach, radius, dent, elastic and plastic energy of a contact.
+
+    gap: its approach above the residual indentation.
     """
     partner = motion.scene.partners[pole]
     none = np.zeros_like(gap)
@@ -174,9 +170,7 @@ def _face(
 
 
 def rod_length(motion: Motion) -> float:
-    """Length of the rod ahead of the sphere [m], infinite where nothing comes back; 0 where none
-    stands.
-    """
+    """Length of the rod ahead of the sphere [m]; infinite without a reflection, 0 without a rod."""
     partner, row = motion.scene.partners[1], motion.row
     if partner is None or partner.kind != "bar" or partner.table == "bars":
         return 0.0
@@ -188,12 +182,13 @@ def rod_length(motion: Motion) -> float:
 
 
 def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
-    """The signal of a gauge at `position` [m] along the rod ahead, at times (m,) [s], compression
-    negative.
+    """The signal of a gauge at `position` [m] along the rod, at times (m,) [s], tension positive.
 
-    The wave that leaves the face is g(t) = P_B(t)/Z + R g(t - T); at x it is met by what the far
-    end sends back: eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Up to the first return this is
-    (R17), F = -E A eps(t + x/c0). ValueError where no rod stands, or it is shorter.
+    The wave that leaves the contact is g(t) = P_B(t)/Z + R g(t - T); with the reflected wave the
+    strain at x is eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Before the first reflection this
+    is (R17), F = -E A eps(t + x/c0).
+
+    Raises ValueError without a rod, or for a position beyond its end.
     """
     partner, row = motion.scene.partners[1], motion.row
     if partner is None or partner.kind != "bar":
@@ -203,7 +198,7 @@ def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
     trip, end = float(partner.round_trip[row]), float(partner.reflection[row])
     if not 0.0 <= position <= 0.5 * speed * trip:
         raise ValueError(
-            f"the gauge lies beyond the rod, whose length is {0.5 * speed * trip:.4g} m"
+            f"the gauge must be on the rod, at most {0.5 * speed * trip:.4g} m from the sphere"
         )
 
     def leaving(at: Array) -> Array:
@@ -231,7 +226,7 @@ def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactChange:
-    """A face loses contact or finds it again: time [s], face `A` or `B`, kind `lost` or `found`."""
+    """Contact loss or recontact: time [s], face `A` or `B`, kind `lost` or `found`."""
 
     time: float
     face: str
@@ -240,9 +235,7 @@ class ContactChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
-    """The largest contact pressure of a stretch of time: time [s], face, contact pressure [Pa],
-    force [N].
-    """
+    """Peak contact pressure of a time interval: time [s], face, pressure [Pa], force [N]."""
 
     time: float
     face: str
@@ -267,17 +260,20 @@ COLUMNS = {
 class History:
     """One scene over time, SI.
 
-    time (m,): a uniform grid, the events, and jumps of the waves twice (before, after).  approach,
-    force and pressure at the faces A (behind) and B (ahead), (m,) each: an approach is negative
-    while apart, the pressure Hertz's in the centre; where faces yield the mean one, P/(pi a²).
-    velocity: of the sphere's centre.  incident, returning, leaving_a, leaving_b: the waves f, h,
-    g_A and k_B of theory (4) and (5) [m/s]; 0 in rigs other than bars. first_peak, later_peak:
-    largest contact pressure before and after the first loss of contact.  record_end, horizon: of
-    the quantities of interest, and of this history.  mass_number, pulse_number: mu and theta of
-    theory (10). modulus, effective_radius, hertz_constant: what `pressure_over_contact` needs.
-    motion: the integrated scene, off which `field` reads any place and instant.  balance: dents,
-    velocities and energies; None for cheaper models. gauges: those of a study, or one half-way
-    along each bar; none from `trace` itself.
+    time (m,): a uniform grid, the events, and jumps of the waves twice (before, after).
+    approach, force, pressure (m,): at contacts A (behind) and B (ahead); approaches are negative
+        while separated; the pressure is the peak Hertz pressure, or the mean P/(pi a²) if a contact
+        yields.
+    velocity (m,): of the sphere's centre.
+    incident, returning, leaving_a, leaving_b (m,): the waves f, h, g_A and k_B of theory (4) and
+        (5) [m/s]; 0 in rigs without a wave.
+    first_peak, later_peak: peak contact pressure before and after the first contact loss.
+    record_end, horizon: ends of the evaluation window of the quantities, and of this history.
+    mass_number, pulse_number: mu and theta of theory (10).
+    modulus, effective_radius, hertz_constant: for `pressure_over_contact`.
+    motion: the integrated scene, for `field`.
+    balance: indentation, velocities and energies; None for the massless and linear models.
+    gauges: of the study, or one midway along each bar; empty from `trace` itself.
     """
 
     time: Array
@@ -314,7 +310,7 @@ class History:
         )
 
     def to_frame(self) -> DataFrame:
-        """Time, forces, pressures and approaches at both faces, and the sphere's velocity; SI."""
+        """Time, forces, pressures and approaches at both contacts, velocity of the sphere; SI."""
         from pandas import DataFrame
 
         return DataFrame(
@@ -322,20 +318,16 @@ class History:
         )
 
     def plot(self, what: str = "force", ax: Axes | None = None) -> Axes:
-        """Courses over time whose names begin with `what` (force, pressure, approach, velocity), on
-        matplotlib axes.
-        """
+        """Plot the columns whose names begin with `what` (force, pressure, approach, velocity)."""
         frame = self.to_frame()
         shown = [name for name in frame.columns if name.startswith(what) and name != "time [s]"]
         if not shown:
-            raise UsageError(f"no course {what!r}; known: force, pressure, approach, velocity")
+            raise UsageError(f"what must be force, pressure, approach or velocity, not {what!r}")
         axes: Axes = frame.plot(x="time [s]", y=shown, ax=ax)
         return axes
 
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Array:
-        """p(R, t) [Pa] at the distances R (k,) [m] from the contact's centre, (m, k); theory
-        (16).
-        """
+        """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]
         approach = contact.approach_at_force(force, self.hertz_constant)
         distance = np.atleast_1d(np.asarray(distance, dtype=float))
@@ -353,14 +345,15 @@ def trace(
     tolerance: float = 1e-8,
     points: int = 2000,
 ) -> History:
-    """One row of a scene from first touch to the horizon, `points` (2 and more) even instants and
-    the events.
+    """One row of a scene from first touch to the horizon.
 
-    fidelity: `full`, `linear` or `massless`; tolerance: relative error of the integration.
-    ValueError if the row lies outside the domain or cannot be integrated.
+    fidelity: `full`, `linear` or `massless`.  tolerance: relative error of the integration.
+    points: evenly spaced instants, at least 2, to which the events are added.
+
+    Raises ValueError if the row is outside the domain or cannot be integrated.
     """
     if points < 2:
-        raise ValueError(f"a history needs at least 2 points, found {points}")
+        raise ValueError(f"points must be at least 2, not {points}")
     row = range(len(scene))[row]
     found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
     changes = find_changes(found, tolerance=tolerance)
@@ -375,8 +368,7 @@ def trace(
     waves = waves_at(found, times, sides=sides) if scene.by_wave else Waves.none(len(times))
     balance = balance_of(found, times) if fidelity == "full" else None
     approaches, pressures = _pressed(found, states, forces, balance)
-    # without mass the sphere moves with the mean of the two bar ends; the integrator has no
-    # velocity for it
+    # a massless sphere moves with the mean of the two bar ends
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
     return History(
@@ -411,7 +403,7 @@ def trace(
 def _pressed(
     found: Motion, states: Array, forces: Array, balance: Balance | None
 ) -> tuple[Array, Array]:
-    """Approaches and pressures (2, m) of both faces, as the balance has them where a dent stays."""
+    """Approaches and pressures (2, m) of both contacts, from the balance if a contact yields."""
     if balance is not None and balance.dent.max() > 0.0:
         return balance.approach, balance.mean_pressure
     return states[:, :2].T, np.stack(
@@ -420,15 +412,13 @@ def _pressed(
 
 
 def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, Array]:
-    """Grid and events in order; `sides` is -1 at the first of the two instants of a jump, else
-    1.
-    """
+    """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
     scene, row, horizon = found.scene, found.row, found.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row] if scene.by_wave else np.zeros(0)
     breaks = breaks[np.isfinite(breaks)]
     bars = [bar for bar in (0, 1) if scene.reflections[row, bar] != 0.0]
-    # echoes of the echoes are left to the grid: the first of each bar is what people look for
+    # the first reflection of each bar; later ones are left to the grid
     delays = np.array([0.0, *(scene.round_trips[row, bar] for bar in bars)])
     jumps = np.unique((breaks[None, :] + delays[:, None]).ravel())
     jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
@@ -450,10 +440,10 @@ def _zeros(function: Course, low: Array, high: Array) -> Array:
 
 
 def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
-    """Contacts lost and found again up to the end of the motion, in order of time.
+    """Contact losses and recontacts up to the end of the motion, in order of time.
 
-    That an approach is zero at first touch is no loss; a face counts as touched from the first
-    approach above the integrator's own error.
+    A contact exists from the first approach above the error of the integrator; the zero approach at
+    first touch is not a loss.
     """
     nodes = _nodes(found, 0.0, found.horizon)
     states = found.states_at(nodes)
@@ -475,14 +465,12 @@ def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...
 
 
 def _approach(found: Motion, face: int) -> Course:
-    """The approach at one face as a function of time."""
+    """The approach of one contact as a function of time."""
     return lambda times: found.states_at(times)[:, face]
 
 
 def largest(found: Motion, begin: float, end: float) -> Peak | None:
-    """The largest contact pressure at either face between begin and end [s]; None if there is no
-    force.
-    """
+    """Peak contact pressure between begin and end [s], at either contact; None without a force."""
     from scipy.optimize import minimize_scalar
 
     end = min(end, found.horizon)
@@ -494,14 +482,13 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
         approach = _approach(found, face)
         highest = int(np.argmax(approach(nodes)))
         low, high = nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)]
-        time = float(
-            minimize_scalar(
-                lambda at, of=approach: -of(np.array([at]))[0],
-                bounds=(low, high),
-                method="bounded",
-                options={"xatol": 1e-8 * (high - low)},
-            ).x
+        refined = minimize_scalar(
+            lambda at, of=approach: -of(np.array([at]))[0],
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-8 * (high - low)},
         )
+        time = float(refined.x)
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
         force = float(found.forces_at(np.array([time]))[0, face])
@@ -548,10 +535,9 @@ class FieldView:
     """Stress in both bars over place and time, and where and when each bar that sees tension is
     first under it.
 
-    reach: length of the incident and of the receiving bar that is shown [m]; begin, last: instants
-    [s] since first touch; stress (t, x): [Pa], tension positive, at times (t,) [s] and places (x,)
-    [m], the sphere at 0: the middles of an even grid over [begin, last] and [-reach, reach],
-    between which there is no bar.
+    reach: length shown of the incident and of the receiving bar [m].  begin, last: instants [s]
+    since first touch.  stress (t, x): [Pa], tension positive, at times (t,) [s] and places (x,)
+    [m], the sphere at 0; midpoints of an even grid over [begin, last] and [-reach, reach].
     """
 
     reach: tuple[float, float]
@@ -564,23 +550,23 @@ class FieldView:
 
 
 def view_field(history: History, *, places: int = 300, times: int = 380) -> FieldView:
-    """The view on a grid of that many places and instants: each bar as far as it goes, up to the
-    second return.
+    """Stress in the bars on a grid of positions and instants.
 
-    In time it is the record, and at least one round trip where something comes back.
+    In time it covers the evaluation window, and at least one round trip if waves are reflected.
     """
     found, speed = history.motion, history.motion.wave_speed
     trips = [found.round_trip(bar) for bar in (0, 1)]
     echoes = [trip for bar, trip in enumerate(trips) if found.echoes(bar)]
     last = min(max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0)), history.horizon)
-    last = min(last, 2.2 * max(echoes) if echoes else 6.0 * found.pulse_end)
+    if echoes:
+        last = min(last, 2.2 * max(echoes))
+    else:
+        last = min(last, 6.0 * found.pulse_end)
     left, right = (min(0.5 * speed * trip, 1.2 * speed * last) for trip in trips)
     begin = -left / speed
-    x, t = (
-        low + (np.arange(count) + 0.5) / count * (high - low)
-        for low, high, count in ((-left, right, places), (begin, last, times))
-    )
-    tensions = (first_tension(found, bar) for bar in BARS)
+    x = -left + (np.arange(places) + 0.5) / places * (left + right)
+    t = begin + (np.arange(times) + 0.5) / times * (last - begin)
+    tensions = [first_tension(found, bar) for bar in BARS]
     return FieldView(
         reach=(left, right),
         begin=begin,
@@ -588,5 +574,5 @@ def view_field(history: History, *, places: int = 300, times: int = 380) -> Fiel
         places=x,
         times=t,
         stress=field_grid(found, x, t).stress,
-        tensions=tuple(one for one in tensions if one is not None),
+        tensions=tuple(tension for tension in tensions if tension is not None),
     )

@@ -1,9 +1,8 @@
-"""Incident pulses: the particle velocity of the wave running towards the sphere, over v0/2, as
-smooth pieces.
+"""Incident pulses: particle velocity of the wave towards the sphere, over v0/2, in smooth pieces.
 
-Every shape is a row of breaks and one cubic per piece (a half sine is one piece with its own
-formula), so that an integrator can end its steps exactly where a pulse or one of its derivatives
-jumps. The shapes conserve the striker's impulse where theory (20) says so.
+Every shape is a row of breaks with one cubic per piece (a half sine is one piece with its own
+formula), so that the integrator can end its steps exactly where a pulse or a derivative jumps.  The
+shapes conserve the striker's impulse where theory (20) says so.
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 
-#: relative depth of the dip of a two-peak pulse whose study does not give it
+#: default level of the valley of a two-peak pulse, over the lower peak
 DEFAULT_VALLEY: Final = 0.75
-#: steps of a striker stiffer than its bar: those below this share of the first are left out, and
-#: there are no more than this many
+#: steps of a striker stiffer than its bar: least level, over the first step, and largest number
 _FAINT_STEP: Final = 1e-3
 _MOST_STEPS: Final = 32
 
@@ -29,9 +27,9 @@ class Pulse:
     """Pieces of n pulses of one shape.
 
     breaks (n, m + 1): start of each piece and the end of the last [s]; infinite for a step.
-    coefficients (n, m, 4): cubic in the time since the piece's start, ascending powers.  frequency
-    (n,): angular one of a half sine [1/s], 0 for the shapes made of cubics.  valid (n,): whether
-    the parameters make a pulse of this shape at all.
+    coefficients (n, m, 4): cubics in the time since the start of the piece, ascending powers.
+    frequency (n,): angular frequency of a half sine [1/s], 0 for cubics.  valid (n,): whether the
+    parameters are valid for the shape.
     """
 
     breaks: Array
@@ -41,7 +39,7 @@ class Pulse:
 
     @property
     def end(self) -> Array:
-        """Time at which the pulse is over, (n,) [s]."""
+        """End of the pulse, (n,) [s]."""
         return self.breaks[:, -1]
 
 
@@ -59,13 +57,12 @@ def _line(length: Array, left: Array, right: Array) -> Array:
 
 
 def striker_steps(ratio: Values) -> tuple[Array, Flags]:
-    """Levels (n, m) over v0/2 of the steps that strikers of Z_s/Z = `ratio` (n,) send,
-    docs/theory.md, section 7.
+    """Steps of a pulse from strikers with the impedance ratio Z_s/Z (n,), theory section 7.
 
-    The striker moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each round trip of its own
-    wave, 2 l_0/c_s, leaves (ratio - 1)/(ratio + 1) of that; one softer than the bar is thrown back
-    after the first.  Steps below 1e-3 of the first are left out, as 0; the second result (n,) says
-    whether these are all: at most 32 are made, enough up to a ratio of 9.
+    The striker moves the bar end with 2 ratio/(1 + ratio) of v0/2; after each round trip of its own
+    wave, 2 l_0/c_s, a fraction (ratio - 1)/(ratio + 1) remains; a striker softer than the bar
+    rebounds after the first step.  Returns levels (n, m) over v0/2, with steps below 1e-3 of the
+    first set to 0, and whether they are complete (n,): at most 32 steps, enough up to a ratio of 9.
 
     >>> striker_steps([0.5, 1.0, 2.0])[0][:, :3].round(4).tolist()
     [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
@@ -82,17 +79,13 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
 
 
 def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
-    """Steps of one width, the first rising over `rise`, each later change over `fall`, centred on
-    its instant.
-    """
+    """Steps of equal width; the first rises over `rise`, later changes are centred over `fall`."""
     levels, complete = striker_steps(ratio)
     count = (levels > 0.0).sum(axis=1)
     middle = 0.5 * rise
     end = middle + count * duration + 0.5 * fall
-    breaks, pieces = (
-        [np.zeros_like(duration), rise],
-        [_line(rise, np.zeros_like(duration), levels[:, 0])],
-    )
+    breaks = [np.zeros_like(duration), rise]
+    pieces = [_line(rise, np.zeros_like(duration), levels[:, 0])]
     following = np.concatenate([levels[:, 1:], np.zeros_like(levels[:, :1])], axis=1)
     for k in range(levels.shape[1]):
         change = middle + (k + 1) * duration
@@ -114,9 +107,8 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
 
 def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     if "striker_ratio" in numbers:
-        return _stepped(
-            duration, np.zeros_like(duration), np.zeros_like(duration), numbers["striker_ratio"]
-        )
+        abrupt = np.zeros_like(duration)
+        return _stepped(duration, abrupt, abrupt, numbers["striker_ratio"])
     zero, one = np.zeros_like(duration), np.ones_like(duration)
     return Pulse(
         breaks=np.stack([zero, duration], axis=1),
@@ -138,7 +130,7 @@ def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     zero, one = np.zeros_like(duration), np.ones_like(duration)
     breaks = np.stack([zero, rise, rise + plateau, rise + plateau + fall], axis=1)
     pieces = [_line(rise, zero, one), _line(plateau, one, one), _line(fall, one, zero)]
-    # rounding may leave a plateau of -1e-20 s where rise and fall use up the whole width
+    # rounding may make a plateau of -1e-20 s if rise and fall fill the whole width
     valid = (rise >= 0.0) & (fall >= 0.0) & (plateau >= -1e-12 * duration) & (duration > 0.0)
     breaks = np.maximum.accumulate(breaks, axis=1)
     return Pulse(breaks=breaks, coefficients=np.stack(pieces, axis=1), frequency=zero, valid=valid)
@@ -172,6 +164,7 @@ def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     return Pulse(breaks=breaks, coefficients=np.stack(pieces, axis=1), frequency=zero, valid=valid)
 
 
+#: pulse shapes by name
 SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
     "rectangular": _rectangular,
     "trapezoid": _trapezoid,
@@ -181,12 +174,12 @@ SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
     "step": _step,
 }
 
-#: shapes that follow from the striker's impedance where it is not the bars'
+#: shapes that depend on the impedance of a striker that differs from the bars
 STRIKER_SHAPES: Final = ("rectangular", "trapezoid", "ramp")
 
-#: The three kinds of pulse of the paper's Fig. 2: shape and numbers [s, over v0/2].  The durations,
-#: and that the first has a second maximum at about 19 us, are in the paper's text; levels, rises
-#: and the other times are ours.
+#: the three pulses of the paper's Fig. 2: shape and numbers [s, over v0/2].  Durations, and the
+#: second maximum of the first at about 19 us, are in the paper's text; levels, rise times and the
+#: other times are assumed.
 PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
     "very_short": (
         "two_peak",
@@ -201,13 +194,12 @@ PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
 
 
 def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | None = None) -> Pulse:
-    """Pieces of the pulses of n rows, of a shape of `SHAPES`.
+    """Pulses of n rows, of a shape of `SHAPES`.
 
-    duration (n,): width t_i [s], full base of a rectangle or half sine, width at half height of a
-    trapezoid, end of a two-peak pulse; not used by a step.  Width of one step where the striker's
-    impedance is not the bars'.  numbers: what `forms.FORMS` names (times in s, levels over v0/2),
-    `valley` for two peaks, and `striker_ratio`, Z_s/Z, for the shapes of `STRIKER_SHAPES`; (n,)
-    each.
+    duration (n,): width t_i [s]: base of a rectangle or half sine, width at half height of a
+    trapezoid, end of a two-peak pulse, width of one step of a striker that differs from the bars;
+    not used by a step.  numbers: keys of `forms.FORMS` (times in s, levels over v0/2), `valley` for
+    two peaks, and `striker_ratio`, Z_s/Z, for the shapes of `STRIKER_SHAPES`; (n,) each.
 
     >>> pulse = build_pulse("trapezoid", [100e-6], {"rise": [20e-6], "fall": [20e-6]})
     >>> (pulse.breaks * 1e6).round(9).tolist()
@@ -223,9 +215,7 @@ def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | No
 
 
 def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:
-    """g(t) of one row at `times` [s], over v0/2; the right limit at a jump, zero before and after
-    the pulse.
-    """
+    """g(t) of one row at `times` [s], over v0/2; right limits at jumps, zero outside the pulse."""
     breaks = pulse.breaks[row]
     piece = np.searchsorted(breaks, times, side="right") - 1
     inside = (piece >= 0) & (times < breaks[-1])
@@ -238,21 +228,24 @@ def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:
     return np.where(inside, value, 0.0)
 
 
-# --- A measured pulse: least-squares cubics over a record, at whose joints the integrator ends its
+# --- A measured pulse: least-squares cubics over a record; the integrator ends its steps at their
+# joints.
 
-#: root mean square over the peak that the cubics may leave, and pieces at most
-_FINE, _PIECES = 5e-4, 64
-#: share of the peak that both ends may have, and from which on the pulse counts
-_ENDS, _COUNTS = 0.1, 0.003
+#: root mean square misfit of the cubics over the peak, and largest number of pieces
+_MISFIT, _MOST_PIECES = 5e-4, 64
+#: fractions of the peak: largest value at both ends of the record, and start of the pulse
+_END_LEVEL, _START_LEVEL = 0.1, 0.003
+#: least number of samples of a pulse
+_FEWEST_SAMPLES: Final = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredPulse:
     """The pulse of a record.
 
-    breaks (m + 1,): joints of the cubics [s], from 0; coefficients (m, 4): strain over its largest
-    value, ascending powers of the time since the joint.  peak: largest compressive strain, v0 = 2
-    c0 peak; rise: from 10 % to 90 % of the peak [s].
+    breaks (m + 1,): joints of the cubics [s], from 0.  coefficients (m, 4): strain over its peak,
+    ascending powers of the time since the joint.  peak: peak compressive strain, v0 = 2 c0 peak.
+    rise: from 10 % to 90 % of the peak [s].
     """
 
     breaks: tuple[float, ...]
@@ -277,37 +270,42 @@ class MeasuredPulse:
 
 
 def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
-    """The pulse of a clean record (n,), compression positive, and the largest misfit of its cubics
-    over the peak.
+    """The pulse of a clean record, and the largest misfit of its cubics over the peak.
 
-    Their joints are those of Dierckx's smoothing spline.  ValueError for a record that is none,
-    with the way out.
+    time, strain (n,): [s], compression positive.  The joints are those of Dierckx's smoothing
+    spline.
+
+    Raises ValueError for a record that is not a single pulse, with the remedy.
     """
     from scipy.interpolate import PPoly, generate_knots, make_lsq_spline
 
     peak = float(strain.max())
-    # noise swings to both sides: what lies below zero ahead of the pulse says how far it goes above
-    noise = -1.5 * strain[: int(np.argmax(strain > _ENDS * peak))].min(initial=0.0)
-    inside = np.flatnonzero(np.abs(strain) > max(_COUNTS * peak, noise))
-    if len(inside) < 8:
-        raise ValueError(f"found {len(inside)} samples of a pulse, 8 or more are required")
+    # the negative values before the pulse give the amplitude of the noise
+    noise = -1.5 * strain[: int(np.argmax(strain > _END_LEVEL * peak))].min(initial=0.0)
+    inside = np.flatnonzero(np.abs(strain) > max(_START_LEVEL * peak, noise))
+    if len(inside) < _FEWEST_SAMPLES:
+        raise ValueError(
+            f"the pulse must have at least {_FEWEST_SAMPLES} samples, not {len(inside)}"
+        )
     first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
-    for level, why in (
-        (
-            -strain.min(),
-            "the strain turns to tension, -{:.0%} of its peak: cut the reflected wave off",
-        ),
-        (abs(strain[first]), "the pulse begins at {:.0%} of its peak: cut it out at rest"),
-        (abs(strain[last]), "the pulse ends at {:.0%} of its peak: cut it out at rest"),
-    ):
-        if level > _ENDS * peak:
-            raise ValueError(why.format(level / peak))
+    limit = _END_LEVEL * peak
+    if -strain.min() > limit:
+        raise ValueError(
+            f"the strain reaches {-strain.min() / peak:.0%} of its peak in tension; cut off the "
+            "reflected wave, or smooth a noisy record"
+        )
+    if abs(strain[first]) > limit:
+        level = abs(strain[first]) / peak
+        raise ValueError(f"the record starts at {level:.0%} of its peak; start it at rest")
+    if abs(strain[last]) > limit:
+        level = abs(strain[last]) / peak
+        raise ValueError(f"the record ends at {level:.0%} of its peak; end it at rest")
     time, curve = time[first : last + 1] - time[first], strain[first : last + 1] / peak
     # from 0 to 0
     curve[[0, -1]], weight = 0.0, np.ones(len(curve))
     weight[[0, -1]] = 1e3
     *_, knots = generate_knots(
-        time, curve, w=weight, k=3, s=len(curve) * _FINE**2, nest=_PIECES + 7
+        time, curve, w=weight, k=3, s=len(curve) * _MISFIT**2, nest=_MOST_PIECES + 7
     )
     spline = make_lsq_spline(time, curve, knots, 3, weight)
     fine = np.linspace(0.0, time[-1], 2000)
