@@ -235,7 +235,7 @@ def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "the strain reaches 4")]
+    ("noise", "back", "said"), [(0.0, 0.0, ""), (3.0, 0.0, ""), (3.0, -60.0, "strain reaches 4")]
 )
 def test_noise_ahead_of_a_pulse_is_no_contact(
     load: Load, tmp_path: Path, noise: float, back: float, said: str

@@ -97,7 +97,7 @@ def _equation(wave_number: Array, speed: Array, nu: float) -> Array:
 
 def _check_poisson(nu: float) -> None:
     if not 0.0 <= nu < 0.5:
-        raise ValueError(f"Poisson's ratio of a bar must lie from 0 to below 0.5, found {nu!r}")
+        raise ValueError(f"nu of a bar must be at least 0 and below 0.5, not {nu!r}")
 
 
 def phase_speed(wave_number: Values, nu: float) -> Array:
@@ -112,7 +112,7 @@ def phase_speed(wave_number: Values, nu: float) -> Array:
     _check_poisson(nu)
     wave_number = np.atleast_1d(np.asarray(wave_number, dtype=float))
     if not ((wave_number >= 0.0) & (wave_number <= 60.0)).all():
-        raise ValueError("wave numbers times the radius must lie between 0 and 60")
+        raise ValueError("wave number times radius must be between 0 and 60")
     found: Array = np.ones_like(wave_number)
     # below this, the series of Rayleigh and Love is exact to rounding
     waves = np.flatnonzero(wave_number > 1e-2)
@@ -131,11 +131,10 @@ def phase_speed(wave_number: Values, nu: float) -> Array:
 
 
 def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Array, Array]:
-    """What the strain of the surface has to be multiplied with: Tyas and Wilson's M_1, M_2, both 1
-    for long waves.
+    """Tyas and Wilson's correction factors M_1, M_2 of the surface strain, both 1 for long waves.
 
-    Mean axial strain of the section over that of the surface; mean axial stress over E times the
-    mean strain; (n,) each, at wave numbers times the radius and their phase speeds over c0.
+    M_1: mean axial strain of the section over the surface strain.  M_2: mean axial stress over E
+    times the mean strain.  (n,) each, at wave numbers times radius and phase speeds over c0.
     """
     dilatation, shear = _speeds(nu)
     k = np.asarray(wave_number, dtype=float)
@@ -171,9 +170,7 @@ class FirstMode:
     band: float
 
     def at(self, frequency: Values) -> tuple[Array, Array]:
-        """Wave number and surface factor at frequencies (n,) of the band; beyond it they go on as
-        at its edge.
-        """
+        """Wave number and surface factor at frequencies (n,); beyond the band those of its edge."""
         from scipy.interpolate import CubicSpline
 
         inside = np.minimum(np.asarray(frequency, dtype=float), self.band)
@@ -184,9 +181,7 @@ class FirstMode:
 
 
 def _second_mode(nu: float) -> float:
-    """Frequency of the second longitudinal mode at infinite wavelength: the lower of its two
-    families.
-    """
+    """Frequency of the second longitudinal mode at infinite wavelength (lower family)."""
     dilatation, shear = _speeds(nu)
     trial = np.linspace(0.5, 8.0, 6000)
     p2, q2 = np.square(trial / dilatation), np.square(trial / shear)
@@ -199,7 +194,7 @@ def _second_mode(nu: float) -> float:
 
 @lru_cache(maxsize=64)
 def first_mode(nu: float) -> FirstMode:
-    """The table of a Poisson ratio in [0, 0.5), made once per process; ValueError for another."""
+    """The table of a Poisson ratio in [0, 0.5), once per process; ValueError for another."""
     speed = phase_speed(_TABLE, nu)
     strain, stress = surface_factors(_TABLE, speed, nu)
     factor = strain * stress
@@ -210,7 +205,7 @@ def first_mode(nu: float) -> FirstMode:
         | (factor < 1.0 / _MOST_GAIN)
     )
     last = int(np.argmax(bad)) if bad.any() else len(bad)
-    # the tables end where the factor leaves its range: a spline must not feel the pole behind it
+    # the tables end where the factor leaves its range, before the pole behind it
     kept = slice(0, max(last, 8))
     return FirstMode(
         frequency=np.concatenate([[0.0], frequency[kept]]),
@@ -231,28 +226,26 @@ def correct(
     nu: float,
     surface: bool = True,
 ) -> Array:
-    """What a wave (n,) seen by a gauge is `distance` [m] further on, in the time of the
-    one-dimensional wave.
+    """A measured wave (n,) moved by `distance` [m] along a bar with dispersion.
 
-    eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance): the delay distance/c0 itself is left
-    out.  strain is at rest at both ends and has room for the spread of the wave; step: between
-    samples [s]; distance: below zero for where it came from; radius, wave_speed, nu of the bar;
-    surface: the gauge sits there, and the answer is the mean stress over E. Valid up to
-    `FirstMode.band`; beyond, phase lag and factor are held at their values there.
+    eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance), without the delay distance/c0.
+    strain: at rest at both ends, with room for the spread of the wave.  step: between samples [s].
+    distance: negative towards the source.  radius, wave_speed, nu: of the bar.  surface: the gauge
+    is on the surface, and the result is the mean stress over E.  Valid up to `FirstMode.band`, at
+    whose edge phase lag and factor are kept beyond.
     """
     if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
         raise ValueError(
-            f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, "
+            f"step, radius and wave_speed must be positive, not {step!r}, {radius!r}, "
             f"{wave_speed!r}"
         )
     strain, mode = np.asarray(strain, dtype=float), first_mode(nu)
     frequency = 2.0 * math.pi * np.fft.rfftfreq(len(strain), step) * radius / wave_speed
     wave_number, factor = mode.at(frequency)
-    turned = np.exp(-1j * (wave_number - frequency) * distance / radius) * (
-        factor if surface else 1.0
-    )
-    if (
-        len(strain) % 2 == 0
-    ):  # the highest component of a real record has no phase that could be turned
+    turned = np.exp(-1j * (wave_number - frequency) * distance / radius)
+    if surface:
+        turned = turned * factor
+    if len(strain) % 2 == 0:
+        # the highest component of a real record has no phase
         turned[-1] = abs(turned[-1])
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))

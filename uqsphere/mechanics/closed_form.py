@@ -24,7 +24,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
-from uqsphere.mechanics.rigs import MOST_YIELDING, Partner
+from uqsphere.mechanics.rigs import LARGEST_LAM, Partner
 from uqsphere.mechanics.roots import newton
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face
@@ -268,7 +268,7 @@ def _impact_table() -> Mapping[str, np.polynomial.Chebyshev]:
     """`_COLUMNS` over lam in [0, 3] as Chebyshev series; force and times in units of (R13)."""
     with resources.files("uqsphere.mechanics").joinpath("impact_table.csv").open() as lines:
         columns = np.loadtxt(lines, delimiter=",", skiprows=1).T
-    series = [np.polynomial.Chebyshev(column, domain=[0.0, MOST_YIELDING]) for column in columns]
+    series = [np.polynomial.Chebyshev(column, domain=[0.0, LARGEST_LAM]) for column in columns]
     return dict(zip(_COLUMNS, series, strict=True))
 
 
@@ -280,7 +280,7 @@ def _on_thick() -> Mapping[str, Array]:
 
 def _elastic(lam: Array) -> Mapping[str, Array]:
     """`_COLUMNS` at lam, NaN above 3."""
-    inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
+    inside = np.where(lam <= LARGEST_LAM, lam, np.nan)
     return {name: np.asarray(series(inside)) for name, series in _impact_table().items()}
 
 

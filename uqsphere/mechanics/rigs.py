@@ -23,21 +23,21 @@ from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, sof
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
-#: the three numbers of the law of a face, by their keys
+#: keys of the three parameters of a contact law
 LAW: Final = ("onset_pressure", "hardness", "pile_up")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Partner:
-    """What stands at one pole; (n,) each.
+    """The counter-body at one contact; (n,) each.
 
-    table, kind: table of the study that its numbers stand in; `bar`, `plate`, `thick`, `mass` or
-    `platen`.  modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of
-    this face.  share: chi = E* (1 - nu²)/E, the sphere's share of its elastic energy, (R22).
-    impedance, mass: Z and mass [kg], infinite where it does not give way, or is not free.  speed: V
-    at first touch, positive from pole A to pole B.  round_trip, reflection: of a bar and its far
-    end; infinite and 0 where nothing returns.  face: its law if it yields; takes: the sphere's
-    share of what such a face dissipates, 1 where it is the sphere that yields.
+    table: table of the study with its numbers.  kind: `bar`, `plate`, `thick`, `mass` or `platen`.
+    modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of the contact.
+    share: chi = E* (1 - nu²)/E, the sphere's fraction of the elastic energy, (R22).  impedance: Z
+    [N s/m], infinite if it is rigid.  mass: [kg], infinite if it is not free.  speed: V [m/s] at
+    first touch, positive from A to B.  round_trip, reflection: of a bar and its far end; infinite
+    and 0 without a reflected wave.  face: its contact law if it yields.  takes: the sphere's
+    fraction of the plastic work, 1 if the sphere itself yields.
     """
 
     table: str
@@ -56,27 +56,22 @@ class Partner:
 
 
 def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
-    """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate: it gives way at
-    P/Z. (R2).
+    """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate, (R2).
 
     Source: C. Zener, Phys. Rev. 59 (1941) 669, from memory.
     """
-    return np.asarray(
-        4.0 / math.sqrt(3.0) * np.square(thickness) * np.sqrt(density * E / (1.0 - nu * nu))
-    )
+    stiffness = np.sqrt(density * E / (1.0 - nu * nu))
+    return np.asarray(4.0 / math.sqrt(3.0) * np.square(thickness) * stiffness)
 
 
 def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) -> Partner:
-    """The partner whose numbers stand in a table of the scene; not finite where a row has no
-    meaning.
-    """
+    """The counter-body of a table of the scene; not finite in rows outside the domain."""
     c = scene.columns
-    face_E, face_nu = (
-        c[f"{table}.insert_{key}"]
-        if f"{table}.insert_{key}" in c
-        else scene.column(f"{table}.{key}")
-        for key in ("E", "nu")
-    )
+    face_E = c.get(f"{table}.insert_E", scene.column(f"{table}.E"))
+    face_nu = c.get(f"{table}.insert_nu", scene.column(f"{table}.nu"))
+    mass = _everywhere(np.inf, scene)
+    if kind == "mass":
+        mass = _mass(scene, table)
     with np.errstate(all="ignore"):
         modulus = contact.reduced_modulus(
             c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
@@ -91,7 +86,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             hertz_constant=contact.hertz_constant(modulus, radius),
             share=share,
             impedance=_impedance(scene, table, kind),
-            mass=_mass(scene, table) if kind == "mass" else _everywhere(np.inf, scene),
+            mass=mass,
             speed=_everywhere(0.0, scene) if speed is None else speed,
             **_law(scene, table, modulus, radius),
             **_echo(scene, table, kind),
@@ -99,7 +94,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
 
 
 def _everywhere(value: float, scene: Scene) -> Array:
-    """One number in every row, (n,), without room of its own."""
+    """One number in every row, (n,), without a copy."""
     return np.broadcast_to(np.float64(value), (len(scene),))
 
 
@@ -123,7 +118,7 @@ def _impedance(scene: Scene, table: str, kind: str) -> Array:
 
 
 def _mass(scene: Scene, table: str) -> Array:
-    """Mass of a free partner: as given, or that of the ball it is."""
+    """Mass of a free counter-body: as given, or of a ball."""
     if table == "other":
         return np.asarray(
             contact.sphere_mass(scene.column("other.radius"), scene.column("other.density"))
@@ -135,58 +130,67 @@ def _mass(scene: Scene, table: str) -> Array:
 
 
 def _echo(scene: Scene, table: str, kind: str) -> dict[str, Array]:
-    """Round trip and reflection of a bar of a rig; those of the two bars of `bars` are columns of
-    their own.
-    """
+    """Round trip and reflection of a rod; those of the two Hopkinson bars are in `Scene`."""
     if kind != "bar" or table == "bars" or f"{table}.length" not in scene.columns:
         return {"round_trip": _everywhere(np.inf, scene), "reflection": _everywhere(0.0, scene)}
     E, density, length = (scene.column(f"{table}.{key}") for key in ("E", "density", "length"))
-    # a far end that nobody names is free, as that of a rod that stands on nothing
+    # the far end is free unless it is given
     reflection = scene.column(f"{table}.end", bars.END_COEFFICIENTS["free"])
     return {"round_trip": np.asarray(bars.round_trip(length, E, density)), "reflection": reflection}
 
 
-def _given(columns: Mapping[str, Array], name: str, default: Values) -> Array:
+def _column(columns: Mapping[str, Array], name: str, default: Values) -> Array:
     """A column, or `default` in every row."""
-    return columns.get(name, np.full(len(next(iter(columns.values()))), default))
+    if name in columns:
+        return columns[name]
+    return np.full(len(next(iter(columns.values()))), default)
 
 
 def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Body:
-    """What the partner of a table has of the law of its face: given, or that of a metal; infinite
-    where rigid.
-    """
+    """Contact parameters of a counter-body: as given, else of a metal; infinite onset if rigid."""
     strength, nu = (
-        columns.get(f"{table}.insert_{key}", _given(columns, f"{table}.{key}", np.nan))
+        columns.get(f"{table}.insert_{key}", _column(columns, f"{table}.{key}", np.nan))
         for key in ("yield_strength", "nu")
     )
-    metal = metal_body(np.full_like(nu, np.nan) if rigid else strength, nu)
-    found = Body(*(columns.get(f"{table}.{key}", own) for key, own in zip(LAW, metal, strict=True)))
-    return found._replace(onset=np.full_like(nu, np.inf)) if rigid else found
+    if rigid:
+        strength = np.full_like(nu, np.nan)
+    body = _with_columns(columns, table, metal_body(strength, nu))
+    if rigid:
+        return body._replace(onset=np.full_like(nu, np.inf))
+    return body
+
+
+def _with_columns(columns: Mapping[str, Array], table: str, body: Body) -> Body:
+    """Contact parameters with those that a table gives."""
+    return Body(
+        *(columns.get(f"{table}.{key}", value) for key, value in zip(LAW, body, strict=True))
+    )
 
 
 def sphere_body(columns: Mapping[str, Array]) -> Body:
-    """What the sphere has of the law of a face; it stays elastic where no onset is given."""
-    usual = (np.inf, np.inf, CAP_PILE_UP)
+    """Contact parameters of the sphere, which is elastic without an onset pressure."""
+    defaults = (np.inf, np.inf, CAP_PILE_UP)
     return Body(
-        *(_given(columns, f"sphere.{key}", own) for key, own in zip(LAW, usual, strict=True))
+        *(
+            _column(columns, f"sphere.{key}", value)
+            for key, value in zip(LAW, defaults, strict=True)
+        )
     )
 
 
 def law_of(
     columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_onset: bool = False
 ) -> Body:
-    """The law of a face: of its softer body, row by row, but for what [contact] gives."""
-    numbers = softer(body_of(columns, table, rigid), sphere_body(columns))
-    found = Body(
-        *(columns.get(f"contact.{key}", own) for key, own in zip(LAW, numbers, strict=True))
-    )
-    return found._replace(hardness=found.onset) if at_onset else found
+    """Contact parameters: of the softer body in each row, unless [contact] gives them."""
+    body = softer(body_of(columns, table, rigid), sphere_body(columns))
+    body = _with_columns(columns, "contact", body)
+    if at_onset:
+        return body._replace(hardness=body.onset)
+    return body
 
 
 def softest_partner(scene: Scene) -> Body:
-    """What the partner that yields first has of the law, row by row; infinite where none has an
-    onset.
-    """
+    """Contact parameters of the counter-body that yields first in each row."""
     tables = dict.fromkeys(partner.table for partner in scene.there)
     return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
 
@@ -197,9 +201,7 @@ class _Law(TypedDict):
 
 
 def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
-    """The law of a face that yields: of its softer body, row by row, but for what [contact]
-    gives.
-    """
+    """The contact law of a counter-body, if any row can yield."""
     elastic = _Law(face=None, takes=_everywhere(0.0, scene))
     if scene.contact_law != "plastic":
         return elastic
@@ -209,27 +211,23 @@ def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
     if np.isinf(numbers.onset).all():
         return elastic
     face = Face(**numbers._asdict(), modulus=modulus, effective_radius=radius)
-    crushed = (
-        sphere_body(scene.columns).onset < body_of(scene.columns, table, scene.rigid_contact).onset
-    )
-    return _Law(face=face, takes=np.where(crushed, 1.0, 0.0))
+    body = body_of(scene.columns, table, scene.rigid_contact)
+    sphere_yields = sphere_body(scene.columns).onset < body.onset
+    return _Law(face=face, takes=np.where(sphere_yields, 1.0, 0.0))
 
 
-#: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³], for falls of metres
-#: (from memory)
+#: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³] (from memory)
 GRAVITY: Final = 9.80665
 _DRAG, _AIR = 0.45, 1.2
-#: largest lam = Z-scaled force of a plate or bar end that is struck: beyond it the plate is
-#: punched, (R13)
-MOST_YIELDING: Final = 3.0
-#: ranges in which the equations are solved: M/m_A and kappa (rigs.md section 8)
+#: largest lam (force over Z and speed) of a plate or bar end; beyond it a plate is punched, (R13)
+LARGEST_LAM: Final = 3.0
+#: ranges of M/m_A and kappa in which the equations are solved
 MASS_RATIO: Final = (1e-7, 1e3)
 STIFFNESS_RATIO: Final = (1e-3, 1e3)
-#: compliance of a half-space under a pulsating point load, nu = 1/4, times rho c_s³ (Reissner;
+#: compliance of a half-space under a harmonic point load, nu = 1/4, times rho c_s³ (Reissner;
 #: Miller and Pursey 1954)
 _RADIATION: Final = 0.1486
-#: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t),
-#: (R14)
+#: radiated fraction of the impact energy over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
 _PULSE: Final = 3.80584
 
 
@@ -298,10 +296,9 @@ class Rig:
         return any(table and fixed in ("", kind) for table, fixed in poles)
 
     def kind(self, pole: int, options: Values) -> str:
-        """Kind of the partner at a pole; `thick` where the study does not choose."""
-        return self.kinds[pole] or str(
-            options.get(f"{(self.behind, self.ahead)[pole]}.kind", "thick")
-        )
+        """Kind of the counter-body at a contact; `thick` unless the study chooses another."""
+        table = (self.behind, self.ahead)[pole]
+        return self.kinds[pole] or str(options.get(f"{table}.kind", "thick"))
 
 
 #: every rig, declared once
@@ -372,22 +369,19 @@ DEFAULT_RIG: Final = "bars"
 
 
 def drop_speed(height: Values, radius: Values, density: Values) -> Array:
-    """Speed [m/s] of a sphere that fell by h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²)); drag is
-    6 % of v² at 8 m.
-    """
+    """Speed [m/s] of a sphere after a fall of h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²))."""
     terminal = terminal_speed(radius, density) ** 2
-    return np.asarray(
-        np.sqrt(-terminal * np.expm1(-2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal))
-    )
+    exponent = -2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal
+    return np.asarray(np.sqrt(-terminal * np.expm1(exponent)))
 
 
 def terminal_speed(radius: Values, density: Values) -> Array:
-    """v_t [m/s] of a sphere that falls in air: v_t² = 8 r rho g/(3 C_D rho_air)."""
+    """Terminal speed v_t [m/s] of a sphere in air: v_t² = 8 r rho g/(3 C_D rho_air)."""
     return np.asarray(np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR)))
 
 
 def closing_speed(scene: Scene) -> Array:
-    """Speed at which the bodies meet, square to the face, (n,) [m/s]: given, or of a fall."""
+    """Normal closing speed, (n,) [m/s]: as given, or after a fall."""
     rig, c = RIGS[scene.rig], scene.columns
     with np.errstate(all="ignore"):
         if f"{rig.mover}.drop_height" not in c:
@@ -395,21 +389,24 @@ def closing_speed(scene: Scene) -> Array:
         elif rig.sphere_moves:
             speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
         else:
-            # drag on a weight of any shape is not known; it is small
+            # the drag on a drop weight depends on its shape; it is small
             speed = np.sqrt(2.0 * GRAVITY * c[f"{rig.mover}.drop_height"])
-        return np.asarray(speed * np.sin(c["rig.angle"]) if "rig.angle" in c else speed)
+        if "rig.angle" in c:
+            speed = speed * np.sin(c["rig.angle"])
+        return np.asarray(speed)
 
 
 def partners_of(scene: Scene) -> tuple[Partner | None, Partner | None]:
-    """Partners behind (A) and ahead (B) of the sphere; None where nothing stands."""
+    """Counter-bodies behind (A) and ahead (B) of the sphere; None without a contact."""
     rig = RIGS[scene.rig]
     if rig.behind == rig.ahead:
-        one = partner_of(scene, rig.behind, rig.kinds[0])
+        partner = partner_of(scene, rig.behind, rig.kinds[0])
         if not rig.by_wave:
-            return one, one
+            return partner, partner
         trips, ends = scene.round_trips, scene.reflections
-        both = [replace(one, round_trip=trips[:, k], reflection=ends[:, k]) for k in (0, 1)]
-        return both[0], both[1]
+        incident = replace(partner, round_trip=trips[:, 0], reflection=ends[:, 0])
+        receiving = replace(partner, round_trip=trips[:, 1], reflection=ends[:, 1])
+        return incident, receiving
     ahead = partner_of(scene, rig.ahead, rig.kind(1, scene.options))
     if not rig.behind:
         return None, ahead
@@ -417,9 +414,7 @@ def partners_of(scene: Scene) -> tuple[Partner | None, Partner | None]:
 
 
 def speeds_at_touch(scene: Scene) -> Array:
-    """Speeds of sphere and partners A and B when they first touch, (n, 3) [m/s], positive from A to
-    B. (R7).
-    """
+    """Speeds of sphere and counter-bodies A, B at first touch, (n, 3) [m/s], from A to B. (R7)."""
     rig = RIGS[scene.rig]
     start = np.zeros((len(scene), 3))
     if rig.sphere_moves:
@@ -430,25 +425,22 @@ def speeds_at_touch(scene: Scene) -> Array:
 
 
 def outside(scene: Scene) -> Array:
-    """Rows that the equations of a rig other than bars do not stand for, (n,) of bool: see rigs.md
-    section 8.
-    """
-    rig = RIGS[scene.rig]
-    scales, found = scene.scales, np.zeros(len(scene), dtype=bool)
+    """Rows of a rig without a wave that are outside the domain of its equations, (n,)."""
+    rig, scales = scene.setup, scene.scales
+    rows = np.zeros(len(scene), dtype=bool)
     behind, ahead = scene.partners
     with np.errstate(all="ignore"):
-        for partner in (behind, ahead):
-            if partner is not None and (
-                partner.kind == "plate" or (rig.contacts == 1 and partner.kind == "bar")
-            ):
-                found |= ~(scales.force / (partner.impedance * scales.speed) <= MOST_YIELDING)
+        for partner in scene.there:
+            struck_bar = rig.contacts == 1 and partner.kind == "bar"
+            if partner.kind == "plate" or struck_bar:
+                rows |= ~(scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM)
         if behind is not None and ahead is not None:
-            found |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
+            rows |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
             if rig.weight_falls:
-                found |= _beyond(scales.mass / behind.mass, MASS_RATIO)
+                rows |= _beyond(scales.mass / behind.mass, MASS_RATIO)
         if "platens.displacement" in scene.columns:
-            found |= scene.columns["platens.displacement"] >= scene.columns["sphere.radius"]
-    return found
+            rows |= scene.columns["platens.displacement"] >= scene.columns["sphere.radius"]
+    return rows
 
 
 def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
@@ -458,25 +450,20 @@ def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
 def wave_loss(
     hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values
 ) -> Array:
-    """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys.
-    Solids 5 (1957) 162.
+    """Fraction of the impact energy that a half-space radiates, (R14).
+
+    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162.
     """
     compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
-    return np.asarray(
-        _PULSE
-        * compliance
-        * np.asarray(hertz_constant) ** 1.2
-        * mass**-0.2
-        * np.asarray(speed) ** 0.6
-    )
+    contact_factor = np.asarray(hertz_constant) ** 1.2 * mass**-0.2
+    return np.asarray(_PULSE * compliance * contact_factor * np.asarray(speed) ** 0.6)
 
 
 def loss_to_waves(scene: Scene) -> Array | None:
-    """Share of a blow's energy that a thick target carries off, (n,), (R14); None where nobody
-    knows.
+    """Fraction of the impact energy that a thick target radiates, (n,), (R14).
 
-    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory; the compliance of nu =
-    1/4 for all.
+    The compliance is that of nu = 1/4.  None for other targets, or without a density.
+    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory.
     """
     partner = scene.partners[1]
     if partner is None or scene.partners[0] is not None or partner.kind != "thick":

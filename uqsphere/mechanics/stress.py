@@ -28,8 +28,8 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, Values
 
-#: degrees beyond which a series is not carried; what is left is stated by `Stress.truncation`
-MOST_TERMS = 40_000
+#: largest degree of a series; `Stress.truncation` bounds the remainder
+LARGEST_DEGREE = 40_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,18 +45,18 @@ class Load:
 
     def __post_init__(self) -> None:
         if not all(0.0 < ratio < 1.0 for ratio in self.contact_ratio):
-            raise ValueError(f"contact_ratio must lie between 0 and 1, found {self.contact_ratio}")
+            raise ValueError(f"contact_ratio must be between 0 and 1, not {self.contact_ratio}")
         if not all(0.0 <= pressure < math.inf for pressure in self.pressure):
-            raise ValueError(f"pressure must be finite and not negative, found {self.pressure}")
+            raise ValueError(f"pressure must be finite and at least 0, not {self.pressure}")
 
     @classmethod
     def balanced(cls, contact_ratio: float, pressure: float = 1.0) -> Load:
-        """The same force on both faces."""
+        """Equal forces at both contacts."""
         return cls(contact_ratio=(contact_ratio, contact_ratio), pressure=(pressure, pressure))
 
     @property
     def is_balanced(self) -> bool:
-        """Whether both caps carry the same, so that the odd degrees vanish."""
+        """Whether both caps are equal, so that the odd degrees vanish."""
         return (
             self.contact_ratio[0] == self.contact_ratio[1] and self.pressure[0] == self.pressure[1]
         )
@@ -67,7 +67,7 @@ class Stress:
     """Stress at points, each field of the shape of the points, in the unit of the load's pressure.
 
     radial, polar, azimuthal, shear : sigma_r, sigma_theta, sigma_phi, tau_r,theta.
-    truncation : bound of what the terms left out add to any component.
+    truncation : bound of the truncated terms in any component.
     """
 
     radial: Array
@@ -85,14 +85,12 @@ class Stress:
 
     @property
     def tension(self) -> Array:
-        """The largest principal stress, negative where there is no tension."""
+        """The largest principal stress; negative without tension."""
         return np.maximum(self.principal[0], self.azimuthal)
 
 
 def load_coefficients(load: Load, terms: int) -> Array:
-    """Legendre coefficients p_n of the pressure -sigma_r on the surface, n = 0 … terms; (terms +
-    1,).
-    """
+    """Legendre coefficients p_n of the surface pressure -sigma_r, n = 0 to terms; (terms + 1,)."""
     n = np.arange(terms + 1)
     total = np.zeros(terms + 1)
     if load.is_balanced:
@@ -138,28 +136,28 @@ def _cap_integrals(a: float, terms: int) -> Array:
 
 
 def terms_for(radius: float, tolerance: float) -> int:
-    """Degree at which r^n n has fallen below the tolerance, at most `MOST_TERMS`."""
+    """Degree at which r^n n is below the tolerance, at most `LARGEST_DEGREE`."""
     if radius >= 1.0:
-        return MOST_TERMS
+        return LARGEST_DEGREE
     if radius <= 0.0:
         return 4
     rate = -math.log(radius)
     n = 4.0
     for _ in range(4):
         n = max(4.0, (math.log(1.0 / tolerance) + math.log(n)) / rate)
-    return min(MOST_TERMS, math.ceil(n) + 2)
+    return min(LARGEST_DEGREE, math.ceil(n) + 2)
 
 
 def series_stress(
     radius: npt.ArrayLike, angle: npt.ArrayLike, load: Load, nu: float, *, tolerance: float = 1e-12
 ) -> Stress:
-    """Stress at points (r, t), summed until what is left is below `tolerance` times the larger
-    pressure.
+    """Stress at points (r, t), with a remainder below `tolerance` times the larger pressure.
 
-    radius, angle: over the sphere's radius in [0, 1], and from the axis [rad], broadcast; nu in
-    (-1, 0.5]. `truncation` says what was reached: near the surface, where the powers hardly fall,
-    the sum ends at `MOST_TERMS`. On the surface itself `surface_stress` is the better way.
-    ValueError for points outside the sphere, or a ratio without meaning.
+    radius: over the sphere's radius, in [0, 1].  angle: from the axis [rad]; both broadcast.  nu:
+    in (-1, 0.5].  Near the surface, where the powers hardly decrease, the sum ends at
+    `LARGEST_DEGREE`, and `truncation` gives the remainder; on the surface use `surface_stress`.
+
+    Raises ValueError for points outside the sphere, or nu out of range.
 
     >>> centre = series_stress(0.0, 0.0, Load.balanced(0.01), 0.25)
     >>> force = 2.0 / 3.0 * math.pi * 0.01**2
@@ -168,11 +166,9 @@ def series_stress(
     """
     r, t = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(radius, angle))
     if not -1.0 < nu <= 0.5:
-        raise ValueError(f"nu must lie in (-1, 0.5], found {nu}")
+        raise ValueError(f"nu must be above -1 and at most 0.5, not {nu}")
     if not np.all((r >= 0.0) & (r <= 1.0)):
-        raise ValueError(
-            "radius must lie in [0, 1]: the points are in units of the sphere's radius"
-        )
+        raise ValueError("radius must be between 0 and 1, in units of the sphere's radius")
     largest = max(load.pressure) or 1.0
     terms = terms_for(float(r.max(initial=0.0)), tolerance)
     p = load_coefficients(load, terms)
@@ -240,7 +236,7 @@ def _left_out(r: Array, load: Load, terms: int, largest: float) -> Array:
 
 
 def pressure_on_surface(angle: npt.ArrayLike, load: Load) -> Array:
-    """p(t) of the load, of the shape of the angles [rad]."""
+    """Pressure p(t) of the load, of the shape of the angles [rad]."""
     t = np.asarray(angle, dtype=float)
     square = np.sin(t) ** 2
     total = np.zeros_like(t)
@@ -261,7 +257,7 @@ def surface_stress(
     """Stress on the surface, at angles [rad] of any shape.
 
     terms : degree at which the rest is cut off; by default 400 over the smaller a/r, up to
-        `MOST_TERMS`.
+        `LARGEST_DEGREE`.
     coefficients : those of `load_coefficients` for at least as many terms, if at hand.
 
     `truncation` is the difference from half as many terms: at the rim itself it falls as n^(-3/2)
@@ -273,7 +269,7 @@ def surface_stress(
     """
     t = np.asarray(angle, dtype=float)
     if terms is None:
-        terms = min(MOST_TERMS, math.ceil(400.0 / min(load.contact_ratio)))
+        terms = min(LARGEST_DEGREE, math.ceil(400.0 / min(load.contact_ratio)))
     p = load_coefficients(load, terms) if coefficients is None else coefficients[: terms + 1]
     flat = t.ravel()
     rough = _rest(np.cos(flat), p[: terms // 2 + 1], nu)

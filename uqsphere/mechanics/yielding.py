@@ -1,12 +1,12 @@
-"""Contact that yields: one family of laws from Hertz through metal plasticity and Thornton's law to
-a crushed cap.
+"""Plastic contact: one family of laws from Hertz through metal plasticity and Thornton's law to a
+crushed cap.
 
-A face is elastic up to the onset, the approach alpha_y where Hertz's centre pressure is `onset`
-(p_y).  Beyond it the force leaves Hertz smoothly and its slope tends to pi r_eff C H: H is the mean
-pressure of full flow, C the pile-up (a² -> C r_eff alpha).  Unloading is Hertz with another
-curvature, from the largest approach down to the dent.
+A contact is elastic up to the onset, the approach alpha_y at which the peak Hertz pressure is
+`onset` (p_y).  Beyond it the force departs smoothly from Hertz and its slope tends to pi r_eff C H,
+with the hardness H and the pile-up factor C (a² -> C r_eff alpha).  Unloading follows Hertz with
+another curvature, from the largest approach down to the residual indentation.
 
-Every function is elementwise on arrays in SI or in the scaled numbers of the face: z =
+Every function is elementwise on arrays in SI or in scaled numbers of the contact: z =
 alpha/alpha_y, L = P/P_y, A = a²/(r_eff alpha_y).  Numbering (C...) of docs/theory.md.  With s =
 sqrt(z) - 1 the force is written as
 
@@ -30,17 +30,16 @@ from uqsphere.mechanics.roots import newton
 #: 0.3^40/40 < 1e-22
 _TERMS: Final = 40
 _NEAR: Final = 0.3
-#: mean pressure over yield strength of a metal that flows fully (Jackson and Green 2005)
+#: hardness over yield strength of a metal (Jackson and Green 2005)
 FLOW: Final = 2.84
-#: pile-up C of a perfectly plastic body (Jackson and Green 2005), and of a cap cut off flat: a² = 2
-#: r alpha
+#: pile-up factor of a perfectly plastic body (Jackson and Green 2005), and of a flat cap: a² = 2 r
+#: alpha
 METAL_PILE_UP: Final = 8.0 / 3.0
 CAP_PILE_UP: Final = 2.0
 
 
 def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
-    """Centre pressure p_y [Pa] at which a metal begins to yield under a sphere: 1.295 exp(0.736 nu)
-    Y.
+    """Onset pressure p_y [Pa] of a metal under a sphere: 1.295 exp(0.736 nu) Y.
 
     Source: Jackson and Green, J. Tribol. 127 (2005) 343, von Mises along the axis; 1.61 Y at nu =
     0.3.
@@ -52,9 +51,7 @@ def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
 
 
 class Body(NamedTuple):
-    """What one body of a face has of the law: onset p_y [Pa] (infinite: elastic), hardness H [Pa],
-    pile-up C; (n,).
-    """
+    """Contact parameters of a body, (n,): onset p_y [Pa] (inf: elastic), hardness [Pa], pile-up."""
 
     onset: Array
     hardness: Array
@@ -62,22 +59,17 @@ class Body(NamedTuple):
 
 
 def metal_body(yield_strength: Array, nu: Array) -> Body:
-    """A metal by its yield strength [Pa] and Poisson ratio; a strength that is not a number is
-    none.
-    """
+    """A metal by its yield strength [Pa] and Poisson ratio; elastic where the strength is NaN."""
     onset = metal_onset(yield_strength, nu)
-    known = np.isfinite(onset)
     return Body(
-        np.where(known, onset, np.inf),
+        np.where(np.isfinite(onset), onset, np.inf),
         FLOW * np.asarray(yield_strength),
         np.full(np.shape(onset), METAL_PILE_UP),
     )
 
 
 def softer(one: Body, other: Body) -> Body:
-    """Of two bodies that meet the one whose onset is lower, row by row: all three numbers are its
-    own.
-    """
+    """The parameters of the body with the lower onset, row by row."""
     first = one.onset <= other.onset
     onset, hardness, pile_up = (np.where(first, a, b) for a, b in zip(one, other, strict=True))
     return Body(onset, hardness, pile_up)
@@ -101,11 +93,11 @@ def _bend(t: Array, moment: int = 0) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Press:
-    """What a face has taken at its largest approach; arrays of n rows in SI.
+    """State of a contact at its largest approach, (n,) each in SI.
 
-    `approach` and `force` at the largest approach, `radius` of the contact, `mean` and `centre`
-    pressure there, `dent` that stays, `stored` elastic energy, `plastic` work, and `depth` z =
-    alpha/alpha_y (below 1: elastic).
+    depth: z = alpha/alpha_y (below 1: elastic).  approach, force, radius: at the largest approach.
+    mean, centre: pressures there.  dent: residual indentation.  stored: elastic energy.  plastic:
+    plastic work.
     """
 
     depth: Array
@@ -121,8 +113,7 @@ class Press:
 
 @dataclass(frozen=True, kw_only=True)
 class Face:
-    """The law of n faces: onset p_y, hardness H >= p_y [Pa], pile-up C (1 to 3), E* [Pa] and r_eff
-    [m]; each (n,).
+    """Contact law of n rows: onset p_y, hardness H >= p_y [Pa], pile-up C (1 to 3), E*, r_eff [m].
 
     Source: docs/theory.md (C2) to (C13); b = 0 and C = 1 is Thornton, J. Appl. Mech. 64 (1997) 383,
     with p_y = H.
@@ -135,7 +126,7 @@ class Face:
     effective_radius: Array
 
     def at(self, rows: int | Places) -> Face:
-        """The law of some rows, (1,) each of one."""
+        """The law of some rows."""
         picked = np.atleast_1d(rows)
         return Face(**{name: getattr(self, name)[picked] for name in self.__dataclass_fields__})
 
@@ -146,9 +137,10 @@ class Face:
 
     @property
     def valid(self) -> Flags:
-        """Rows whose numbers make a law: no b between 0 and 0.2, where it has a singularity near
-        onset, and none above 100, where the face is Hertz's but for rounding.  One whose onset is
-        infinite is elastic, and valid."""
+        """Rows with valid parameters: b = 0, or 0.2 <= b <= 100; or elastic, with infinite onset.
+
+        Between 0 and 0.2 the law has a singularity near onset; above 100 it is Hertz's to rounding.
+        """
         elastic = np.isinf(self.onset)
         with np.errstate(invalid="ignore"):
             b = np.where(elastic, 1.0, self.softening)
@@ -157,7 +149,7 @@ class Face:
 
     @property
     def own(self) -> Flags:
-        """Rows whose force is not Hertz's for ever."""
+        """Rows that can yield."""
         return np.isfinite(self.onset)
 
     @property
@@ -175,7 +167,7 @@ class Face:
         )
 
     def force(self, depth: Array) -> Array:
-        """L = P/P_y at z on virgin loading, (C5); Hertz below onset."""
+        """L = P/P_y at z on first loading, (C5); Hertz below onset."""
         s, b = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening
         with np.errstate(divide="ignore", invalid="ignore"):
             rest = np.where(b > 0.0, b * b * (b - 1.0) * _bend(s / b), -0.5 * s * s)
@@ -183,14 +175,14 @@ class Face:
         return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0) ** 1.5)
 
     def slope(self, depth: Array) -> Array:
-        """dL/dz on virgin loading, (C4)."""
+        """dL/dz on first loading, (C4)."""
         y, b = np.sqrt(np.maximum(depth, 1.0)), self.softening
         with np.errstate(divide="ignore", invalid="ignore"):
             beyond = np.where(b > 0.0, 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0), 1.5)
         return np.where(depth > 1.0, beyond, 1.5 * np.sqrt(np.maximum(depth, 0.0)))
 
     def area(self, depth: Array) -> Array:
-        """A = a²/(r_eff alpha_y) at z on virgin loading, (C6)."""
+        """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
         s, b, c = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening, self.pile_up
         with np.errstate(divide="ignore", invalid="ignore"):
             g = np.where(c > 1.0, np.minimum(5.0, c * b * b / ((c - 1.0) * (1.0 + b))), 5.0)
@@ -216,37 +208,33 @@ class Face:
         return np.where(depth > 1.0, beyond, 0.4 * np.maximum(depth, 0.0) ** 2.5)
 
     def depth_at(self, force: Array) -> Array:
-        """z at which virgin loading has the force P [N]."""
+        """z at which first loading reaches the force P [N]."""
         ratio = np.maximum(force, 0.0) / self.onset_force
-        # the law of b = 0 is the softest: its depth is the largest, and L is convex
+        # b = 0 is the softest law, with the largest depth; L is convex
         start, beyond = 1.0 + (np.maximum(ratio, 1.0) - 1.0) / 1.5, np.maximum(ratio, 1.0)
         depth = newton(lambda z: (self.force(z) - beyond) / self.slope(z), start, 1.0)
         return np.where(ratio > 1.0, depth, np.cbrt(np.square(ratio)))
 
     def depth_of_work(self, work: Array) -> Array:
-        """z at which virgin loading has taken a work over P_y alpha_y."""
-        # the softest law, b = 0, goes deepest: 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so
-        # Newton comes from above
+        """z at which the work of first loading is `work` P_y alpha_y."""
+        # b = 0 goes deepest, W = 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so that Newton's
+        # method converges from above
         start = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (work - 0.4), 1.0)) - 1.0) / 1.5
         depth = newton(lambda z: (self.work(z) - np.maximum(work, 0.4)) / self.force(z), start, 1.0)
         return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
 
     def recovery(self, depth: Array) -> Array:
-        """alpha_e/alpha_y: the approach that unloading from z gives back, (C8)."""
+        """alpha_e/alpha_y: the approach recovered by unloading from z, (C8)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(
                 depth > 1.0, self.force(depth) / np.sqrt(self.area(depth)), np.maximum(depth, 0.0)
             )
 
     def pressed(self, depth: Array) -> Press:
-        """The state of the face whose largest approach so far is z alpha_y."""
+        """The state of the contact at the largest approach z alpha_y."""
         force, area, recovered = self.force(depth), self.area(depth), self.recovery(depth)
-        alpha_y, force_y, p_y, hardness = (
-            self.onset_approach,
-            self.onset_force,
-            self.onset,
-            self.hardness,
-        )
+        alpha_y, force_y = self.onset_approach, self.onset_force
+        p_y, hardness = self.onset, self.hardness
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
             beyond = hardness - (hardness - mean) * (hardness - p_y) / (
@@ -266,9 +254,6 @@ class Face:
         )
 
     def restitution(self, depth: Array) -> Array:
-        """Speed after over speed before a blow on a rigid wall that presses to z:
-        sqrt(recovered/work).
-        """
-        return np.asarray(
-            np.sqrt(0.4 * self.force(depth) * self.recovery(depth) / self.work(depth))
-        )
+        """Coefficient of restitution of an impact to the depth z, without waves."""
+        recovered = 0.4 * self.force(depth) * self.recovery(depth)
+        return np.asarray(np.sqrt(recovered / self.work(depth)))
