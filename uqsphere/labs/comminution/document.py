@@ -192,8 +192,12 @@ class ProductTable(Section):
 
 
 class ComminutionDocument(Section):
-    """An input file of `uqsphere comminution fit` and `feed`; `strength_at`: diameter of the draws
-    of a strength.
+    """An input file of `uqsphere comminution fit` and `feed`.
+
+    strength_at : diameter of the particles whose strength is written as draws (default: the middle
+        of the tested sizes).
+    contact_law : of the shares of offered energies (default: that of a study).
+    draws : number of draws.
     """
 
     title: str = ""
@@ -203,4 +207,5 @@ class ComminutionDocument(Section):
     feed: FeedTable | None = None
     product: ProductTable | None = None
     strength_at: Length | None = None
+    contact_law: Literal["hertz", "plastic"] | None = None
     draws: int = Field(default=4000, ge=200, le=20000)

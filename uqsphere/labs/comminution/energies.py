@@ -9,11 +9,12 @@ elastically.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array
 from uqsphere.errors import UqsphereError, UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
@@ -67,8 +68,12 @@ def particle_energies(
     shares: Array = np.full(len(energy), share)
     if meaning == "input":
         known = np.isfinite(energy) & (energy > 0.0) & (diameter > 0.0)
-        shares[known] = _offered_shares(asked, energy[known], diameter[known], rig[known], notes)
-        shares = np.where(np.isfinite(shares), shares, share)
+        weight = np.asarray(rig == "drop_weight")
+        for rows, falling in ((known & weight, True), (known & ~weight, False)):
+            if rows.any():
+                contact = Contact.of(asked, want.partner, falling)
+                shares[rows], told = contact.shares(energy[rows], diameter[rows])
+                notes += told
     return energy * shares, notes
 
 
@@ -98,63 +103,70 @@ def _moduli(asked: ComminutionDocument, table: Table, count: int, notes: list[st
     return np.full(count, 1.0 / compliance)
 
 
-def _offered_shares(
-    asked: ComminutionDocument, energy: Array, diameter: Array, rig: Array | Flags, notes: list[str]
-) -> Array:
-    """Shares of offered energies [J/kg] that particles take in the impact model, NaN without one.
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """A particle and what it hits, or is hit by.
 
-    A falling weight meets the particle on an anvil of the same material, a throw or a fall ends at
-    a thick target.
+    falling : whether a weight falls on it on an anvil, both of the partner's material; else it hits
+        a thick target.
+    law : of the contacts, None for that of a study.
     """
-    shares = np.full(len(energy), np.nan)
-    weight = np.asarray(rig == "drop_weight")
-    for rows, falling in ((weight, True), (~weight, False)):
-        if rows.any():
-            shares[rows] = _shares_in(asked, energy[rows], diameter[rows], falling, notes)
-    return shares
 
+    particle: Elastic
+    partner: Elastic
+    falling: bool
+    law: str | None
 
-def _shares_in(
-    asked: ComminutionDocument, energy: Array, diameter: Array, falling: bool, notes: list[str]
-) -> Array:
-    import uqsphere
+    @classmethod
+    def of(cls, asked: ComminutionDocument, partner: Elastic, falling: bool) -> Contact:
+        """The contact of the particles of an input file."""
+        return cls(particle=asked.material, partner=partner, falling=falling, law=asked.contact_law)
 
-    partner = asked.tests.partner
-    assert partner is not None
-    bodies = (asked.material, partner)
-    if any(body.density is None for body in bodies):
-        return np.full(len(energy), np.nan)
-    sphere, other = _table(asked.material, "sphere"), _table(partner, "plates", "bars")
-    radius, quantities = 0.5 * diameter, ("specific_energy_sphere", "specific_impact_energy")
-    sphere["radius"] = f"{float(radius.mean())!r} m"
-    tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
-    rows = {"sphere.radius": radius}
-    if falling:
-        mass = _HEAVY * float(laws.mass_of(diameter, asked.material.density or 0.0).max())
-        hammer = {"mass": f"{mass!r} kg", "drop_height": "1 m", "face_radius": "flat"}
-        tables |= {
-            "rig": {"kind": "drop_weight"},
-            "hammer": {**hammer, **other},
-            "anvil": {"kind": "thick", **other},
-        }
-        offered = energy * laws.mass_of(diameter, asked.material.density or 0.0)
-        rows["hammer.drop_height"] = offered / (mass * _GRAVITY)
-    else:
-        tables |= {
-            "rig": {"kind": "impact", "speed": "1 m/s"},
-            "target": {"kind": "thick", **other},
-        }
-        rows["rig.speed"] = np.sqrt(2.0 * energy)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            answers = uqsphere.evaluate(uqsphere.Study(**tables), rows, quantities=quantities)
-        except UqsphereError as error:
-            notes.append(f"the share of the energy is that of elastic contacts: {error}")
-            return np.full(len(energy), np.nan)
-    notes += dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)
-    stored, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
-    return np.asarray(stored / whole)
+    def shares(self, energy: Array, diameter: Array) -> tuple[Array, list[str]]:
+        """Shares (n,) of offered energies [J/kg] that particles of diameters [m] take, and notes.
+
+        Rows that the impact model cannot compute have the share of elastic contacts.
+        """
+        import uqsphere
+
+        elastic = laws.particle_share(stiffness(self.particle), stiffness(self.partner))
+        if self.particle.density is None or self.partner.density is None:
+            return np.full(len(energy), elastic), []
+        tables, rows = self._scene(energy, diameter)
+        quantities = ("specific_energy_sphere", "specific_impact_energy")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                answers = uqsphere.evaluate(uqsphere.Study(**tables), rows, quantities=quantities)
+            except UqsphereError as error:
+                note = f"the shares of the energy are those of elastic contacts: {error}"
+                return np.full(len(energy), elastic), [note]
+        notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
+        taken, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
+        share = taken / whole
+        return np.where(np.isfinite(share), share, elastic), notes
+
+    def _scene(self, energy: Array, diameter: Array) -> tuple[dict[str, Any], dict[str, Array]]:
+        """The tables of a study, and its rows."""
+        mass = laws.mass_of(diameter, self.particle.density or 0.0)
+        sphere, other = _table(self.particle, "sphere"), _table(self.partner, "plates", "bars")
+        sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
+        tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
+        if self.law is not None:
+            tables["contact"] = {"law": self.law}
+        rows = {"sphere.radius": 0.5 * diameter}
+        if self.falling:
+            weight = _HEAVY * float(mass.max())
+            hammer = {"mass": f"{weight!r} kg", "drop_height": "1 m", "face_radius": "flat"}
+            tables["rig"] = {"kind": "drop_weight"}
+            tables["hammer"] = {**hammer, **other}
+            tables["anvil"] = {"kind": "thick", **other}
+            rows["hammer.drop_height"] = energy * mass / (weight * _GRAVITY)
+        else:
+            tables["rig"] = {"kind": "impact", "speed": "1 m/s"}
+            tables["target"] = {"kind": "thick", **other}
+            rows["rig.speed"] = np.sqrt(2.0 * energy)
+        return tables, rows
 
 
 def _table(body: Elastic, *kinds: str) -> dict[str, Any]:

@@ -1,13 +1,13 @@
-"""A feed under blows: shares broken by size and blow, product, energy, each over the draws of a
-posterior.
+"""A feed under blows: shares broken by size and blow, product and energy over the draws of a fit.
 
-Of n equal blows those particles break whose first fracture energy is at most u_n E.  What the tests
-leave open (the draws) and the scatter of a lot stand apart.
+Of n equal blows those particles break whose first fracture energy is at most u_n E.  The epistemic
+uncertainty of the tests (the draws) and the scatter of a lot are separate.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,13 +24,13 @@ from uqsphere.labs.comminution.document import (
     ProductTable,
     SizesTable,
 )
-from uqsphere.labs.comminution.energies import stiffness
+from uqsphere.labs.comminution.energies import Contact
 from uqsphere.labs.comminution.fit import UNTESTED, Posterior, quantiles
-from uqsphere.tables import read_table
+from uqsphere.tables import Table, read_table
 
-#: draws that a feed is computed for
+#: draws for which a feed is computed
 DRAWS: Final = 1000
-#: mass of a sieve table that may be cut without a refusal
+#: largest share of mass above the coarsest sieve that is cut without a refusal
 _CUT: Final = 0.05
 #: specific energies [J/kg] and sizes [m] of the drop-weight tests behind A and b
 _OFFERED, _DROPPED = (360.0, 9000.0), (0.0132, 0.063)
@@ -38,10 +38,10 @@ _OFFERED, _DROPPED = (360.0, 9000.0), (0.0132, 0.063)
 
 @dataclass(frozen=True, kw_only=True)
 class Classes:
-    """Size classes from coarse to fine, the last one all that is below the last sieve; mass (K,)
-    sums to 1.
+    """Size classes from coarse to fine; the last one is all below the last sieve.
 
-    edges (K,) : upper ends [m]; the lower end of one is the upper end of the next.
+    edges (K,) : upper ends [m]; the lower end of a class is the upper end of the next.
+    mass (K,) : shares of mass, with the sum 1.
     """
 
     edges: Array
@@ -50,33 +50,24 @@ class Classes:
 
     @property
     def sizes(self) -> Array:
-        """Representative diameters (K,): geometric means; of the last class half its upper end,
-        times sqrt 2.
-        """
+        """Representative diameters (K,) [m]: geometric means; the last class ends at half its
+        edge."""
         lower = np.append(self.edges[1:], 0.5 * self.edges[-1])
         return np.asarray(np.sqrt(self.edges * lower))
 
 
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
-    """The classes of a feed; UsageError for a sieve table that leaves out more than 5 % of the
-    mass.
-    """
-    from scipy.special import ndtr
-
+    """The classes of a feed; UsageError for a sieve table without more than 5 % of the mass."""
     notes: list[str] = []
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
     else:
-        v, top = asked.model_dump(), asked.top or math.inf
-        passing = {
-            "rosin_rammler": lambda x: -np.expm1(-((x / v["d63"]) ** v["n"])),
-            "gaudin_schuhmann": lambda x: (x / top) ** v["n"],
-            "lognormal": lambda x: ndtr(np.log(x / v["d50"]) / v["sd"]),
-        }[asked.law]
-        if (cut := 1.0 - float(passing(top))) > 1e-6:
+        passing, top = _law(asked), asked.top or math.inf
+        cut = 1.0 - float(passing(np.asarray(top)))
+        if cut > 1e-6:
             notes.append(
-                f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm, is cut, and "
-                "the rest scaled"
+                f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm: it is cut and "
+                "the rest is scaled"
             )
     edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
     share = np.clip(passing(edges), 0.0, None)
@@ -84,72 +75,90 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
     return Classes(edges=edges, mass=mass, notes=tuple(notes))
 
 
-def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Any, float]:
-    """Passing as a function of the size, log-linear between sieves, and the top size."""
-    column, table = str(asked.passing), read_table(folder / str(asked.file))
-    sieve, given = (
-        table.numbers(str(asked.sieve), "length", asked.sieve_unit or None),
-        table.numbers(column),
-    )
+def _law(asked: SizesTable) -> Callable[[Array], Array]:
+    """Passing as a function of the size [m]."""
+    from scipy.special import ndtr
+
+    numbers, top = asked.model_dump(), asked.top or math.inf
+    if asked.law == "rosin_rammler":
+        return lambda size: -np.expm1(-((size / numbers["d63"]) ** numbers["n"]))
+    if asked.law == "gaudin_schuhmann":
+        return lambda size: np.asarray((size / top) ** numbers["n"])
+    return lambda size: np.asarray(ndtr(np.log(size / numbers["d50"]) / numbers["sd"]))
+
+
+def _sieves(
+    asked: SizesTable, folder: Path, notes: list[str]
+) -> tuple[Callable[[Array], Array], float]:
+    """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
+    table = read_table(folder / str(asked.file))
+    sieve = table.numbers(str(asked.sieve), "length", asked.sieve_unit or None)
+    passing = table.numbers(str(asked.passing))
     table.finish()
-    heading = table.headings[table.place(column)].lower()
-    percent = "%" in heading or "percent" in heading or "pct" in heading
     order = np.argsort(sieve)
-    sieve, given = sieve[order], given[order]
-    largest = float(given[-1])
+    sieve, share = sieve[order], _as_shares(table, str(asked.passing), passing[order], notes)
+    rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
+    if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
+        raise UsageError(
+            f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
+            "up to 100 %"
+        )
+    left, top = 1.0 - float(share[-1]), float(sieve[-1])
+    if asked.top is not None:
+        top = asked.top
+    if top > sieve[-1] * (1.0 + 1e-9):
+        sieve, share = np.append(sieve, top), np.append(share, 1.0)
+        if left > 1e-4:
+            notes.append(
+                f"{left:.3g} of the mass is between the coarsest sieve and top: it is interpolated"
+            )
+    elif left > _CUT:
+        raise UsageError(
+            f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has "
+            "no size; add top, the size that all passes"
+        )
+    elif left > 1e-4:
+        notes.append(
+            f"{left:.2g} of the mass is coarser than the coarsest sieve: it is cut and the rest is "
+            "scaled"
+        )
+    log_sieve = np.log(sieve)
+    # below the finest sieve the share goes with a power of the size, that of the first two sieves
+    power = 1.0
+    if len(share) > 1 and share[1] > share[0] > 0.0:
+        power = math.log(share[1] / share[0]) / (log_sieve[1] - log_sieve[0])
+
+    def passes(size: Array) -> Array:
+        log_size = np.log(np.asarray(size))
+        below = share[0] * np.exp(power * (log_size - log_sieve[0]))
+        inside = np.interp(log_size, log_sieve, share)
+        return np.where(log_size < log_sieve[0], below, inside)
+
+    return passes, top
+
+
+def _as_shares(table: Table, column: str, passing: Array, notes: list[str]) -> Array:
+    """Passing as shares; a heading says whether it is in percent."""
+    heading = table.headings[table.place(column)].lower()
+    percent = any(word in heading for word in ("%", "percent", "pct"))
+    largest = float(passing[-1])
     if percent and largest <= 1.0:
         raise UsageError(
-            f"{table.name}: {column!r} is headed as percent and reaches {largest:.4g}: are these "
-            "shares? "
-            "Head them so, without percent"
+            f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
+            "these are shares, remove percent from the heading"
         )
     if not percent and largest > 1.0:
         percent = True
         notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
-    share = given * (0.01 if percent else 1.0)
-    rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
-    if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
-        raise UsageError(
-            f"{table.name}: sieves must differ, and what passes must rise with them up to 100 %"
-        )
-    left = 1.0 - float(share[-1])
-    top = asked.top if asked.top is not None else float(sieve[-1])
-    if asked.top is not None and asked.top > sieve[-1] * (1.0 + 1e-9):
-        sieve, share = np.append(sieve, asked.top), np.append(share, 1.0)
-        if left > 1e-4:
-            notes.append(
-                f"{left:.3g} of the mass lies between the coarsest sieve and top, where all "
-                "passes: by a line"
-            )
-    elif left > _CUT:
-        raise UsageError(
-            f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed "
-            "has no size; add "
-            "top, the size that all passes"
-        )
-    elif left > 1e-4:
-        notes.append(
-            f"{left:.2g} of the mass is coarser than the coarsest sieve, is cut, and the rest "
-            "scaled"
-        )
-    x, y = np.log(sieve), share
+    return passing * 0.01 if percent else passing
 
-    def passing(size: Array) -> Array:
-        # below the finest sieve a straight line in logarithms to nothing, by its own slope
-        slope = (
-            (math.log(y[1]) - math.log(y[0])) / (x[1] - x[0])
-            if len(y) > 1 and y[0] > 0.0 and y[1] > y[0]
-            else 1.0
-        )
-        low = np.log(np.asarray(size))
-        return np.where(low < x[0], y[0] * np.exp(slope * (low - x[0])), np.interp(low, x, y))
 
-    return passing, top
+# --- blows ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What becomes of a feed; (D, ...) over draws, and `content` as plain JSON."""
+    """A feed after its blows, (D, ...) over draws, and `content` as plain JSON."""
 
     classes: Classes
     broken: Array
@@ -157,6 +166,35 @@ class Answer:
     sieves: Array
     passing: Array
     content: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Struck:
+    """Mass (D, K) of each class over all blows, and cumulative shares broken (D, K, n + 1).
+
+    struck : once for every blow; broke : that broke; whole : left whole at the end.
+    offered, taken : energy of a blow per mass (K,) [J/kg], offered and taken up by a particle.
+    """
+
+    cumulative: Array
+    struck: Array
+    broke: Array
+    whole: Array
+    offered: Array
+    taken: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Product:
+    """Sieves (S,) [m], passing (D, S) after the blows, and of the feed (S,).
+
+    fineness : t10 of each class (K,).
+    """
+
+    sieves: Array
+    passing: Array
+    feed: Array
+    fineness: Array
 
 
 def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
@@ -170,8 +208,7 @@ def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
 
 def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
     """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,)
-    [J/kg].
-    """
+    [J/kg]."""
     u = laws.thresholds(posterior.parameters["gamma"], blows)
     each = [posterior.broken(energy * u[:, k, None], sizes) for k in range(1, blows + 1)]
     return np.stack([np.zeros((len(posterior), len(sizes))), *each], axis=2)
@@ -180,142 +217,63 @@ def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int
 def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> Answer:
     """Broken shares, product and energy of the feed of an input file.
 
-    Raises UsageError where [feed] is missing or cannot be.
+    Raises UsageError for a missing or impossible [feed].
     """
-    feed, product, own = asked.feed, asked.product, asked.material
+    feed, density = asked.feed, asked.material.density
     if feed is None:
-        raise UsageError("the input file has no [feed]")
-    if feed.rebreak and product is None:
+        raise UsageError("the input file has no table [feed]")
+    if feed.rebreak and asked.product is None:
         raise UsageError("feed.rebreak needs the sizes of fragments: add [product]")
-    if own.density is None:
+    if density is None:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
     posterior, rng = posterior.thin(DRAWS), np.random.default_rng([asked.seed, 739])
-    draws, sizes, mass = len(posterior), classes.sizes, classes.mass
-    given = offered(feed, sizes, own.density)
-    share, warnings = 1.0, list(classes.notes)
+    sizes, mass = classes.sizes, classes.mass
+    energy, share, notes = offered(feed, sizes, density), np.ones(len(sizes)), list[str]()
     if feed.impact_surface is not None:
-        share = laws.particle_share(stiffness(own), stiffness(feed.impact_surface))
-    taken = given * share
-    cumulative = broken_by_blow(posterior, taken, sizes, feed.blows)
+        share, notes = Contact.of(asked, feed.impact_surface, False).shares(energy, sizes)
+    cumulative = broken_by_blow(posterior, energy * share, sizes, feed.blows)
     if feed.undersize == "stays":
         cumulative[:, -1] = 0.0
-    broken = cumulative[:, :, -1]
-    total = broken @ mass
-    hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
-    sieves = np.unique(
-        np.concatenate(
-            [classes.edges, classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)]
-        )
+    sieves = _product_sieves(feed, classes)
+    curves = None
+    if asked.product is not None:
+        curves = _curves(asked.product, energy, (sizes, sieves), len(posterior), rng)
+    struck, broke, whole = population(cumulative, mass, _spread(feed, classes, sieves, curves))
+    blows = _Struck(
+        cumulative=cumulative,
+        struck=struck,
+        broke=broke,
+        whole=whole,
+        offered=energy,
+        taken=energy * share,
     )
-    lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
-    # whole particles of a class lie evenly in the logarithm between its ends; below the last sieve
-    # in proportion
-    whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
-    whole[:, -1] = np.clip(sieves / classes.edges[-1], 0.0, 1.0)
-    before = whole @ mass
-    passing, spread = np.full((draws, len(sieves)), np.nan), None
-    if product is not None:
-        fine = laws.t10(given, product.A, product.b)
-        curves = _curves(product, fine, sizes, sieves, draws, rng)
-        if feed.rebreak:
-            finer = curves[:, np.searchsorted(sieves, classes.edges)]
-            finer[:, 0] = 1.0
-            spread = -np.diff(finer, axis=1, append=0.0)
-    struck, weight, left = population(cumulative, mass, spread)
-    numbers: dict[str, Array] = {
-        "broken": total,
-        "blows": struck @ hit,
-        "energy [J/kg]": struck @ (hit * taken),
-    }
-    if product is not None:
-        fragments = 0.0 if feed.rebreak else (curves * weight[:, None]).sum(axis=2)
-        passing = np.minimum(np.maximum.accumulate(left @ whole.T + fragments, axis=1), 1.0)
-        numbers["t10"] = (weight * fine).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
-        numbers |= {f"P{round(100 * p)} [m]": _size_at(p, sieves, passing) for p in (0.8, 0.5)}
-        numbers["F80/P80"] = _size_at(0.8, sieves, before[None])[0] / numbers["P80 [m]"]
-        if feed.fines is not None:
-            numbers["fines"] = np.array(
-                [np.interp(math.log(feed.fines), np.log(sieves), row) for row in passing]
-            )
-        outside = (
-            (given < _OFFERED[0])
-            | (given > _OFFERED[1])
-            | (sizes < _DROPPED[0])
-            | (sizes > _DROPPED[1])
-        )
-        beyond = float(
-            (weight.mean(axis=0) * outside).sum() / max(weight.mean(axis=0).sum(), 1e-300)
-        )
-        if beyond > 0.01:
-            warnings.append(
-                f"{beyond:.0%} of what breaks lies beyond the drop-weight tests behind A and b "
-                "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
-            )
-    low, high = posterior.tested
-    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
-    if float(mass[untested].sum()) > 0.005:
-        warnings.append(
-            f"{mass[untested].sum():.0%} of the feed lies beyond the tested {low * 1e3:.3g} to "
-            f"{high * 1e3:.3g} mm: extrapolated"
-        )
-    if (
-        feed.blows > 1
-        and not any("gamma" in model.names for model in posterior.models)
-        and asked.tests.gamma == "fit"
-    ):
-        warnings.append("no test was repeated: gamma of the damage has its prior, 2.0 to 7.9")
-    warnings.append("energies are those of the particles; the machine takes more")
-    content: dict[str, Any] = {
-        "title": asked.title,
-        "blows": feed.blows,
-        "energy_offered": given.tolist(),
-        "particle_share": share,
-        "numbers": {name: quantiles(v) for name, v in numbers.items()},
-        "classes": [
-            {
-                "upper": float(classes.edges[k]),
-                "size": float(sizes[k]),
-                "mass": float(mass[k]),
-                "broken": quantiles(broken[:, k]),
-                "by_blow": cumulative[:, k, 1:].mean(axis=0).tolist(),
-                "extrapolated": bool(untested[k]),
-            }
-            for k in range(len(mass))
-        ],
-        "product": [
-            {"sieve": float(s), "feed": float(before[k]), **quantiles(passing[:, k])}
-            for k, s in enumerate(sieves)
-        ]
-        if product is not None
-        else [],
-    }
-    content["numbers"]["never broken"] = quantiles(1.0 - total)
+    product = _product(asked, classes, blows, sieves, curves)
+    broken = cumulative[:, :, -1]
+    content = _content(asked, posterior, classes, blows, product)
+    content["particle_share"] = share.tolist()
+    content["warnings"] += notes
     if feed.lot is not None:
-        count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, own.density)), 0.0)
-        lots = _lots(broken, mass, count, rng)
-        content["lot"] = {
-            "mass": feed.lot,
-            "broken": quantiles(lots),
-            "epistemic_sd": float(total.std()),
-            "lot_sd": float(math.sqrt(max(float(lots.var() - total.var()), 0.0))),
-        }
-    if asked.tests.synthetic:
-        warnings.insert(0, "the tests are synthetic data: no number here is of a rock")
-    content["warnings"] = warnings
+        count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, density)), 0.0)
+        content["lot"] = {"mass": feed.lot, **_lot(broken, mass, count, rng)}
     return Answer(
-        classes=classes, broken=broken, total=total, sieves=sieves, passing=passing, content=content
+        classes=classes,
+        broken=broken,
+        total=broken @ mass,
+        sieves=sieves,
+        passing=product.passing,
+        content=content,
     )
 
 
 def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:
-    """Mass of each class (D, K) over all blows: struck, once for every blow; broken; and what is
-    left whole at the end.
+    """Mass of each class (D, K) over all blows: struck, once for every blow; broken; and left whole
+    at the end.
 
     cumulative (D, K, n + 1) : share of fresh particles broken after 0 ... n blows; mass (K,) of the
-    feed.
+        feed.
     spread (D or 1, K, K) : share of the fragments of class k that are of class j, at [:, j, k].
-    Fragments are fresh particles that the blows left strike; None: they leave the machine.
+        Fragments are fresh particles for the remaining blows; with None they leave the machine.
     """
     rest, breaks = 1.0 - cumulative, np.diff(cumulative, axis=2)
     blows, fresh = breaks.shape[2], [np.broadcast_to(mass, cumulative.shape[:2])]
@@ -330,21 +288,65 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
     return struck, broken, left
 
 
+# --- the product ----------------------------------------------------------------------------------
+
+
+def _product_sieves(feed: FeedTable, classes: Classes) -> Array:
+    """The edges of the classes and fourteen finer sieves (S,) [m]."""
+    finer = classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)
+    return np.unique(np.concatenate([classes.edges, finer]))
+
+
 def _curves(
     product: ProductTable,
-    fine: Array,
-    sizes: Array,
-    sieves: Array,
+    energy: Array,
+    sizes_and_sieves: tuple[Array, Array],
     draws: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Share of the fragments of a class that passes a sieve, (D or 1, S, K), by t_n."""
-    alpha = (
-        np.full(1, product.alpha)
-        if not isinstance(product.alpha, Lognormal)
-        else np.exp(product.alpha.log_mean + product.alpha.log_sd * rng.standard_normal(draws))
-    )
-    return laws.t_n((sizes / sieves[:, None])[None], fine, product.curve, alpha[:, None, None])
+    """Share of the fragments of a class that passes a sieve, (D or 1, S, K), from t_n."""
+    sizes, sieves = sizes_and_sieves
+    if isinstance(product.alpha, Lognormal):
+        scatter = product.alpha.log_sd * rng.standard_normal(draws)
+        alpha = np.exp(product.alpha.log_mean + scatter)
+    else:
+        alpha = np.full(1, product.alpha)
+    fine = laws.t10(energy, product.A, product.b)
+    ratio = (sizes / sieves[:, None])[None]
+    return laws.t_n(ratio, fine, product.curve, alpha[:, None, None])
+
+
+def _spread(feed: FeedTable, classes: Classes, sieves: Array, curves: Array | None) -> Array | None:
+    """Share of the fragments of class k that are of class j, (D or 1, K, K); None where they leave
+    the machine."""
+    if curves is None or not feed.rebreak:
+        return None
+    finer = curves[:, np.searchsorted(sieves, classes.edges)]
+    finer[:, 0] = 1.0
+    return -np.diff(finer, axis=1, append=0.0)
+
+
+def _product(
+    asked: ComminutionDocument,
+    classes: Classes,
+    blows: _Struck,
+    sieves: Array,
+    curves: Array | None,
+) -> _Product:
+    """The product: whole particles, and fragments where [product] gives their sizes."""
+    lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
+    # whole particles are uniform in the logarithm within a class, below the last sieve uniform
+    whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
+    whole[:, -1] = np.clip(sieves / classes.edges[-1], 0.0, 1.0)
+    passing = np.full((len(blows.broke), len(sieves)), np.nan)
+    fineness = np.full(len(classes.mass), np.nan)
+    if curves is not None and asked.product is not None and asked.feed is not None:
+        fineness = laws.t10(blows.offered, asked.product.A, asked.product.b)
+        passing = blows.whole @ whole.T
+        if not asked.feed.rebreak:
+            passing = passing + (curves * blows.broke[:, None]).sum(axis=2)
+        passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
+    return _Product(sieves=sieves, passing=passing, feed=whole @ classes.mass, fineness=fineness)
 
 
 def _size_at(share: float, sieves: Array, passing: Array) -> Array:
@@ -352,12 +354,122 @@ def _size_at(share: float, sieves: Array, passing: Array) -> Array:
     return np.asarray(np.exp([np.interp(share, row, np.log(sieves)) for row in passing]))
 
 
-def _lots(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> Array:
-    """Broken share of a lot for every draw: each class has so many particles, which break or
-    not.
-    """
+# --- its description ------------------------------------------------------------------------------
+
+
+def _content(
+    asked: ComminutionDocument,
+    posterior: Posterior,
+    classes: Classes,
+    blows: _Struck,
+    product: _Product,
+) -> dict[str, Any]:
+    """A feed after its blows as plain JSON."""
+    feed = asked.feed
+    assert feed is not None
+    low, high = posterior.tested
+    sizes, mass, broken = classes.sizes, classes.mass, blows.cumulative[:, :, -1]
+    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
+    rows = [
+        {
+            "upper": float(classes.edges[k]),
+            "size": float(sizes[k]),
+            "mass": float(mass[k]),
+            "broken": quantiles(broken[:, k]),
+            "by_blow": blows.cumulative[:, k, 1:].mean(axis=0).tolist(),
+            "extrapolated": bool(untested[k]),
+        }
+        for k in range(len(mass))
+    ]
+    passes = []
+    if asked.product is not None:
+        for k, sieve in enumerate(product.sieves.tolist()):
+            share = quantiles(product.passing[:, k])
+            passes.append({"sieve": sieve, "feed": float(product.feed[k]), **share})
+    numbers = _numbers(asked, blows, product, mass)
+    return {
+        "title": asked.title,
+        "blows": feed.blows,
+        "energy_offered": blows.offered.tolist(),
+        "numbers": {name: quantiles(values) for name, values in numbers.items()},
+        "classes": rows,
+        "product": passes,
+        "warnings": _warnings(asked, posterior, classes, blows),
+    }
+
+
+def _numbers(
+    asked: ComminutionDocument, blows: _Struck, product: _Product, mass: Array
+) -> dict[str, Array]:
+    """Single answers (D,) by name."""
+    feed = asked.feed
+    assert feed is not None
+    hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
+    total = blows.cumulative[:, :, -1] @ mass
+    numbers = {
+        "broken": total,
+        "blows": blows.struck @ hit,
+        "energy [J/kg]": blows.struck @ (hit * blows.taken),
+    }
+    if asked.product is not None:
+        broke = np.maximum(blows.broke.sum(axis=1), 1e-300)
+        numbers["t10"] = (blows.broke * product.fineness).sum(axis=1) / broke
+        for share in (0.8, 0.5):
+            name = f"P{round(100 * share)} [m]"
+            numbers[name] = _size_at(share, product.sieves, product.passing)
+        before = _size_at(0.8, product.sieves, product.feed[None])[0]
+        numbers["F80/P80"] = before / numbers["P80 [m]"]
+        if feed.fines is not None:
+            size, log_sieves = math.log(feed.fines), np.log(product.sieves)
+            numbers["fines"] = np.array(
+                [np.interp(size, log_sieves, row) for row in product.passing]
+            )
+    numbers["never broken"] = 1.0 - total
+    return numbers
+
+
+def _warnings(
+    asked: ComminutionDocument, posterior: Posterior, classes: Classes, blows: _Struck
+) -> list[str]:
+    """Where the numbers of a feed are extrapolated or assumed."""
+    feed = asked.feed
+    assert feed is not None
+    low, high = posterior.tested
+    sizes, warnings = classes.sizes, [*classes.notes]
+    if asked.tests.synthetic:
+        warnings.insert(0, "the tests are synthetic data: the numbers describe no real rock")
+    if asked.product is not None:
+        outside = (blows.offered < _OFFERED[0]) | (blows.offered > _OFFERED[1])
+        outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
+        broke = blows.broke.mean(axis=0)
+        beyond = float((broke * outside).sum() / max(broke.sum(), 1e-300))
+        if beyond > 0.01:
+            warnings.append(
+                f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
+                "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
+            )
+    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
+    share = float(classes.mass[untested].sum())
+    if share > 0.005:
+        warnings.append(
+            f"{share:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
+            f"{high * 1e3:.3g} mm): its strength is extrapolated"
+        )
+    fitted = any("gamma" in model.names for model in posterior.models)
+    if feed.blows > 1 and not fitted and asked.tests.gamma == "fit":
+        warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
+    warnings.append("energies are those taken up by the particles; the machine needs more")
+    return warnings
+
+
+def _lot(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> dict[str, Any]:
+    """Broken share of a lot of so many particles of each class, which break or not."""
     few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(broken)
-    drawn[:, few] = (
-        rng.binomial(many[few].astype(np.int64), np.clip(broken[:, few], 0.0, 1.0)) / many[few]
-    )
-    return np.asarray(drawn @ mass)
+    chance = np.clip(broken[:, few], 0.0, 1.0)
+    drawn[:, few] = rng.binomial(many[few].astype(np.int64), chance) / many[few]
+    lots, total = drawn @ mass, broken @ mass
+    return {
+        "broken": quantiles(lots),
+        "epistemic_sd": float(total.std()),
+        "lot_sd": math.sqrt(max(float(lots.var() - total.var()), 0.0)),
+    }
