@@ -24,7 +24,7 @@ from tests.campaigns import options, table
 from uqsphere.mechanics.history import balance_of
 from uqsphere.mechanics.integrator import solve as integrator
 from uqsphere.mechanics.integrator.solve import motions, solve
-from uqsphere.mechanics.outputs import Answers
+from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
@@ -317,7 +317,7 @@ class Comparison:
 _Answer = tuple[Mapping[str, Any], Mapping[str, Any], npt.NDArray[np.bool_]]
 
 
-def _error(name: str, found: Answers, truth: _Answer, tolerance: float) -> Array:
+def _error(name: str, found: SceneAnswers, truth: _Answer, tolerance: float) -> Array:
     """Error of one quantity over the tolerance (n,).
 
     It is relative, but for the force imbalance, a difference of two forces over the largest:
@@ -340,7 +340,7 @@ def _error(name: str, found: Answers, truth: _Answer, tolerance: float) -> Array
 def _compare(
     plan: Sequence[Scene],
     tolerance: float,
-    judge: Callable[[Scene, Answers], _Answer],
+    judge: Callable[[Scene, SceneAnswers], _Answer],
     asked: Collection[str] | None,
 ) -> Comparison:
     """The kernel at `tolerance` against a judge, on every row."""
@@ -405,7 +405,7 @@ def against_itself(
 ) -> Comparison:
     """The kernel at `tolerance` against the kernel at `closer`."""
 
-    def judge(scene: Scene, found: Answers) -> _Answer:
+    def judge(scene: Scene, found: SceneAnswers) -> _Answer:
         truth = solve(scene, tolerance=closer, quantities=quantities)
         return truth.values, truth.censored or {}, answered(truth.status) & answered(found.status)
 
@@ -420,7 +420,7 @@ def against_reference(
     """
     from tests.independent.motion import Reference, Unaffordable, refer
 
-    def judge(scene: Scene, found: Answers) -> _Answer:
+    def judge(scene: Scene, found: SceneAnswers) -> _Answer:
         known: dict[int, Reference] = {}
         for row in np.flatnonzero(scene.status == 0):
             with contextlib.suppress(Unaffordable):

@@ -16,8 +16,7 @@ from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.fracture import first_fractures
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.integrator.solve import solve
-from uqsphere.mechanics.outputs import PATHS, path_of
-from uqsphere.mechanics.outputs import Path as LoadingPath
+from uqsphere.mechanics.outputs import PATHS, LoadingPath, path_of
 from uqsphere.mechanics.scene import Scene
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")

@@ -19,7 +19,7 @@ from uqsphere.mechanics.integrator import events, faces, kernel, searches, step
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.integrator.tracked import LANES
-from uqsphere.mechanics.outputs import Answers
+from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.scene import Scene, answered
 
 SOLVER = 5.0
@@ -38,7 +38,7 @@ def random_scene(count: int, seed: int, **structure: Any) -> Scene:
     return scaled_scene(mu, theta, trips, ends, **structure)
 
 
-def over(answers: Answers, scene: Scene, name: str) -> Any:
+def over(answers: SceneAnswers, scene: Scene, name: str) -> Any:
     """A quantity over its scale."""
     scale = {
         "alpha_max": scene.scales.approach,
@@ -125,7 +125,7 @@ def test_step_pulse_on_infinite_bars() -> None:
 # ---- properties
 
 
-def _same_bits(first: Answers, second: Answers, rows: Any) -> None:
+def _same_bits(first: SceneAnswers, second: SceneAnswers, rows: Any) -> None:
     assert (first.status[rows] == second.status).all()
     assert (first.steps[rows] == second.steps).all()
     for name in first.values:

@@ -17,7 +17,7 @@ from uqsphere.mechanics import closed_form, contact, stress
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.outputs import OUTPUTS, Answers, absent_in, path_of
+from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, absent_in, path_of
 from uqsphere.mechanics.rigs import closing_speed, loss_to_waves
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_validity
@@ -45,7 +45,7 @@ def struck(speed: Any = 3.6, kind: str = "thick", *, law: str = "hertz", **targe
     return scene("impact", numbers, options={"target.kind": kind}, contact_law=law)
 
 
-def solved(given: Scene, *quantities: str, tolerance: float = 1e-8) -> Answers:
+def solved(given: Scene, *quantities: str, tolerance: float = 1e-8) -> SceneAnswers:
     return solve_scene(given, "full", tolerance=tolerance, threads=1, quantities=quantities or None)
 
 

@@ -22,7 +22,7 @@ from tests.campaigns.sweep import (
 )
 from tests.independent.motion import Unaffordable, refer
 from uqsphere.mechanics.integrator.solve import solve
-from uqsphere.mechanics.outputs import Answers
+from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.scene import Scene, answered
 
 #: what both integrators answer in milliseconds
@@ -67,7 +67,7 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
     build it again.
     """
 
-    def spoiled(scene: Scene, **request: object) -> Answers:
+    def spoiled(scene: Scene, **request: object) -> SceneAnswers:
         found = solve(scene, **request)  # type: ignore[arg-type]
         if request["tolerance"] == 1e-6:
             found.values["time_to_first_loss"][-1] *= 1.0 + 1e-5  # type: ignore[index]

@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.arrays import Values
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
 from uqsphere.mechanics.integrator.solve import Motion, motion, solve
-from uqsphere.mechanics.outputs import OUTPUTS, Answers
+from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 from uqsphere.units import UNITS
 
@@ -281,7 +281,7 @@ class _Comparison:
         return values
 
 
-def _number(answers: Answers, quantity: str) -> float | None:
+def _number(answers: SceneAnswers, quantity: str) -> float | None:
     """A quantity of the only row, None if the evaluation window ended before it was decided."""
     if quantity in answers.censored and answers.censored[quantity][0]:
         return None

@@ -23,7 +23,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
-from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
+from uqsphere.mechanics.outputs import SceneAnswers, answers_from, merged_answers
 from uqsphere.mechanics.rigs import LARGEST_LAM, Partner
 from uqsphere.mechanics.roots import newton
 from uqsphere.mechanics.scene import Scene
@@ -195,7 +195,7 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
 
 def solve_closed(
     scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None
-) -> Answers:
+) -> SceneAnswers:
     """Quantities of interest of n scenes between bars in closed form, as `integrator.solve`.
 
     Both forces are equal and increase until the pulse ends, theory (11), then decay, theory (12),
@@ -354,7 +354,7 @@ def closed_form_rows(scene: Scene) -> Flags:
         return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
 
 
-def solve_impact(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+def solve_impact(scene: Scene, quantities: Collection[str] | None = None) -> SceneAnswers:
     """Quantities of interest of n scenes in closed form, as `integrator.solve`.
 
     Elastic impact by (R10) to (R13), plastic impact by the energy balance (R23), slow loading by
@@ -382,7 +382,7 @@ def solve_impact(scene: Scene, quantities: Collection[str] | None = None) -> Ans
 
 def _answers(
     scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None
-) -> Answers:
+) -> SceneAnswers:
     # closed forms have a single force peak
     columns = {"x_first": closed["x_max"], **closed}
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}
@@ -401,7 +401,7 @@ def light_sphere_applies(scene: Scene) -> bool:
     return behind.face is None and ahead.face is None
 
 
-def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> SceneAnswers:
     """Drop weight on a light sphere: contacts in series, (R15) and (R13), peaks raised by (R16).
 
     Raises ValueError if `light_sphere_applies` is false.

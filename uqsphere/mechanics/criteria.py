@@ -21,7 +21,7 @@ from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics import contact, stress
 from uqsphere.units import Quantity
 
-Columns = Mapping[str, Values]
+ColumnMap = Mapping[str, Values]
 Parameters = Mapping[str, float]
 #: further quantities: name -> criterion and its parameters
 Demands = Mapping[str, tuple[str, Parameters]]
@@ -98,7 +98,7 @@ class Criterion:
     measures: str
     strength: str
     needs: tuple[str, ...]
-    formula_of: Callable[[Columns, Parameters], Array]
+    formula_of: Callable[[ColumnMap, Parameters], Array]
     quantity: str | None = None
     also: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
@@ -117,7 +117,7 @@ class Criterion:
 class _ContactColumns(Mapping[str, Values]):
     """Columns of one contact, and those of the row."""
 
-    def __init__(self, own: Columns, row: Columns) -> None:
+    def __init__(self, own: ColumnMap, row: ColumnMap) -> None:
         self._own, self._row = own, row
 
     def __getitem__(self, name: str) -> Values:
@@ -136,7 +136,7 @@ class _ContactColumns(Mapping[str, Values]):
 
 
 def demand(
-    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+    criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
 ) -> Array:
     """The demand of n rows [SI], to be compared with the criterion's strength.
 
@@ -163,7 +163,7 @@ def demand(
             raise ValueError(
                 f"{name} must be between {bounds.lower:g} and {bounds.upper:g}, not {value!r}"
             )
-    contacts: list[Columns] = [columns]
+    contacts: list[ColumnMap] = [columns]
     if "sides" in columns:
         # contacts that differ: each with the force at the other one
         contacts = [_ContactColumns(side, columns) for side in columns["sides"]]
@@ -178,7 +178,7 @@ def demand(
 
 
 def ranges_of(
-    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+    criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
 ) -> Iterator[tuple[str, Array, float, float]]:
     """Ranges of a criterion: the name, its values, (n,) or (1,), and both ends of the range."""
     for name, (low, high) in criterion.ranges.items():
@@ -193,7 +193,7 @@ def ranges_of(
 
 
 def in_range(
-    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+    criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
 ) -> Flags:
     """Rows inside the range of the criterion, (n,)."""
     inside = np.ones(np.shape(np.atleast_1d(columns[criterion.needs[0]])), dtype=bool)
@@ -202,18 +202,18 @@ def in_range(
     return inside
 
 
-def _ratio(columns: Columns) -> Array:
+def _ratio(columns: ColumnMap) -> Array:
     return np.asarray(columns["a_max"] / np.asarray(columns["sphere.radius"], dtype=float))
 
 
-def _pressure(columns: Columns, name: str = "p_field") -> Array:
+def _pressure(columns: ColumnMap, name: str = "p_field") -> Array:
     """Hertz pressure of the same force and contact circle [Pa], from which stresses follow."""
     if name in columns:
         return np.asarray(columns[name])
     return np.asarray(columns["p_max"])
 
 
-def _central_force(columns: Columns) -> Array:
+def _central_force(columns: ColumnMap) -> Array:
     """Force that loads the centre and the equator [N]: the mean of both contacts, exactly, (R19).
 
     It is P_max if both are equal.
@@ -223,14 +223,14 @@ def _central_force(columns: Columns) -> Array:
     return np.asarray(columns["P_max"])
 
 
-def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
-    def formula(columns: Columns, parameters: Parameters) -> Array:
+def _tabulated(name: str) -> Callable[[ColumnMap, Parameters], Array]:
+    def formula(columns: ColumnMap, parameters: Parameters) -> Array:
         return _pressure(columns) * stress.ratio(name, _ratio(columns), columns["sphere.nu"])
 
     return formula
 
 
-def _between(one: Array, two: Array, columns: Columns) -> Array:
+def _between(one: Array, two: Array, columns: ColumnMap) -> Array:
     """Stress under unequal forces, (R20): `one` of one force alone, `two` of two equal forces.
 
     On the axis the field is the sum of two, except for the location of its peak; a weakest-link
@@ -239,7 +239,7 @@ def _between(one: Array, two: Array, columns: Columns) -> Array:
     return np.asarray(one + (two - one) * columns["balance"])
 
 
-def _core(columns: Columns, parameters: Parameters) -> Array:
+def _core(columns: ColumnMap, parameters: Parameters) -> Array:
     ratio, nu = _ratio(columns), columns["sphere.nu"]
     field = stress.core_ratio(ratio, nu)[0]
     if "balance" in columns:
@@ -247,7 +247,7 @@ def _core(columns: Columns, parameters: Parameters) -> Array:
     return _pressure(columns) * field
 
 
-def _equator(columns: Columns, parameters: Parameters) -> Array:
+def _equator(columns: ColumnMap, parameters: Parameters) -> Array:
     ratio = np.square(_ratio(columns))
     field = stress.ratio("equator", _ratio(columns), columns["sphere.nu"])
     tension = _pressure(columns) * ratio * field
@@ -256,7 +256,7 @@ def _equator(columns: Columns, parameters: Parameters) -> Array:
     return np.asarray(tension)
 
 
-def strain_rate(columns: Columns) -> Array:
+def strain_rate(columns: ColumnMap) -> Array:
     """Mean strain rate of the core during loading [1/s]: core_tension/E loading_rate/P_max.
 
     The core tension is taken as proportional to the force.
@@ -326,8 +326,8 @@ def equivalent_tension(
     )
 
 
-def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
-    def formula(columns: Columns, parameters: Parameters) -> Array:
+def _weakest(over: str) -> Callable[[ColumnMap, Parameters], Array]:
+    def formula(columns: ColumnMap, parameters: Parameters) -> Array:
         radius = np.asarray(columns["sphere.radius"])
         if over == "volume":
             size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
@@ -350,7 +350,7 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
     return formula
 
 
-def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
+def _weakest_rim(columns: ColumnMap, parameters: Parameters) -> Array:
     ratio, nu, m = _ratio(columns), columns["sphere.nu"], parameters["modulus"]
     surface = 4.0 * math.pi * np.square(np.asarray(columns["sphere.radius"]))
     size = surface / parameters["reference_area"]
@@ -365,7 +365,7 @@ def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
 def _energy_criterion(name: str, symbol: str, of: str, follows: str = "energy") -> Criterion:
     """A fracture energy by one of the three definitions of (R22)."""
 
-    def energy(columns: Columns, parameters: Parameters) -> Array:
+    def energy(columns: ColumnMap, parameters: Parameters) -> Array:
         specific = np.asarray(columns[name], dtype=float)
         if "largest_energy" in parameters:
             return truncated_energy(specific, parameters["largest_energy"])

@@ -20,7 +20,7 @@ from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator.solve import Motion, motions
 from uqsphere.mechanics.integrator.tracked import ORDER, TERMS
-from uqsphere.mechanics.outputs import Columns, Path, columns_of, pressed_to
+from uqsphere.mechanics.outputs import Columns, LoadingPath, columns_of, pressed_to
 from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
 
@@ -149,7 +149,7 @@ def _course(motion: Motion) -> _Course:
     )
 
 
-def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
+def _demands(scene: Scene, rows: Places, path: LoadingPath, value: Array) -> Array:
     """The demand at a force [N] or a stored energy [J] of each row."""
     if path.criterion is None:
         return value**path.power
@@ -160,7 +160,7 @@ def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
 
-def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) -> Array:
+def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Array) -> Array:
     """Fraction of the peak force or energy, `top` (n,) [SI], at which the demand is `share` (n,) of
     its peak.
     """
@@ -176,7 +176,7 @@ def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) ->
 def first_fractures(
     scene: Scene,
     shares: Array,
-    paths: Sequence[Path],
+    paths: Sequence[LoadingPath],
     *,
     rows: Places | None = None,
     fidelity: str = "full",
@@ -243,7 +243,7 @@ def _first(found: Array, first_echo: Array) -> Fractures:
 
 
 def _cross(
-    scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, shares: Array
+    scene: Scene, rows: Places, courses: Sequence[_Course], path: LoadingPath, shares: Array
 ) -> Array:
     """Time [s], larger force [N], energy [J], imbalance at the first crossing of rows, (4, n)."""
     scales = scene.scales
@@ -292,7 +292,7 @@ def _cross(
     )
 
 
-def _tops(courses: Sequence[_Course], path: Path, first_echo: Array) -> Array:
+def _tops(courses: Sequence[_Course], path: LoadingPath, first_echo: Array) -> Array:
     """Peak drive or energy of each course, of an `early` path before the first reflected wave."""
     tops = []
     for course, echo in zip(courses, first_echo, strict=True):

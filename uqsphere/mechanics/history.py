@@ -234,7 +234,7 @@ class ContactChange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peak:
+class PressurePeak:
     """Peak contact pressure of a time interval: time [s], face, pressure [Pa], force [N]."""
 
     time: float
@@ -244,7 +244,7 @@ class Peak:
 
 
 #: columns of a history as a table, with their units
-COLUMNS = {
+COLUMN_UNITS = {
     "time": "s",
     "force_a": "N",
     "force_b": "N",
@@ -289,8 +289,8 @@ class History:
     leaving_a: Array
     leaving_b: Array
     changes: tuple[ContactChange, ...]
-    first_peak: Peak | None
-    later_peak: Peak | None
+    first_peak: PressurePeak | None
+    later_peak: PressurePeak | None
     record_end: float
     horizon: float
     mass_number: float
@@ -314,7 +314,7 @@ class History:
         from pandas import DataFrame
 
         return DataFrame(
-            {f"{name} [{unit}]": getattr(self, name) for name, unit in COLUMNS.items()}
+            {f"{name} [{unit}]": getattr(self, name) for name, unit in COLUMN_UNITS.items()}
         )
 
     def plot(self, what: str = "force", ax: Axes | None = None) -> Axes:
@@ -469,7 +469,7 @@ def _approach(found: Motion, face: int) -> Course:
     return lambda times: found.states_at(times)[:, face]
 
 
-def largest(found: Motion, begin: float, end: float) -> Peak | None:
+def largest(found: Motion, begin: float, end: float) -> PressurePeak | None:
     """Peak contact pressure between begin and end [s], at either contact; None without a force."""
     from scipy.optimize import minimize_scalar
 
@@ -477,7 +477,7 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
     if not begin < end:
         return None
     nodes = _nodes(found, begin, end)
-    best: Peak | None = None
+    best: PressurePeak | None = None
     for face, name in enumerate("AB"):
         approach = _approach(found, face)
         highest = int(np.argmax(approach(nodes)))
@@ -494,7 +494,7 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
         force = float(found.forces_at(np.array([time]))[0, face])
         pressure = float(np.ravel(found.pressure_at(force, face))[0])
         if force > 0.0 and (best is None or pressure > best.pressure):
-            best = Peak(time=float(time), face=name, pressure=pressure, force=force)
+            best = PressurePeak(time=float(time), face=name, pressure=pressure, force=force)
     return best
 
 

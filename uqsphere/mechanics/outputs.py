@@ -28,7 +28,7 @@ from uqsphere.units import Quantity
 _Kind = TypeVar("_Kind", bound=np.generic)
 #: source of a column: numbers, a function that computes them when read, or the columns of all
 #: contacts
-Source: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
+ColumnSource: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read in addition to its columns
 _SCALES: Final = (
     "modulus",
@@ -344,7 +344,7 @@ class Columns(Mapping[str, Values]):
     sources: columns, or functions without arguments that return them.
     """
 
-    def __init__(self, sources: Mapping[str, Source]) -> None:
+    def __init__(self, sources: Mapping[str, ColumnSource]) -> None:
         self._sources = dict(sources)
 
     def __getitem__(self, name: str) -> Values:
@@ -372,7 +372,7 @@ class Columns(Mapping[str, Values]):
         return len(self._sources)
 
 
-def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Source]:
+def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, ColumnSource]:
     """Numbers and scale factors of some rows of a scene."""
     scales = {name: getattr(scene.scales, name)[rows] for name in _SCALES}
     return {**{name: column[rows] for name, column in scene.columns.items()}, **scales}
@@ -450,7 +450,7 @@ def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
 # --- contacts that differ, or yield ---------------------------------------------------------------
 
 
-def _side(scene: Scene, pole: int, x: Array) -> dict[str, Source]:
+def _side(scene: Scene, pole: int, x: Array) -> dict[str, ColumnSource]:
     """Columns of one contact at its peak approach x alpha_c: force, pressures, radius, energy."""
     partner, scales = scene.partners[pole], scene.scales
     assert partner is not None
@@ -488,13 +488,13 @@ _LARGEST: Final = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", 
 _OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
-def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Source]:
+def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
     """Columns of contacts that differ or yield: of each contact ("sides"), and of the row."""
     if scene.by_wave and scene.struck.face is None:
         return {}
     poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
     sides = [_face(scene, name, tracked) for name in poles]
-    columns: dict[str, Source] = {"sides": sides}
+    columns: dict[str, ColumnSource] = {"sides": sides}
     columns |= {column: partial(_largest, sides, column) for column in _LARGEST}
 
     def first_peak() -> Array:
@@ -526,10 +526,10 @@ def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
 
 def _of_forces(
     scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
-) -> dict[str, Source]:
+) -> dict[str, ColumnSource]:
     """Mean force and imbalance of both contacts; a single contact loads the centre by half."""
     force = scene.scales.force
-    columns: dict[str, Source] = {}
+    columns: dict[str, ColumnSource] = {}
     if len(sides) == 1:
         columns["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
         columns["force_at_centre"] = columns["mean_force_max"]
@@ -549,7 +549,7 @@ def _largest(sides: Sequence[Columns], column: str) -> Array:
 
 def _energies(
     scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
-) -> dict[str, Source]:
+) -> dict[str, ColumnSource]:
     """Elastic energy and plastic work of both contacts, and the sphere's part of them."""
     unit = scene.scales.force * scene.scales.approach
 
@@ -588,14 +588,14 @@ def _energy_of_sphere(
     )
 
 
-def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Source]:
+def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
     """Columns of an impact: its energy, speeds after it, energy radiated as waves."""
     if not scene.setup.by_impact:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
     # P_c alpha_c = m V_c², (R5)
     impact_energy = partial(_half, scales)
-    columns: dict[str, Source] = {"offered": impact_energy}
+    columns: dict[str, ColumnSource] = {"offered": impact_energy}
     radiated = _radiated_fraction(scene, tracked)
     if "end_speed" in tracked and behind is None:
         back, parting = -tracked["end_speed"], tracked["end_speed_b"] - tracked["end_speed"]
@@ -704,7 +704,7 @@ def absent_in(scene: Scene, quantity: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answers:
+class SceneAnswers:
     """Quantities of interest of n rows, (n,) arrays.
 
     values: the requested quantities, SI; NaN where `status` is not 0.  censored: of
@@ -721,9 +721,9 @@ class Answers:
     record: Array
     steps: Places
 
-    def at(self, rows: Places | Flags | slice) -> Answers:
+    def at(self, rows: Places | Flags | slice) -> SceneAnswers:
         """The answers of some of the rows."""
-        return Answers(
+        return SceneAnswers(
             values={name: column[rows] for name, column in self.values.items()},
             censored={name: column[rows] for name, column in self.censored.items()},
             grazes=self.grazes[rows],
@@ -753,7 +753,7 @@ def answers_from(
     *,
     linear: bool = False,
     quantities: Collection[str] | None = None,
-) -> Answers:
+) -> SceneAnswers:
     """Answers in SI from scaled results of the integrator or of a closed form.
 
     tracked: columns of `tracked.SCALED` by name, (n,) each.  linear: the force is proportional to
@@ -783,12 +783,12 @@ def answers_from(
     record = np.asarray(scene.scales.time * columns["ended"])
     # closed forms have no grazing contacts
     grazes = tracked.get("grazed", np.zeros(len(scene))) > 0.0
-    return Answers(
+    return SceneAnswers(
         values=values, censored=censored, grazes=grazes, status=status, record=record, steps=steps
     )
 
 
-def _wider_than_its_rod(scene: Scene, made: Mapping[str, Source]) -> Flags:
+def _wider_than_its_rod(scene: Scene, made: Mapping[str, ColumnSource]) -> Flags:
     """Rows of rigs without a wave whose contact is wider than the end of a bar, (n,)."""
     wider = np.zeros(len(scene), dtype=bool)
     sides = made.get("sides")
@@ -801,11 +801,11 @@ def _wider_than_its_rod(scene: Scene, made: Mapping[str, Source]) -> Flags:
     return wider
 
 
-def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
+def merged_answers(*parts: tuple[Places, SceneAnswers]) -> SceneAnswers:
     """Answers of one batch from parts, each with its rows, that together are all rows."""
     places = np.concatenate([rows for rows, _ in parts])
     answers = [part for _, part in parts]
-    merged = Answers(
+    merged = SceneAnswers(
         values=_joined([part.values for part in answers]),
         censored=_joined([part.censored for part in answers]),
         grazes=np.concatenate([part.grazes for part in answers]),
@@ -826,7 +826,7 @@ def _joined(tables: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt
 
 
 @dataclass(frozen=True, kw_only=True)
-class Path:
+class LoadingPath:
     """How a fracture quantity follows the loading.
 
     over: it increases with the peak `force` or `energy` so far; empty: with neither.  criterion:
@@ -848,8 +848,8 @@ _BY_CRITERION: Final = {
 #: the elastic-equivalent pressure is proportional to the cube root of the force
 _POWERS: Final = {"p_hertz": 1.0 / 3.0}
 #: how each fracture quantity follows the loading
-PATHS: Final[dict[str, Path]] = {
-    name: Path(
+PATHS: Final[dict[str, LoadingPath]] = {
+    name: LoadingPath(
         over=entry.follows,
         criterion=_BY_CRITERION.get(name),
         early=entry.early,
@@ -860,7 +860,7 @@ PATHS: Final[dict[str, Path]] = {
 }
 
 
-def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
+def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> LoadingPath | None:
     """How a quantity or a demand follows the loading; None if it does not mean fracture.
 
     >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_duration")
@@ -874,4 +874,4 @@ def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | No
         return path
     key, parameters = demands[quantity]
     kept = {name: value for name, value in parameters.items() if name != "rate_0"}
-    return Path(over=CRITERIA[key].follows, criterion=key, parameters=kept)
+    return LoadingPath(over=CRITERIA[key].follows, criterion=key, parameters=kept)

@@ -18,7 +18,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
+from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, Face, metal_body, softer
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
@@ -146,7 +146,7 @@ def _column(columns: Mapping[str, Array], name: str, default: Values) -> Array:
     return np.full(len(next(iter(columns.values()))), default)
 
 
-def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Body:
+def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> ContactParameters:
     """Contact parameters of a counter-body: as given, else of a metal; infinite onset if rigid."""
     strength, nu = (
         columns.get(f"{table}.insert_{key}", _column(columns, f"{table}.{key}", np.nan))
@@ -160,17 +160,19 @@ def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Bo
     return body
 
 
-def _with_columns(columns: Mapping[str, Array], table: str, body: Body) -> Body:
+def _with_columns(
+    columns: Mapping[str, Array], table: str, body: ContactParameters
+) -> ContactParameters:
     """Contact parameters with those that a table gives."""
-    return Body(
+    return ContactParameters(
         *(columns.get(f"{table}.{key}", value) for key, value in zip(LAW, body, strict=True))
     )
 
 
-def sphere_body(columns: Mapping[str, Array]) -> Body:
+def sphere_body(columns: Mapping[str, Array]) -> ContactParameters:
     """Contact parameters of the sphere, which is elastic without an onset pressure."""
     defaults = (np.inf, np.inf, CAP_PILE_UP)
-    return Body(
+    return ContactParameters(
         *(
             _column(columns, f"sphere.{key}", value)
             for key, value in zip(LAW, defaults, strict=True)
@@ -180,7 +182,7 @@ def sphere_body(columns: Mapping[str, Array]) -> Body:
 
 def law_of(
     columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_onset: bool = False
-) -> Body:
+) -> ContactParameters:
     """Contact parameters: of the softer body in each row, unless [contact] gives them."""
     body = softer(body_of(columns, table, rigid), sphere_body(columns))
     body = _with_columns(columns, "contact", body)
@@ -189,7 +191,7 @@ def law_of(
     return body
 
 
-def softest_partner(scene: Scene) -> Body:
+def softest_partner(scene: Scene) -> ContactParameters:
     """Contact parameters of the counter-body that yields first in each row."""
     tables = dict.fromkeys(partner.table for partner in scene.there)
     return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])

@@ -368,7 +368,7 @@ _CHUNK: Final = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class StressTable:
     """Coefficients of exp(sum c_ij(k) T_i(x) T_j(y) (T_k(z))), (i, j) or (i, j, k)."""
 
     name: str
@@ -465,7 +465,7 @@ def _polynomials(x: Array, count: int) -> Array:
 
 
 @cache
-def load_table(name: str) -> Table:
+def load_table(name: str) -> StressTable:
     """A table over p_0: core, shear (largest on the axis), equator (over (a/r)²), volume, surface
     (I^(1/m)), rim (over that of the half space); with `_one` where one pole is pressed, with
     `_depth` where it lies, (1 - u)/(a/r).
@@ -482,7 +482,7 @@ def load_table(name: str) -> Table:
         coefficients.reshape(-1, entry["shape"][-1])[index, : len(row)] = (
             np.array(row) * entry["unit"]
         )
-    return Table(name=name, coefficients=coefficients)
+    return StressTable(name=name, coefficients=coefficients)
 
 
 def ratio(name: str, contact_ratio: Values, nu: Values, modulus: Values = None) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range, ranges_of
-from uqsphere.mechanics.outputs import Answers
+from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.rigs import (
     GRAVITY,
     Partner,
@@ -28,7 +28,7 @@ from uqsphere.mechanics.rigs import (
     terminal_speed,
 )
 from uqsphere.mechanics.scene import Scene, answered
-from uqsphere.mechanics.yielding import Body, Face
+from uqsphere.mechanics.yielding import ContactParameters, Face
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
 _RELAP: Final = 1e-6
@@ -51,7 +51,7 @@ class Rule:
 
     name: str
     meaning: str
-    measure: Callable[[Scene, Answers], Array | str | None]
+    measure: Callable[[Scene, SceneAnswers], Array | str | None]
     information: float | None = None
     warning: float | None = None
     failure: float | None = None
@@ -59,7 +59,7 @@ class Rule:
     words: str
     laws: tuple[str, ...] = ("hertz", "plastic")
     applies: Callable[[Rig], bool] = lambda rig: True
-    further: Callable[[Scene, Answers, Flags], str] | None = None
+    further: Callable[[Scene, SceneAnswers, Flags], str] | None = None
 
     @property
     def thresholds(self) -> dict[int, float]:
@@ -122,7 +122,7 @@ _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
 _NO_ONSET: Final = "not checked: the onset pressure of the sphere is not given"
 
 
-def _contact_over_radius(scene: Scene, answers: Answers) -> Array | str:
+def _contact_over_radius(scene: Scene, answers: SceneAnswers) -> Array | str:
     return np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
 
 
@@ -132,7 +132,7 @@ def _bars_of(scene: Scene) -> list[tuple[Partner, Array]]:
     return [(partner, scene.columns[f"{table}.diameter"]) for table, partner in partners.items()]
 
 
-def _contact_over_bar(scene: Scene, answers: Answers) -> Array | str | None:
+def _contact_over_bar(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     ratios = [2.0 * answers.values["a_max"] / diameter for _, diameter in _bars_of(scene)]
     if not ratios:
         return None
@@ -143,7 +143,9 @@ def _positive(values: Array) -> Array:
     return np.where(values > 0.0, values, np.nan)
 
 
-def _over_onset(scene: Scene, answers: Answers, body: Body, absent: str) -> Array | str:
+def _over_onset(
+    scene: Scene, answers: SceneAnswers, body: ContactParameters, absent: str
+) -> Array | str:
     """Elastic contact pressure over the onset pressure of a body."""
     onset = np.where(np.isfinite(body.onset), _positive(body.onset), np.nan)
     if np.isnan(onset).all():
@@ -151,10 +153,12 @@ def _over_onset(scene: Scene, answers: Answers, body: Body, absent: str) -> Arra
     return np.asarray(answers.values["p_max"] / onset)
 
 
-def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags], str]:
+def _static(
+    body_of: Callable[[Scene], ContactParameters],
+) -> Callable[[Scene, SceneAnswers, Flags], str]:
     """Static estimate of pressure and indentation for a body that was taken as elastic."""
 
-    def further(scene: Scene, answers: Answers, good: Flags) -> str:
+    def further(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
         yields = body_of(scene)
         with np.errstate(all="ignore"):
             rows = good & np.isfinite(yields.onset) & np.isfinite(yields.hardness)
@@ -175,7 +179,7 @@ def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags
     return further
 
 
-def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
+def _over_partner_onset(scene: Scene, answers: SceneAnswers) -> Array | str:
     """Hertz pressure at peak force / onset pressure of the counter-bodies; the largest."""
     ratios = []
     for table, partner in {partner.table: partner for partner in scene.there}.items():
@@ -190,11 +194,13 @@ def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
     return worst
 
 
-def _depth(scene: Scene, answers: Answers) -> Array | str:
+def _depth(scene: Scene, answers: SceneAnswers) -> Array | str:
     return _of_faces(scene, answers, lambda face, depth: depth)
 
 
-def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Array]) -> Array | str:
+def _of_faces(
+    scene: Scene, answers: SceneAnswers, pick: Callable[[Face, Array], Array]
+) -> Array | str:
     """A number of each contact that yields, at the depth of the peak force; the largest."""
     faces = [partner.face for partner in scene.there if isinstance(partner.face, Face)]
     if not faces:
@@ -205,7 +211,7 @@ def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Arra
     return np.asarray(np.maximum.reduce(values))
 
 
-def _other_onset(scene: Scene, answers: Answers) -> Array | str:
+def _other_onset(scene: Scene, answers: SceneAnswers) -> Array | str:
     """Onset ratio of the harder and the softer body, the least of the contacts that yield.
 
     It is 1 where the body with the higher onset has the lower hardness.
@@ -225,7 +231,7 @@ def _other_onset(scene: Scene, answers: Answers) -> Array | str:
     return np.asarray(np.fmin.reduce(ratios))
 
 
-def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
+def _dents(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
     depths = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent)
     assert not isinstance(depths, str)
     deepest = np.nanmax(depths[good])
@@ -236,14 +242,14 @@ def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
     return text
 
 
-def _contact_over_insert(scene: Scene, answers: Answers) -> Array | str:
+def _contact_over_insert(scene: Scene, answers: SceneAnswers) -> Array | str:
     thickness = scene.columns.get("bars.insert_thickness")
     if thickness is None:
         return "not checked: the thickness of the inserts is not given"
     return np.asarray(3.0 * answers.values["a_max"] / thickness)
 
 
-def _pulse_over_yield(scene: Scene, answers: Answers) -> Array | str:
+def _pulse_over_yield(scene: Scene, answers: SceneAnswers) -> Array | str:
     strength = _positive(scene.column("bars.yield_strength"))
     if np.isnan(strength).all():
         return _NO_YIELD
@@ -257,7 +263,7 @@ def _pulse_over_yield(scene: Scene, answers: Answers) -> Array | str:
     return np.asarray(stress / strength)
 
 
-def _imbalance(scene: Scene, answers: Answers) -> Array | str:
+def _imbalance(scene: Scene, answers: SceneAnswers) -> Array | str:
     measured = answers.values["force_imbalance"]
     if np.any(measured > 0.0):
         return measured
@@ -268,7 +274,7 @@ def _imbalance(scene: Scene, answers: Answers) -> Array | str:
         return np.asarray(estimate * scene.scales.force / answers.values["P_max"])
 
 
-def _transits(scene: Scene, answers: Answers, time: str) -> Array:
+def _transits(scene: Scene, answers: SceneAnswers, time: str) -> Array:
     """Wave transits of the sphere during the rise time, or during the contact time."""
     c = scene.columns
     with np.errstate(all="ignore"):
@@ -276,7 +282,7 @@ def _transits(scene: Scene, answers: Answers, time: str) -> Array:
         return np.asarray(answers.values[time] / transit)
 
 
-def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:
+def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     """Thickness over contact radius, or wave transits of the thickness if fewer, but at least 2.
 
     A plate that is thick for the contact time is no failure: the kind `thick` fits it better.
@@ -303,7 +309,7 @@ def _plate_of(scene: Scene) -> str | None:
     return None
 
 
-def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
+def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     """Contact time over the return time of the flexural wave from the plate edge.
 
     The group speed is that of a half period equal to the contact time t, c_g = 2 (D/(rho h))^(1/4)
@@ -323,14 +329,14 @@ def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
         )
 
 
-def _gravity(scene: Scene, answers: Answers) -> Array | str:
+def _gravity(scene: Scene, answers: SceneAnswers) -> Array | str:
     behind, moving = scene.partners[0], scene.scales.mass
     if behind is not None:
         moving = moving + behind.mass
     return np.asarray(moving * GRAVITY / answers.values["P_max"])
 
 
-def _rod_rise(scene: Scene, answers: Answers) -> Array | str | None:
+def _rod_rise(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     ratios = []
     for partner, diameter in _bars_of(scene):
         E, density = (scene.columns[f"{partner.table}.{key}"] for key in ("E", "density"))
@@ -341,14 +347,14 @@ def _rod_rise(scene: Scene, answers: Answers) -> Array | str | None:
     return np.asarray(np.minimum.reduce(ratios))
 
 
-def _echo_under_load(scene: Scene, answers: Answers) -> Array | str | None:
+def _echo_under_load(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     if not np.any(np.isfinite(scene.first_echo)):
         return None
     with np.errstate(all="ignore"):
         return np.asarray(answers.values["loaded_time"] / scene.first_echo)
 
 
-def _one_sided(scene: Scene, answers: Answers) -> Array | str:
+def _one_sided(scene: Scene, answers: SceneAnswers) -> Array | str:
     ratio = _contact_over_radius(scene, answers)
     imbalance = answers.values.get("force_imbalance")
     if imbalance is None:
@@ -356,7 +362,7 @@ def _one_sided(scene: Scene, answers: Answers) -> Array | str:
     return np.where(imbalance > 0.1, ratio, np.nan)
 
 
-def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
+def _pulse_rise(scene: Scene, answers: SceneAnswers) -> Array | str:
     c, breaks = scene.columns, scene.pulse.breaks
     if scene.shape in ("rectangular", "step"):
         return "an ideal jump"
@@ -376,7 +382,7 @@ def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
         )
 
 
-def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
+def _record_over_echo(scene: Scene, answers: SceneAnswers) -> Array | str:
     if not scene.infinite:
         return "not needed: reflected waves are part of the model"
     # an end that is given as absorbing reflects nothing; one that is not given may
@@ -718,7 +724,7 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
     )
 
 
-def check_validity(scene: Scene, answers: Answers) -> list[ValidityCheck]:
+def check_validity(scene: Scene, answers: SceneAnswers) -> list[ValidityCheck]:
     """Every check that applies to a batch, on its answers, in the order of `RULES`.
 
     Raises ValueError for answers of another batch.
@@ -730,7 +736,7 @@ def check_validity(scene: Scene, answers: Answers) -> list[ValidityCheck]:
     return [check for check in checks if check is not None]
 
 
-def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> ValidityCheck | None:
+def _check(rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags) -> ValidityCheck | None:
     measured = rule.measure(scene, answers)
     if measured is None:
         return None
@@ -792,7 +798,7 @@ _SYMBOLS: Final = {"sphere.nu": "nu", "modulus": "m"}
 
 
 def check_ranges(
-    scene: Scene, answers: Answers, quantities: Collection[str], demands: Demands | None = None
+    scene: Scene, answers: SceneAnswers, quantities: Collection[str], demands: Demands | None = None
 ) -> list[ValidityCheck]:
     """One check per criterion whose demand is among the quantities, named ``range_of_QUANTITY``.
 

@@ -50,7 +50,7 @@ def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
     return np.asarray(1.295 * np.exp(0.736 * np.asarray(nu)) * yield_strength)
 
 
-class Body(NamedTuple):
+class ContactParameters(NamedTuple):
     """Contact parameters of a body, (n,): onset p_y [Pa] (inf: elastic), hardness [Pa], pile-up."""
 
     onset: Array
@@ -58,21 +58,21 @@ class Body(NamedTuple):
     pile_up: Array
 
 
-def metal_body(yield_strength: Array, nu: Array) -> Body:
+def metal_body(yield_strength: Array, nu: Array) -> ContactParameters:
     """A metal by its yield strength [Pa] and Poisson ratio; elastic where the strength is NaN."""
     onset = metal_onset(yield_strength, nu)
-    return Body(
+    return ContactParameters(
         np.where(np.isfinite(onset), onset, np.inf),
         FLOW * np.asarray(yield_strength),
         np.full(np.shape(onset), METAL_PILE_UP),
     )
 
 
-def softer(one: Body, other: Body) -> Body:
+def softer(one: ContactParameters, other: ContactParameters) -> ContactParameters:
     """The parameters of the body with the lower onset, row by row."""
     first = one.onset <= other.onset
     onset, hardness, pile_up = (np.where(first, a, b) for a, b in zip(one, other, strict=True))
-    return Body(onset, hardness, pile_up)
+    return ContactParameters(onset, hardness, pile_up)
 
 
 def _bend(t: Array, moment: int = 0) -> Array:

@@ -22,7 +22,7 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     from uqsphere.mechanics.as_printed import PaperLine
     from uqsphere.mechanics.fracture import Fractures
-    from uqsphere.mechanics.outputs import Answers
+    from uqsphere.mechanics.outputs import SceneAnswers
     from uqsphere.mechanics.scene import Scene
     from uqsphere.mechanics.validity import ValidityCheck
 
@@ -118,7 +118,7 @@ def solve_scene(
     tolerance: float = 1e-6,
     threads: int | None = None,
     quantities: Sequence[str] | None = None,
-) -> Answers:
+) -> SceneAnswers:
     """Answers of n scenes: in closed form where that is exact for the fidelity, else by
     integration.
 
@@ -132,7 +132,7 @@ def solve_scene(
     from uqsphere.mechanics.integrator import solve as dynamics
     from uqsphere.mechanics.outputs import merged_answers
 
-    def integrated(part: Scene) -> Answers:
+    def integrated(part: Scene) -> SceneAnswers:
         return dynamics.solve(
             part, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
         )

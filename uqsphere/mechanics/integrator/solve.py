@@ -25,7 +25,7 @@ from uqsphere.arrays import Array, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.tracked import empty_answers
-from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_from, wishes
+from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
 
 #: fidelities the integrator knows, and the number it knows them by
@@ -488,7 +488,7 @@ def solve(
     tolerance: float = 1e-6,
     threads: int | None = None,
     quantities: Collection[str] | None = None,
-) -> Answers:
+) -> SceneAnswers:
     """Quantities of interest of n scenes by integrating the equations of motion.
 
     fidelity: `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the
