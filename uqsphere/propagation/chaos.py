@@ -7,8 +7,9 @@ P_u the projection onto the terms of a set of inputs u, every variance of y is
     |P_u y|² = |P_u f|² + 2 <P_u f, r> + |P_u r|²,    0 <= |P_u r|² <= |r|².
 
 The first part is a sum of squared coefficients, the second a mean over rows, and the third is
-bounded by the error of the expansion, which the same rows measure.  So an index from chaos has an
-interval that holds whatever the fit; its value takes the third to be made up as the expansion is.
+bounded by the error of the expansion, which the same rows measure; of a single input, the means of
+blocks of rows show it.  So an index from chaos has an interval that holds whatever the fit, and its
+value is the middle of what the third part may be.
 An expansion of ln y is taken where it leaves less than half as much: its variances are integrated,
 and projected by its plain form.
 """
@@ -23,6 +24,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.propagation.design import Design
@@ -37,6 +39,9 @@ from uqsphere.uq.chaos import (
     predict,
     rows_of,
 )
+from uqsphere.uq.corrected import block_parts
+from uqsphere.uq.estimate import spread
+from uqsphere.uq.response import REJECTED
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth
 #: ones need fewer
@@ -61,6 +66,8 @@ class Expansion:
     terms : values (R-1, m, T) of the terms of its plain form at the first m of these rows; the
         first term is 1
     residuals : (R-1, m) what it leaves of those
+    explained : (2, R-1, d) what each input explains of the mean square of the residuals, at least
+        and at most
     left : share of the variance that it leaves, of all rows it was not fitted to
     """
 
@@ -69,6 +76,7 @@ class Expansion:
     values: Array
     terms: Array
     residuals: Array
+    explained: Array
     left: float
 
     @cached_property
@@ -109,7 +117,7 @@ def expansions(
     found: dict[str, Expansion] = {}
     for name in columns:
         outputs = sample.answer(name)
-        if not sample.knows(name) or not outputs.std() > 1e-12 * abs(outputs).max():
+        if not sample.knows(name) or not varies(outputs):
             continue
         rows = min(count, MOST_ROWS)
         known = before.get(name)
@@ -129,16 +137,43 @@ def expansions(
                 fit, values = other, others
         few, form = min(count, MOST_TERMS), fit.plain_form
         terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
-        rest = outputs[1:] - values
-        found[name] = Expansion(
+        rest = (outputs[1:] - values)[:, :few]
+        expansion = Expansion(
             fit=fit,
             rows=rows,
             values=values,
             terms=terms.T.reshape(len(values), few, -1),
-            residuals=rest[:, :few],
+            residuals=rest,
+            explained=_explained(points[1:, :few], rest),
             left=_left(outputs, values),
         )
+        if not _runs_away(expansion):
+            found[name] = expansion
     return found
+
+
+def varies(outputs: Array) -> bool:
+    """Whether outputs (R, n) have a scatter beyond their rounding."""
+    return bool(outputs.std() > 1e-12 * abs(outputs).max())
+
+
+def _explained(points: Array, residuals: Array) -> Array:
+    """What each input explains of residuals (R, m), for germ points (R, m, d) of replicates."""
+    parts = np.empty((2, *points[:, 0].shape))
+    for r, (rows, rest) in enumerate(zip(points, residuals, strict=True)):
+        for j, column in enumerate(rows.T):
+            pairs, squares = block_parts(column, rest)
+            parts[:, r, j] = pairs.mean(), squares.mean()
+    return parts
+
+
+def _runs_away(expansion: Expansion) -> bool:
+    """Whether the rows contradict the variance of an expansion, which it makes where none lies."""
+    squares = ((expansion.values - expansion.known.mean) ** 2).mean(axis=1)
+    room = float(stdtrit(len(squares) - 1, 0.5 + 0.5 * REJECTED)) * spread(squares)
+    integration = 1e-9 + 4.0 * expansion.known.error
+    variance = expansion.known.sd**2
+    return bool(abs(variance - squares.mean()) > room + integration * variance)
 
 
 def _left(outputs: Array, values: Array) -> float:

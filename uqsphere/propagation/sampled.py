@@ -19,7 +19,7 @@ from uqsphere.propagation.design import Design
 from uqsphere.propagation.tables import Indices, Source, Tables
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
-from uqsphere.uq.describe import Description, describe, describe_controlled
+from uqsphere.uq.describe import Description, describe, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, ratio_of_means
 from uqsphere.uq.indices import Blocks, sampled_indices
 
@@ -119,6 +119,10 @@ class Sampled:
         return "chaos" if name in self.tables.expansions else ""
 
     def indices(self, name: str) -> Indices:
+        reason = heavy_tail(self.tables.sample.outputs(name), certain=True)
+        if reason:
+            nothing = absent(reason, METHOD, self.tables.sample.size)
+            return dict.fromkeys(self.design.inputs, (nothing, nothing))
         if name in self.tables.pairs:
             return _by_pairs(self.design, self.tables, name)
         if name in self.tables.expansions:
@@ -140,44 +144,57 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     form, known = expansion.fit.plain_form, expansion.known
     active = form.multi_indices > 0
     many = active.sum(axis=1)
+    everything = (expansion.residuals**2).mean(axis=1)
     rows: dict[str, tuple[Estimate, ...]] = {}
     for k, name in enumerate(design.inputs):
-        first = _index(expansion, active[:, k] & (many == 1), float(known.first[k]))
-        total = _index(expansion, active[:, k], float(known.total[k]))
+        least, most = expansion.explained[:, :, k]
+        own = expansion.projection(active[:, k] & (many == 1), float(known.first[k]))
+        first = _index(expansion, own, least, most)
+        own = expansion.projection(active[:, k], float(known.total[k]))
+        total = _index(expansion, own, np.minimum(np.maximum(least, 0.0), everything), everything)
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
         rows[name] = first, total
     if design.study.analysis.second_order:
         for i, j in combinations(range(len(design.inputs)), 2):
-            own = active[:, i] & active[:, j] & (many == 2)
-            share = (
-                float((form.coefficients[own] ** 2).sum()) / known.sd**2 if known.sd > 0.0 else 0.0
-            )
-            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (_index(expansion, own, share),)
+            which = active[:, i] & active[:, j] & (many == 2)
+            share = 0.0
+            if known.sd > 0.0:
+                share = float((form.coefficients[which] ** 2).sum()) / known.sd**2
+            own = expansion.projection(which, share)
+            index = _index(expansion, own, np.zeros_like(everything), everything)
+            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (index,)
     return rows
 
 
-def _index(expansion: chaos.Expansion, which: np.ndarray, share: float) -> Estimate:
-    """One index of the terms `which`, of which the expansion has `share`: what no term of it holds,
-    between nothing and all that is left, widens it upwards, and the value takes that to be made up
-    as the expansion is."""
-    value, off = ratio_of_means(*expansion.projection(which, share))
-    estimate = from_replicates(value + off, METHOD, expansion.residuals.size, float(value))
-    if estimate.value is None or estimate.low is None or estimate.high is None:
-        return estimate
-    best = min(max(estimate.value, 0.0) / max(1.0 - expansion.left, 1e-300), 1.0)
+def _index(
+    expansion: chaos.Expansion, own: tuple[Array, Array], least: Array, most: Array
+) -> Estimate:
+    """One index: the expansion's own part (numerators and variances, (R-1,) each), and what its
+    residuals have of the index, `least` to `most` (R-1,).  The value is the middle of both.
+    """
+    parts, variances = own
+    ends = []
+    for rest in (least, most):
+        ratio, off = ratio_of_means(parts + rest, variances)
+        end = from_replicates(ratio + off, METHOD, expansion.residuals.size, float(ratio))
+        if end.value is None or end.low is None or end.high is None:
+            return end
+        ends.append((end.value, end.low, end.high))
     error = expansion.known.error
-    low, high = max(estimate.low - error, 0.0), min(estimate.high + error + expansion.left, 1.0)
-    return replace(estimate, value=min(best, high)).spanning(low, high)
+    low = min(max(min(ends[0][1], ends[1][1]) - error, 0.0), 1.0)
+    high = min(max(max(ends[0][2], ends[1][2]) + error, low), 1.0)
+    value = min(max(0.5 * (ends[0][0] + ends[1][0]), low), high)
+    return replace(end, value=value).spanning(low, high)
 
 
 def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
     """Whether the chaos indices of a quantity are as accurate as required."""
     expansion = tables.expansions.get(name)
     if expansion is None:
-        # nothing varies: there is nothing to sample
-        return tables.sample.knows(name)
+        # where nothing varies there is nothing to sample
+        return tables.sample.knows(name) and not chaos.varies(tables.sample.answer(name))
     widest = max(e.half_width for row in by_chaos(design, expansion).values() for e in row)
     return widest <= design.study.analysis.accuracy.sobol
 

@@ -276,8 +276,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
     of all rows, each with its own fold.  The last part of the first indices is that of `explained`;
-    of the total ones it lies between none and all of r^2, and the value takes r to be made up as f
-    is.  Without expansions that can be trusted f is the mean.
+    of the total ones it lies between that of the first index and all of r^2.  Values are the middle
+    of what it may be.  Without expansions that can be trusted f is the mean.
     """
     y, n, d = response.outputs, response.count, len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
@@ -316,12 +316,12 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         for row, order in enumerate(found):
             value = float(top[row, j].mean()) / whole
             down, up = distances((top[row, j] - value * bottom) / whole)
-            rest = (least, most, error) if order == "first" else (0.0, most_left, 0.0)
+            rest = (least, most, error)
+            if order == "total":
+                rest = 0.0, most_left, 0.0
             low = value + rest[0] - math.hypot(down, spread[row, j], rest[2]) - rounding
             high = value + rest[1] + math.hypot(up, spread[row, j], rest[2]) + rounding
-            best = value + 0.5 * (least + most)
-            if order == "total":
-                best = value / max(1.0 - left, 1e-3)
+            best = value + 0.5 * (least + (most if order == "first" else left))
             low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
             estimate = Estimate(
                 value=min(max(best, low), high),
@@ -344,15 +344,22 @@ def explained(column: Array, residual: Array) -> tuple[float, float, float]:
     different rows of a block have the mean E[E[r | x]^2] where the other inputs are random.  Where
     these are stratified, as in a quasi-random design, the square of the block's mean has it.
     """
-    blocks = np.array_split(np.argsort(column, kind="stable"), round(math.sqrt(len(column))))
-    pairs, squares = [], []
-    for block in blocks:
-        count, values = len(block), residual[block]
-        mean = float(values.mean())
-        squares.append(mean**2)
-        pairs.append((count * mean**2 - float(np.mean(values**2))) / (count - 1))
-    error = max(distances(np.array(part))[1] for part in (pairs, squares))
-    return float(np.mean(pairs)), float(np.mean(squares)), error
+    pairs, squares = block_parts(column, residual)
+    error = max(distances(part)[1] for part in (pairs, squares))
+    return float(pairs.mean()), float(squares.mean()), error
+
+
+def block_parts(column: Array, residual: Array) -> tuple[Array, Array]:
+    """Of each block (about sqrt(n),) of `explained`: the mean product of different rows, and the
+    square of the mean.
+    """
+    n = len(column)
+    edges = np.linspace(0, n, round(math.sqrt(n)) + 1).astype(int)
+    counts = np.diff(edges)
+    ordered = residual[np.argsort(column, kind="stable")]
+    means = np.add.reduceat(ordered, edges[:-1]) / counts
+    second = np.add.reduceat(ordered**2, edges[:-1]) / counts
+    return (counts * means**2 - second) / (counts - 1), means**2
 
 
 def _bounded_totals(first: Sequence[Estimate]) -> list[Estimate]:
