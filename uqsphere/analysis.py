@@ -40,6 +40,7 @@ from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, so
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
+from uqsphere.uq.rows import as_answers, check_rows
 from uqsphere.uq.surrogate import (
     Expansion,
     columns_of,
@@ -137,19 +138,18 @@ def joint(
 
 def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
     """x (n, d) in the order of the inputs and y (n,), matched by names and by index."""
-    rows = columns_of(x, given.names)
-    if hasattr(y, "columns") and y.shape[1] == 1:
-        y = y.iloc[:, 0]
+    rows, y = columns_of(x, given.names), as_answers(y)
     if hasattr(y, "reindex"):
         from pandas import RangeIndex
 
-        index = index_of(x)
+        index = index_of(x, given.names)
         y = in_order_of(y, RangeIndex(len(rows)) if index is None else index, "y")
     values = np.asarray(y, dtype=float)
     if values.shape != rows.shape[:1]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():
         raise UsageError("y must be finite: leave rows without an answer out")
+    check_rows(rows, given)
     return each_once(rows, values)
 
 
@@ -199,11 +199,14 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
 # --- a model that is called -----------------------------------------------------------------------
 
 
-def _called(model: Model, columns: dict[str, Array]) -> Array:
-    """The model's answers (n,); rows at which it raises when it is called with all, and by
-    themselves, are nan.
+#: rows that tell whether a model that raises does so at every row
+PROBES = 3
 
-    Raises UsageError for what is no model, answers in another form, or raises at each of several
+
+def _called(model: Model, columns: dict[str, Array]) -> Array:
+    """The model's answers (n,); rows at which it raises by themselves are nan.
+
+    Raises UsageError for what is no model, answers in another form, or raises at each of a few
         rows.
     """
     n = len(next(iter(columns.values())))
@@ -212,16 +215,35 @@ def _called(model: Model, columns: dict[str, Array]) -> Array:
             f"a model is a function of a dict of name -> (n,), not {type(model).__name__}"
         )
     try:
-        found = model(columns)
+        return _checked(model(columns), n)
+    except UsageError:
+        raise
     except Exception as error:
+        for place in np.linspace(0, n - 1, PROBES).astype(int):
+            row = {name: column[place : place + 1] for name, column in columns.items()}
+            if np.isfinite(_by_parts(model, row)).any():
+                return _by_parts(model, columns)
+        text = f"{type(error).__name__}: {as_text(error)}"
+        raise UsageError(f"the model raises at each of {PROBES} rows: {text}") from error
+
+
+def _by_parts(model: Model, columns: dict[str, Array]) -> Array:
+    """The model's answers (n,), in halves where it raises; a row at which it raises is nan."""
+    n = len(next(iter(columns.values())))
+    try:
+        return _checked(model(columns), n)
+    except UsageError:
+        raise
+    except Exception:
         if n == 1:
             return np.array([np.nan])
-        single = [{name: column[k : k + 1] for name, column in columns.items()} for k in range(n)]
-        rows = np.concatenate([_called(model, row) for row in single])
-        if np.isnan(rows).all():
-            text = f"{type(error).__name__}: {as_text(error)}"
-            raise UsageError(f"the model raises at each of {n} rows: {text}") from error
-        return rows
+        first = {name: column[: n // 2] for name, column in columns.items()}
+        rest = {name: column[n // 2 :] for name, column in columns.items()}
+        return np.concatenate([_by_parts(model, first), _by_parts(model, rest)])
+
+
+def _checked(found: Any, n: int) -> Array:
+    """What a model answered to n rows as (n,) real numbers."""
     if isinstance(found, Mapping) or hasattr(found, "columns"):
         if len(names := list(found)) != 1:
             raise UsageError(

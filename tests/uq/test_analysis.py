@@ -114,7 +114,7 @@ def test_predictions_cover_and_say_what_lies_beyond_the_laws() -> None:
     x, y = noisy(1.0, 128)
     made = analysis.chaos(x, y, NORMALS)
     fresh, truth = noisy(1.0, 4000)
-    low, high = made.predict(fresh)[1:]
+    _, low, high = made.predict(fresh)
     assert 0.9 <= np.mean((low <= truth) & (truth <= high)) <= 0.995
     bounded = analysis.chaos(FRAME, OUTPUT, LAWS)
     rows = {"a": [0.0, 0.0], "b": [0.5, 1.5], "c": [0.0, 0.0]}
@@ -145,7 +145,81 @@ def test_rough_outputs_have_wide_intervals() -> None:
     # parts of the variance mean nothing without an expansion where inputs are tied
     tied = analysis.joint(LAWS, {tuple(LAWS)[:2]: 0.5})
     with pytest.raises(UsageError, match="give more rows, or call the model"):
-        analysis.sobol_indices(FRAME, RNG.normal(size=200), tied)
+        analysis.sobol_indices(tied.physical(RNG.normal(size=(200, 3))), RNG.normal(size=200), tied)
+
+
+# --- rows that do not follow what is declared -----------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (lambda x: x.assign(a=1000.0 * x["a"]), "a thousand times too large"),
+        (lambda x: x.rename(columns={"a": "b", "b": "a"}), "seem to be swapped"),
+        (lambda x: x.assign(a=0.9 * x["c"] + 0.436 * x["a"]), "depend on each other"),
+        (lambda x: x.assign(b=x["b"] + 3.0), "cannot come from its distribution"),
+    ],
+)
+def test_one_check_of_rows_at_every_door_names_the_likely_cause(change: Any, cause: str) -> None:
+    rows = change(FRAME)
+    for door in (analysis.chaos, analysis.sobol_indices):
+        with pytest.raises(UsageError, match=cause):
+            door(rows, OUTPUT, LAWS)
+    study = uqsphere.Study(inputs=LAWS, outputs="y")
+    with pytest.raises(UsageError, match=cause):
+        study.analyse(rows.assign(y=OUTPUT))
+
+
+def test_a_typo_in_a_limit_function_is_refused_after_four_calls() -> None:
+    calls = []
+
+    def limit(row: dict[str, Any]) -> Any:
+        calls.append(len(row["a"]))
+        return row["typo"]
+
+    with pytest.raises(UsageError, match="KeyError"):
+        analysis.failure_probability(limit, LAWS)
+    assert len(calls) == 4
+
+
+def test_labelled_arrays_go_by_their_names() -> None:
+    xarray = pytest.importorskip("xarray")
+    truth = values(analysis.sobol_indices(FRAME, OUTPUT, LAWS))
+    array = xarray.DataArray(
+        FRAME[["c", "b", "a"]].to_numpy(), dims=("row", "v"), coords={"v": ["c", "b", "a"]}
+    )
+    outputs = xarray.DataArray(OUTPUT.to_numpy(), dims="row")
+    for rows in (array, array.T, xarray.Dataset.from_dataframe(FRAME)):
+        assert values(analysis.sobol_indices(rows, outputs, LAWS)) == pytest.approx(truth)
+    data = xarray.Dataset({"y": outputs})
+    assert values(analysis.sobol_indices(array, data, LAWS)) == pytest.approx(truth)
+    with pytest.raises(UsageError, match="a coordinate that names its columns"):
+        analysis.chaos(array.drop_vars("v"), outputs, LAWS)
+
+
+def test_masked_and_complex_numbers_are_refused() -> None:
+    with pytest.raises(UsageError, match="complex"):
+        analysis.chaos(FRAME, OUTPUT + 1j, LAWS)
+    masked = np.ma.masked_array(FRAME.to_numpy(), mask=False)
+    with pytest.raises(UsageError, match="masked"):
+        analysis.chaos(masked, OUTPUT, LAWS)
+    with pytest.raises(UsageError, match="masked"):
+        analysis.chaos(FRAME, np.ma.masked_array(OUTPUT, mask=False), LAWS)
+
+
+def test_an_expansion_is_sampled_and_kept_in_a_file(tmp_path: Any) -> None:
+    made = analysis.chaos(FRAME.set_index(FRAME.index + 7), OUTPUT.to_numpy(), LAWS)
+    made.save(tmp_path / "y.expansion")
+    again = analysis.Expansion.load(tmp_path / "y.expansion")
+    assert again.sample(5, seed=1).equals(made.sample(5, seed=1))
+    # y = a + 3 b²: mean 1, median by simulation
+    draws = RNG.normal(size=10**6) + 3.0 * RNG.uniform(-1.0, 1.0, 10**6) ** 2
+    assert made.quantiles([0.1, 0.5]) == pytest.approx(np.quantile(draws, [0.1, 0.5]), abs=0.02)
+    rows = FRAME.set_index(FRAME.index + 7).head(3)
+    assert made.predict(rows).to_frame().index.tolist() == [7, 8, 9]
+    (tmp_path / "other").write_bytes(b"nothing")
+    with pytest.raises(UsageError, match="holds no expansion"):
+        analysis.Expansion.load(tmp_path / "other")
 
 
 def test_failure_probability_of_tied_inputs_that_fail_and_raise() -> None:

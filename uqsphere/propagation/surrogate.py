@@ -37,6 +37,7 @@ from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.response import Response, cross_fit, unseen
+from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
 #: rows that measure what the model costs, rows of a design at most and at least, and points of a
@@ -184,10 +185,8 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
 
     Rows that repeat count once, with a warning.  Raises UsageError for a study of a scene, columns
     that are missing, unknown or no numbers, fewer than 16 rows, and inputs that do not follow their
-    distributions (one value beyond them, or Kolmogorov and Smirnov at one in a million).
+    distributions and dependence (`check_rows`).
     """
-    from scipy.stats import kstest
-
     study, inputs = design.study, design.inputs
     if not study.black_box or not inputs:
         raise UsageError(
@@ -208,21 +207,8 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
         raise UsageError(f"{len(x)} rows are too few: {LEAST_ROWS} or more are needed")
     if steps := [name for name in inputs if design.study.random[name].is_steps]:
         raise UsageError(f"{steps[0]} is discrete: rows from elsewhere need inputs with a density")
+    check_rows(x, design.joint.only(inputs))
     own = design.joint.only(inputs).normals(x)
-    for name, column, values, law in zip(
-        inputs, own.T, x.T, design.joint.only(inputs).laws, strict=True
-    ):
-        if (beyond := np.flatnonzero((law.cdf(values) <= 0.0) | (law.sf(values) <= 0.0))).size:
-            raise UsageError(
-                f"column {name!r}: {values[beyond[0]]:g} cannot come from the distribution of "
-                "the study, "
-                f"{law!r}: {len(beyond)} of {len(x)} rows lie beyond it"
-            )
-        if kstest(column, "norm").pvalue < 1e-6:
-            raise UsageError(
-                f"the column {name!r} does not follow the distribution of the study, {law!r}: "
-                "rows are drawn as by study.design or study.sample"
-            )
     names = design.drawn.names
     normals = _design_points(design, len(x), task="factors")
     normals[:, [names.index(name) for name in inputs]] = own

@@ -15,11 +15,13 @@ holds for points drawn as the rows were.
 from __future__ import annotations
 
 import math
+import pickle
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,20 +46,36 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.response import Response, cross_fit
+from uqsphere.uq.rows import as_table, is_labelled
 from uqsphere.uq.shapley import dependent_shares
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from pandas import DataFrame
 
 
-class Prediction(NamedTuple):
-    """What an expansion says of n points, (n,) each: the value, and between which the model's
-    answer lies.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """What an expansion says of n points.
+
+    value, low, high : the value, and between which the model's answer lies, (n,) each
+    index : the index of the rows, where they have one
     """
 
     value: Array
     low: Array
     high: Array
+    index: Any = None
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.value, self.low, self.high))
+
+    def to_frame(self) -> DataFrame:
+        """The columns value, low and high, by the index of the rows."""
+        from pandas import DataFrame
+
+        columns = {"value": self.value, "low": self.low, "high": self.high}
+        return DataFrame(columns, index=self.index)
 
 
 def columns_of(rows: Any, names: Sequence[str]) -> Array:
@@ -66,6 +84,7 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
 
     Raises UsageError for missing, unknown and repeated columns, and for what is no finite number.
     """
+    rows = as_table(rows, names)
     if hasattr(rows, "columns") or isinstance(rows, Mapping):
         given = [str(name) for name in (rows.columns if hasattr(rows, "columns") else rows)]
         for what, wrong in (
@@ -75,7 +94,9 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
         ):
             if wrong:
                 raise UsageError(f"column {wrong[0]!r} {what}; the inputs are {', '.join(names)}")
-        columns = [rows[n] for n in names]
+        columns = [rows[n].to_series() if is_labelled(rows[n]) else rows[n] for n in names]
+        if masked := [n for n in names if isinstance(rows[n], np.ma.MaskedArray)]:
+            raise UsageError(f"column {masked[0]!r} is masked: leave out the rows that are masked")
         index = index_of(rows)
         for k, column in enumerate(columns):
             if index is not None and hasattr(column, "reindex") and not column.index.equals(index):
@@ -122,12 +143,15 @@ def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
     return different[order], (sums.T / np.bincount(place.ravel())).T[order]
 
 
-def index_of(rows: Any) -> Any:
+def index_of(rows: Any, names: Sequence[str] = ()) -> Any:
     """The index of a table of pandas, or that of the first Series of a mapping; None without
     one.
     """
-    tables = [rows, *(rows.values() if isinstance(rows, Mapping) else ())]
-    return next((one.index for one in tables if hasattr(one, "reindex")), None)
+    if isinstance(rows, Mapping) and not hasattr(rows, "data_vars"):
+        tables = [one.to_series() if is_labelled(one) else one for one in rows.values()]
+    else:
+        tables = [as_table(rows, names)]
+    return next((one.index for one in tables if hasattr(one, "iloc")), None)
 
 
 def in_order_of(column: Any, index: Any, name: str) -> Any:
@@ -273,7 +297,9 @@ class Expansion:
             if rank <= scores.size:
                 half = scores[rank - 1] * self._std_error(points, value)
         value = np.where(inside, value, np.nan)
-        return Prediction(value, value - half, value + half)
+        return Prediction(
+            value=value, low=value - half, high=value + half, index=index_of(rows, self.names)
+        )
 
     @cached_property
     def _inverse(self) -> Array:
@@ -305,6 +331,42 @@ class Expansion:
         """Mean and standard deviation of the expansion, for independent inputs."""
         found = integrals(self.fit)
         return found.mean, found.sd
+
+    def sample(self, count: int, *, seed: int = 0) -> DataFrame:
+        """Rows of the inputs, drawn from their joint distribution, and the expansion's values there
+        as `output`.
+        """
+        from pandas import DataFrame
+
+        draws = random_generator(seed=seed, task="expansion").standard_normal(
+            (count, len(self.names))
+        )
+        x = self.joint.physical(draws)
+        value = predict(self.fit, _points(self.joint, self.fit.germs, x))
+        return DataFrame(x, columns=list(self.names)).assign(output=value)
+
+    def quantiles(self, p: ArrayLike, *, count: int = 1 << 17, seed: int = 0) -> Array:
+        """Quantiles of the expansion's values at probabilities, of so many draws of the inputs."""
+        draws = self.sample(count, seed=seed)["output"].to_numpy()
+        return np.asarray(np.quantile(draws, np.asarray(p, dtype=float)), dtype=float)
+
+    def save(self, path: str | Path) -> None:
+        """Write the expansion to a file, for `Expansion.load`."""
+        Path(path).write_bytes(pickle.dumps(self))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Expansion:
+        """The expansion that `save` wrote.  Load no file from others: it may hold any program.
+
+        Raises UsageError for a file that holds no expansion.
+        """
+        try:
+            loaded = pickle.loads(Path(path).read_bytes())
+        except (pickle.UnpicklingError, EOFError, AttributeError, ImportError) as error:
+            raise UsageError(f"{path} holds no expansion: {error}") from error
+        if not isinstance(loaded, cls):
+            raise UsageError(f"{path} holds no expansion, but a {type(loaded).__name__}")
+        return loaded
 
     def indices(self) -> dict[str, dict[str, Estimate]]:
         """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs

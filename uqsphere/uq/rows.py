@@ -1,0 +1,155 @@
+"""Rows from elsewhere: tables read by the names of their columns, and the one check that rows
+follow the distributions and the dependence of the inputs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.uq.joint import Joint
+from uqsphere.uq.law import Law
+
+#: chance at which rows of the right distribution are rejected, by input and by pair of inputs
+CHANCE: Final = 1e-6
+#: rows below which a distribution cannot be told from another one
+LEAST_ROWS: Final = 16
+#: factors between units that are mistaken for each other, by name
+UNITS: Final = {
+    1e-9: "1e9 times too large",
+    1e-6: "a million times too large",
+    1e-3: "a thousand times too large (mm for m, MPa for GPa)",
+    1e-2: "a hundred times too large (per cent for a share)",
+    0.1: "ten times too large",
+    10.0: "ten times too small",
+    1e2: "a hundred times too small",
+    1e3: "a thousand times too small (m for mm, GPa for MPa)",
+    1e6: "a million times too small",
+    1e9: "1e9 times too small",
+    180.0 / math.pi: "in radians where degrees are expected",
+    math.pi / 180.0: "in degrees where radians are expected",
+}
+
+
+def as_table(rows: Any, names: Sequence[str]) -> Any:
+    """A labelled array or data set of xarray as a DataFrame by the inputs' names; anything else as
+    it is.
+
+    Raises UsageError for a labelled array without these labels, masked arrays and complex numbers.
+    """
+    if isinstance(rows, np.ma.MaskedArray):
+        raise UsageError("masked arrays are not taken: leave out the rows that are masked")
+    if hasattr(rows, "data_vars"):
+        return rows.to_dataframe()[[*rows.data_vars]]
+    if not is_labelled(rows) or len(rows.dims) != 2:
+        return rows
+    for dimension in rows.dims:
+        if dimension in rows.coords:
+            labels = [str(label) for label in rows.coords[dimension].values]
+            if set(labels) == set(names):
+                other = next(name for name in rows.dims if name != dimension)
+                return rows.transpose(other, dimension).to_pandas()
+    raise UsageError(
+        f"a labelled array needs a coordinate that names its columns: {', '.join(names)}; found "
+        f"dimensions {', '.join(map(str, rows.dims))}"
+    )
+
+
+def as_answers(y: Any) -> Any:
+    """Answers as a Series where they have labels, else as an array.
+
+    Raises UsageError for several columns, masked arrays and complex numbers.
+    """
+    if isinstance(y, np.ma.MaskedArray):
+        raise UsageError("masked arrays are not taken: leave out the rows that are masked")
+    if hasattr(y, "data_vars"):
+        y = y.to_dataframe()[[*y.data_vars]]
+    if is_labelled(y):
+        y = y.to_series() if len(y.dims) == 1 else np.asarray(y)
+    if hasattr(y, "columns"):
+        if y.shape[1] != 1:
+            raise UsageError(f"y is one output, found the columns {', '.join(map(str, y.columns))}")
+        y = y.iloc[:, 0]
+    if np.iscomplexobj(y):
+        raise UsageError("y must be real, found complex numbers: choose their real part or size")
+    return y
+
+
+def is_labelled(value: Any) -> bool:
+    """Whether something is an array of xarray."""
+    return all(hasattr(value, name) for name in ("dims", "coords", "to_series", "sel"))
+
+
+def check_rows(x: Array, joint: Joint) -> None:
+    """Refuse rows (n, d) that do not follow the distributions of the inputs and their dependence.
+
+    A value beyond a distribution is refused at any number of rows; 16 rows or more are tested by
+    Kolmogorov and Smirnov and by the correlations of their normal scores, each at one in a million.
+    The message names the likely cause: another unit, or swapped columns.
+    """
+    for k, (name, law) in enumerate(zip(joint.names, joint.laws, strict=True)):
+        column = x[:, k]
+        beyond = np.flatnonzero((law.cdf(column) <= 0.0) | (law.sf(column) <= 0.0))
+        if beyond.size and not law.is_steps:
+            raise UsageError(
+                f"column {name!r}: {column[beyond[0]]:g} cannot come from its distribution, "
+                f"{law!r}: {beyond.size} of {len(x)} rows lie beyond it{_cause(x, joint, k)}"
+            )
+        if not _follows(column, law):
+            raise UsageError(
+                f"column {name!r} does not follow its distribution, {law!r}{_cause(x, joint, k)}"
+            )
+    _check_dependence(x, joint)
+
+
+def _follows(column: Array, law: Law) -> bool:
+    """Whether values may come from a distribution; few rows and few different values always may."""
+    from scipy.stats import kstest
+
+    if len(column) < LEAST_ROWS or law.is_steps or 2 * len(np.unique(column)) <= len(column):
+        return True
+    return bool(kstest(law.cdf(column), "uniform").pvalue >= CHANCE)
+
+
+def _cause(x: Array, joint: Joint, place: int) -> str:
+    """Why a column may not follow its distribution; empty where nothing explains it."""
+    column, law = x[:, place], joint.laws[place]
+    for other, name in enumerate(joint.names):
+        swapped = other != place and _follows(column, joint.laws[other])
+        if swapped and _follows(x[:, other], law) and len(x) >= LEAST_ROWS:
+            return f"; the columns {joint.names[place]!r} and {name!r} seem to be swapped"
+    for factor, text in UNITS.items():
+        scaled = column * factor
+        inside = (law.cdf(scaled) > 0.0) & (law.sf(scaled) > 0.0)
+        if inside.all() and _follows(scaled, law) and len(x) >= LEAST_ROWS:
+            return f"; its values seem to be {text}: give them in the unit of the distribution"
+    return "; rows are drawn from the distributions of the inputs, as `design` and `sample` do"
+
+
+def _check_dependence(x: Array, joint: Joint) -> None:
+    """Refuse rows whose inputs depend on each other otherwise than declared."""
+    n, d = x.shape
+    if n < LEAST_ROWS or d < 2 or any(law.is_steps for law in joint.laws):
+        return
+    # independent normals, once what ties the inputs is taken out of them
+    normals = joint.normals(x)
+    varies = np.ptp(normals, axis=0) > 0.0
+    for i in range(d):
+        for j in range(i):
+            if not (varies[i] and varies[j]):
+                continue
+            r = float(np.corrcoef(normals[:, i], normals[:, j])[0, 1])
+            # Fisher's transformation
+            score = math.atanh(min(abs(r), 1.0 - 1e-12)) * math.sqrt(n - 3)
+            if math.erfc(score / math.sqrt(2.0)) < CHANCE:
+                declared = "beyond their declared dependence" if joint.dependent else "undeclared"
+                raise UsageError(
+                    f"the columns {joint.names[j]!r} and {joint.names[i]!r} depend on each other: "
+                    f"correlation {r:.2f} of {n} rows, {declared}; declare it in [[dependence]] "
+                    "(or `joint`), or draw rows as declared"
+                )
