@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
@@ -94,7 +94,7 @@ def check_rows(x: Array, joint: Joint) -> None:
     """
     for k, (name, law) in enumerate(zip(joint.names, joint.laws, strict=True)):
         column = x[:, k]
-        beyond = np.flatnonzero((law.cdf(column) <= 0.0) | (law.sf(column) <= 0.0))
+        beyond = np.flatnonzero(_beyond(column, law))
         if beyond.size and not law.is_steps:
             raise UsageError(
                 f"column {name!r}: {column[beyond[0]]:g} cannot come from its distribution, "
@@ -107,10 +107,17 @@ def check_rows(x: Array, joint: Joint) -> None:
     _check_dependence(x, joint)
 
 
+def _beyond(column: Array, law: Law) -> Flags:
+    """Which values cannot come from a distribution."""
+    return np.asarray((law.cdf(column) <= 0.0) | (law.sf(column) <= 0.0))
+
+
 def _follows(column: Array, law: Law) -> bool:
     """Whether values may come from a distribution; few rows and few different values always may."""
     from scipy.stats import kstest
 
+    if not law.is_steps and _beyond(column, law).any():
+        return False
     if len(column) < LEAST_ROWS or law.is_steps or 2 * len(np.unique(column)) <= len(column):
         return True
     return bool(kstest(law.cdf(column), "uniform").pvalue >= CHANCE)
@@ -125,8 +132,7 @@ def _cause(x: Array, joint: Joint, place: int) -> str:
             return f"; the columns {joint.names[place]!r} and {name!r} seem to be swapped"
     for factor, text in UNITS.items():
         scaled = column * factor
-        inside = (law.cdf(scaled) > 0.0) & (law.sf(scaled) > 0.0)
-        if inside.all() and _follows(scaled, law) and len(x) >= LEAST_ROWS:
+        if _follows(scaled, law) and len(x) >= LEAST_ROWS:
             return f"; its values seem to be {text}: give them in the unit of the distribution"
     return "; rows are drawn from the distributions of the inputs, as `design` and `sample` do"
 
