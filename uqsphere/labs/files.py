@@ -1,11 +1,10 @@
-"""What both labs share: input files, units of their keys, tables of the terminal, files that are
-written.
-"""
+"""What both labs share: input files, units of keys, tables of the terminal, written files."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,12 +12,12 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import Table
-from uqsphere.materials import library
+from uqsphere.materials import Material, library
 from uqsphere.units import parse_value
 
 
 def in_unit(dimension: str) -> BeforeValidator:
-    """A key whose text has a unit of a dimension."""
+    """A key with a unit of a dimension."""
     return BeforeValidator(lambda text: parse_value(text, dimension))
 
 
@@ -32,39 +31,50 @@ Time = Annotated[float, in_unit("time")]
 
 
 class Section(Table):
-    """A table of the file."""
+    """A table of an input file."""
 
     model_config = ConfigDict(strict=False, allow_inf_nan=True)
 
 
-def from_library(table: Any, *kinds: str) -> Any:
-    """A table with E, nu and density of its `material` where it does not give its own."""
-    if not isinstance(table, dict) or table.get("material") is None:
-        return table
-    known = {name: one for kind in kinds for name, one in library()[kind].items()}
-    if table["material"] not in known:
-        raise ValueError(f"material {table['material']!r} is not known: {', '.join(known)}")
-    own, units = known[table["material"]].properties, {"E": "Pa", "density": "kg/m3"}
-    taken = {key: f"{own[key].value!r} {unit}" for key, unit in units.items() if key in own}
-    return {**taken, **({"nu": own["nu"].value} if "nu" in own else {}), **table}
+def from_library(raw: Any, *kinds: str) -> Any:
+    """A table completed by E, nu and density of its `material`."""
+    if not isinstance(raw, dict) or raw.get("material") is None:
+        return raw
+    materials: dict[str, Material] = {}
+    for kind in kinds:
+        materials |= library()[kind]
+    if raw["material"] not in materials:
+        raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
+    properties, completed = materials[raw["material"]].properties, dict[str, Any]()
+    for key, unit in (("E", "Pa"), ("density", "kg/m3")):
+        if key in properties:
+            completed[key] = f"{properties[key].value!r} {unit}"
+    if "nu" in properties:
+        completed["nu"] = properties["nu"].value
+    return {**completed, **raw}
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Aligned columns; the last one is not padded."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
-    lines = [
-        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip()
-        for row in rows
-    ]
-    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+    widths = [max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1]]
+    lines = []
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+        line = "  ".join([*cells, row[-1]]).rstrip()
+        lines.append(re.sub(r"[^\x20-\x7e]", _printable, line))
+    return "\n".join(lines)
+
+
+def _printable(match: re.Match[str]) -> str:
+    return match[0] if match[0].isprintable() else "?"
 
 
 def csv_text(header: Sequence[str], columns: Sequence[Any]) -> str:
     """Columns as CSV."""
     import pandas as pd
 
-    table = pd.DataFrame(dict(zip(header, columns, strict=True)))
-    return str(table.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
+    frame = pd.DataFrame(dict(zip(header, columns, strict=True)))
+    return str(frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
 
 
 def finish(
@@ -74,9 +84,7 @@ def finish(
     files: Mapping[str, str],
     folder: Path | None = None,
 ) -> None:
-    """Write the files of a command to its folder, `--out` or else `folder`, and print its
-    answer.
-    """
+    """Write the files of a command to `--out` or `folder`, and print its answer."""
     from uqsphere.results.folder import write_files
 
     folder, written = chosen.out or folder, list[str]()

@@ -20,123 +20,135 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="uqsphere comminution", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
-        (
-            "fit",
-            (
-                "posterior of the fracture energy from tests of single particles; draws.csv is a "
-                "strength"
-            ),
-        ),
-        ("feed", "what becomes of a feed under blows"),
+        ("fit", "fracture energy from tests of single particles; writes draws.csv, a strength"),
+        ("feed", "shares broken, product and energy of a feed under blows"),
     ):
-        one = commands.add_parser(name, help=text, description=text)
-        one.add_argument("file", type=Path, help="input file (TOML)")
-        one.add_argument(
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument("file", type=Path, help="input file (TOML)")
+        command.add_argument(
             "--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)"
         )
-        one.add_argument("--json", action="store_true", help="one JSON document on stdout")
+        command.add_argument("--json", action="store_true", help="print one JSON document")
     _run(parser.parse_args(argv))
     return 0
 
 
 def _run(chosen: argparse.Namespace) -> None:
     from uqsphere.labs.comminution.feed import answer_feed
-    from uqsphere.labs.comminution.fit import UNTESTED, fit
+    from uqsphere.labs.comminution.fit import fit
     from uqsphere.labs.comminution.tests import load_tests
 
     asked = load_document(chosen.file, ComminutionDocument)
     folder = chosen.file.parent
     fitted = fit(load_tests(asked, folder), asked)
-    low, high = fitted.posterior.tested
-    at = asked.strength_at or math.sqrt(low * high)
+    posterior = fitted.posterior
+    at = asked.strength_at or math.sqrt(math.prod(posterior.tested))
     content = {**fitted.content, "strength_at": at}
-    files = {"draws.csv": fitted.posterior.strength_csv(at), "fit.json": _json(content)}
-    text, warnings = _fit_text(content), [*fitted.content["warnings"]]
-    if at < low / UNTESTED or at > high * UNTESTED:
-        law = "" if fitted.content["size"] == "class" else f" by the size law {content['size']!r}"
-        warnings.append(
-            f"strength_at = {at * 1e3:.4g} mm is outside the tested sizes ({low * 1e3:.4g} to "
-            f"{high * 1e3:.4g} mm): draws.csv is an extrapolation{law}. Test this size"
-        )
+    files = {"draws.csv": posterior.strength_csv(at), "fit.json": _json(content)}
+    text, warnings = _fit_text(content), [*content["warnings"], *_untested(content, at)]
     if chosen.command == "feed":
-        answer = answer_feed(fitted.posterior, asked, folder)
-        classes = [
-            (c["upper"], c["size"], c["mass"], *c["broken"].values())
-            for c in answer.content["classes"]
-        ]
-        head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
-        files |= {
-            "feed.json": _json(answer.content),
-            "classes.csv": csv_text(head, [*zip(*classes, strict=True)]),
-        }
-        if product := [tuple(one.values()) for one in answer.content["product"]]:
-            head = ["sieve [m]", "feed", "passing", "low", "high"]
-            files["product.csv"] = csv_text(head, [*zip(*product, strict=True)])
-        content, text = {"fit": content, "feed": answer.content}, _feed_text(answer.content)
-        warnings = [*warnings, *answer.content["warnings"]]
+        answer = answer_feed(posterior, asked, folder).content
+        files |= _feed_files(answer)
+        content, text = {"fit": content, "feed": answer}, _feed_text(answer)
+        warnings += answer["warnings"]
     for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
     finish(chosen, content, text, files, Path(f"{chosen.file.stem}-{chosen.command}"))
+
+
+def _untested(content: dict[str, Any], at: float) -> list[str]:
+    """A note on a strength of a size [m] that was not tested."""
+    from uqsphere.labs.comminution.fit import UNTESTED
+
+    low, high = content["tests"]["diameters"]
+    if low / UNTESTED <= at <= high * UNTESTED:
+        return []
+    extrapolation = f"an extrapolation by the size law {content['size']!r}"
+    if content["size"] == "class":
+        extrapolation = "the strength of the nearest tested size"
+    return [
+        f"strength_at = {at * 1e3:.4g} mm is outside the tested sizes ({low * 1e3:.4g} to "
+        f"{high * 1e3:.4g} mm): draws.csv is {extrapolation}. Test this size"
+    ]
 
 
 def _json(content: Any) -> str:
     return json.dumps(content, indent=1, allow_nan=False, default=float) + "\n"
 
 
-def _interval(one: dict[str, float], factor: float = 1.0, unit: str = "") -> tuple[str, str]:
-    low, high = one["low"] * factor, one["high"] * factor
-    return f"{one['value'] * factor:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g}"
+def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -> tuple[str, str]:
+    value, low, high = (factor * estimate[key] for key in ("value", "low", "high"))
+    return f"{value:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g}"
 
 
 def _fit_text(content: dict[str, Any]) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
-    rows = [
+    rows: list[tuple[str, ...]] = [
         ("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")
     ]
-    for one in content["sizes"]:
-        energies = [
-            _interval(one[key], 1.0, "J/kg") for key in ("E50", "breaks_half", "breaks_1_percent")
-        ]
-        rows.append((f"{one['diameter'] * 1e3:.4g} mm", str(one["tests"]), *sum(energies, ())))
+    for size in content["sizes"]:
+        row = [f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"])]
+        for key in ("E50", "breaks_half", "breaks_1_percent"):
+            row += _interval(size[key], 1.0, "J/kg")
+        rows.append(tuple(row))
     laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
-    laws += [
-        (law, f"{one['weight']:.0%}", f"{one['log_likelihood']:.2f}", f"{one['loo']:.2f}")
-        for law, one in content["laws"].items()
-    ]
+    for name, law in content["laws"].items():
+        score = f"{law['loo']:.2f}"
+        laws.append((name, f"{law['weight']:.0%}", f"{law['log_likelihood']:.2f}", score))
     names = [("parameter", "value", "95 %", "sd of the logarithm: prior, posterior")]
-    for name, one in content["parameters"].items():
-        prior = "flat" if one["prior_sd"] is None else f"{one['prior_sd']:.2g}"
-        names.append((name, *_interval(one), f"{prior}, {one['sd']:.2g}"))
+    for name, parameter in content["parameters"].items():
+        prior = "flat"
+        if parameter["prior_sd"] is not None:
+            prior = f"{parameter['prior_sd']:.2g}"
+        names.append((name, *_interval(parameter), f"{prior}, {parameter['sd']:.2g}"))
     use = (
-        f'strength = {{ draws = "draws.csv" }}    # of particles of '
-        f"{content['strength_at'] * 1e3:.4g} mm, J/kg"
+        'In a study: strength = { draws = "draws.csv" }, specific energy of particles of '
+        f"{content['strength_at'] * 1e3:.4g} mm"
     )
     return "\n\n".join([head, table(rows), table(laws), table(names), use])
 
 
+def _feed_files(answer: dict[str, Any]) -> dict[str, str]:
+    """The files of a feed, by name."""
+    classes = [
+        (row["upper"], row["size"], row["mass"], *row["broken"].values())
+        for row in answer["classes"]
+    ]
+    head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
+    files = {
+        "feed.json": _json(answer),
+        "classes.csv": csv_text(head, [*zip(*classes, strict=True)]),
+    }
+    product = [tuple(row.values()) for row in answer["product"]]
+    if product:
+        head = ["sieve [m]", "feed", "passing", "low", "high"]
+        files["product.csv"] = csv_text(head, [*zip(*product, strict=True)])
+    return files
+
+
 def _feed_text(content: dict[str, Any]) -> str:
-    scale = {
-        "energy [J/kg]": ("energy of the particles", 1.0 / 3600.0, "kWh/t"),
+    shown = {
+        "energy [J/kg]": ("energy taken up by the particles", 1.0 / 3600.0, "kWh/t"),
         "P80 [m]": ("P80", 1e3, "mm"),
         "P50 [m]": ("P50", 1e3, "mm"),
+        **{name: (name, 100.0, "%") for name in ("broken", "never broken", "t10", "fines")},
     }
     rows = [("answer", "value", "95 %")]
-    for name, one in content["numbers"].items():
-        words, factor, unit = scale.get(name, (name, 1.0, ""))
-        if name in ("broken", "never broken", "t10", "fines"):
-            factor, unit = 100.0, "%"
-        rows.append((words, *_interval(one, factor, unit)))
+    for name, number in content["numbers"].items():
+        words, factor, unit = shown.get(name, (name, 1.0, ""))
+        rows.append((words, *_interval(number, factor, unit)))
     if "lot" in content:
-        one = content["lot"]
-        value, reach = _interval(one["broken"], 100.0, "%")
+        lot = content["lot"]
+        value, reach = _interval(lot["broken"], 100.0, "%")
         spread = (
-            f"{reach}; sd {100 * one['epistemic_sd']:.2g} % of the tests, "
-            f"{100 * one['lot_sd']:.2g} % of the lot"
+            f"{reach}; sd {100 * lot['epistemic_sd']:.2g} % from the tests, "
+            f"{100 * lot['lot_sd']:.2g} % from the lot"
         )
-        rows.append((f"broken of a lot of {one['mass']:.4g} kg", value, spread))
+        rows.append((f"broken of a lot of {lot['mass']:.4g} kg", value, spread))
     classes = [("size", "mass", "broken", "95 %", "")]
-    for one in content["classes"]:
-        size, mark = f"{one['size'] * 1e3:.4g} mm", "extrapolated" if one["extrapolated"] else ""
-        classes.append((size, f"{one['mass']:.1%}", *_interval(one["broken"], 100.0, "%"), mark))
+    for row in content["classes"]:
+        mark = "extrapolated" if row["extrapolated"] else ""
+        broken = _interval(row["broken"], 100.0, "%")
+        classes.append((f"{row['size'] * 1e3:.4g} mm", f"{row['mass']:.1%}", *broken, mark))
     return "\n\n".join([content["title"] or "feed", table(rows), table(classes)])
