@@ -91,3 +91,7 @@ def test_estimates_have_the_digits_of_their_interval() -> None:
     assert format_estimate(0.25, None, 0.3) == "0.25"
     assert format_estimate(1.0, -math.inf, 2.0) == "1 (-inf to 2)"
     assert format_value(math.inf, "bars.end_radius") == "inf mm"
+
+
+def test_ratios_above_one_are_percentages_too() -> None:
+    assert [format_probability(value) for value in (1.0, 1.3, 2.5)] == ["100 %", "130 %", "250 %"]

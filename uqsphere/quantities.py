@@ -186,7 +186,8 @@ def _percent(value: float, direction: int = 0) -> str:
     if 0.9999 < value < 1.0:
         return "above 99.99 %"
     digits = 2
-    if value == 1.0:
+    if value >= 1.0:
+        # a ratio, such as a coefficient of variation, may exceed 100 %
         digits = 3
     elif value > 0.99:
         digits = 1 - math.floor(math.log10(1.0 - value))
