@@ -1,0 +1,100 @@
+"""Failure probabilities of limits by themselves: against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from tables_of import tables_of
+
+from uqsphere.propagation.limits import failure, limits
+from uqsphere.results.types import Kind
+from uqsphere.study import Study
+
+LOAD = {"load": {"dist": "normal", "mean": 10.0, "sd": 2.0}}
+NORMAL = {"dist": "normal", "mean": 16.0, "sd": 1.5}
+#: P(load > strength) of both normals
+BOTH = float(stats.norm.sf(6.0 / math.hypot(2.0, 1.5)))
+
+
+def study(strength, aim="survive", **further):
+    limit = {"quantity": "y", "strength": strength, "aim": aim, "target": 0.1}
+    return Study(inputs=LOAD, outputs="y", limits={"high": limit}, **further)
+
+
+def load(x):
+    return {"y": x["load"]}
+
+
+@pytest.mark.parametrize(
+    ("strength", "aim", "truth"),
+    [
+        (13.0, "survive", stats.norm.sf(1.5)),
+        (13.0, "break", stats.norm.cdf(1.5)),
+        (NORMAL, "survive", BOTH),
+        (NORMAL, "break", 1.0 - BOTH),
+    ],
+)
+def test_a_failure_probability_is_that_of_the_closed_form(strength, aim, truth):
+    design, tables = tables_of(study(strength, aim), load)
+    (limit,) = design.limits
+    estimate = failure(design, tables, limit)
+    assert estimate.low <= truth <= estimate.high
+    assert estimate.high - estimate.low < 0.02 * truth + 1e-3
+
+
+def test_rows_of_a_limit_agree_with_each_other():
+    design, tables = tables_of(study(NORMAL), load)
+    answers = limits(design, tables)
+    failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
+    exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
+    index = answers.get("limits.high", Kind.RELIABILITY_INDEX)
+    assert failed.value == exceeded.value
+    assert index.value == pytest.approx(stats.norm.isf(failed.value), rel=1e-9)
+    assert index.low == pytest.approx(stats.norm.isf(failed.high), rel=1e-9)
+    assert index.high == pytest.approx(stats.norm.isf(failed.low), rel=1e-9)
+
+
+def test_exceedance_is_the_complement_where_the_sphere_must_break():
+    design, tables = tables_of(study(NORMAL, "break"), load)
+    answers = limits(design, tables)
+    failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
+    exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
+    assert exceeded.value == pytest.approx(1.0 - failed.value, rel=1e-12)
+
+
+def test_a_dependence_of_load_and_strength_counts():
+    tie = [{"of": ["load", "limits.high.strength"], "spearman": 6.0 / math.pi * math.asin(0.4)}]
+    design, tables = tables_of(study({**NORMAL, "mean": 13.0}, dependence=tie), load)
+    (limit,) = design.limits
+    # rho = 2 sin(pi/6 spearman) = 0.8 of the normal scores
+    sd = math.sqrt(2.0**2 + 1.5**2 - 2.0 * 0.8 * 2.0 * 1.5)
+    estimate = failure(design, tables, limit)
+    assert estimate.value == pytest.approx(stats.norm.sf(3.0 / sd), rel=0.02)
+
+
+def test_a_fixed_input_gives_an_exact_answer():
+    fixed = Study(
+        inputs={"load": 10.0}, outputs="y", limits={"high": {"quantity": "y", "strength": NORMAL}}
+    )
+    design, tables = tables_of(fixed, load, 16)
+    (limit,) = design.limits
+    estimate = failure(design, tables, limit)
+    assert estimate.value == pytest.approx(stats.norm.cdf(-4.0), rel=1e-12)
+    assert estimate.low == estimate.high == estimate.value
+
+
+def test_failed_rows_widen_an_interval_by_their_share():
+    bounded = study(13.0, analysis={"on_failure": "bound"})
+
+    def model(x):
+        return {"y": np.where(x["load"] < 7.0, np.nan, x["load"])}
+
+    design, tables = tables_of(bounded, model)
+    (limit,) = design.limits
+    estimate = failure(design, tables, limit)
+    lost = stats.norm.cdf(-1.5)
+    assert estimate.low <= stats.norm.sf(1.5) <= estimate.high
+    assert estimate.high - estimate.low == pytest.approx(lost, rel=0.1)

@@ -1,0 +1,81 @@
+"""What is kept of a study by itself: inputs, strengths, ties, and the rows of samples.csv."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from tables_of import tables_of
+
+from uqsphere.propagation.write import Cost, results_of, samples_of
+from uqsphere.results import Answers
+from uqsphere.study import Study
+
+INPUTS = {
+    "a": {"dist": "normal", "mean": 2.0, "sd": 0.5, "lower": 1.0},
+    "b": {"dist": "lognormal", "mean": 3.0, "cov": 0.1},
+    "c": 4.0,
+}
+WEIBULL = {"dist": "weibull", "mean": 10.0, "modulus": 5}
+LIMIT = {"quantity": "y", "strength": WEIBULL, "target": "2 %"}
+
+
+def study(**further):
+    return Study(inputs=INPUTS, outputs="y", limits={"high": LIMIT}, **further)
+
+
+def model(x):
+    return {"y": x["a"] * x["b"]}
+
+
+def results(of):
+    design, tables = tables_of(of, model)
+    cost = Cost(runs=7, reused=3, seconds=1.234)
+    return results_of(design, tables, Answers(), {}, [], cost)
+
+
+def test_inputs_have_the_numbers_of_their_distributions():
+    inputs = results(study()).inputs
+    assert list(inputs) == ["c", "a", "b"]
+    cut = stats.truncnorm(-2.0, np.inf, 2.0, 0.5)
+    assert inputs["a"].mean == pytest.approx(cut.mean(), rel=1e-9)
+    assert (inputs["a"].p05, inputs["a"].p95) == pytest.approx(tuple(cut.ppf([0.05, 0.95])))
+    assert inputs["b"].sd == pytest.approx(0.3)
+    assert inputs["c"].fixed
+    assert (inputs["c"].mean, inputs["c"].sd, inputs["c"].p95) == (4.0, 0.0, 4.0)
+
+
+def test_a_limit_has_its_strength_and_its_target():
+    limit = results(study()).study.limits["high"]
+    scale = 10.0 / stats.weibull_min(5).mean()
+    strength = stats.weibull_min(5, scale=scale)
+    assert limit.target == 0.02
+    assert limit.strength.median == pytest.approx(strength.median())
+    places, heights = limit.strength.density
+    assert heights == pytest.approx(list(strength.pdf(places)))
+
+
+def test_ties_are_told_in_words():
+    tied = results(study(dependence=[{"of": ["a", "b"], "spearman": 0.5}]))
+    (tie,) = tied.study.dependence
+    assert tie.of == ["a", "b"]
+    assert "Spearman" in tie.text
+    assert "0.5" in tie.text
+
+
+def test_cost_and_identity_are_the_runs_own():
+    of = study(seed=9)
+    whole = results(of)
+    assert (whole.accuracy.runs, whole.accuracy.reused, whole.accuracy.seconds) == (7, 3, 1.23)
+    assert (whole.study.hash, whole.study.seed) == (of.hash, 9)
+
+
+def test_samples_have_inputs_strengths_and_answers_row_by_row():
+    design, tables = tables_of(study(), model)
+    table = samples_of(design, tables)
+    assert len(table) == 16 * 1024
+    assert table["y"].to_numpy() == pytest.approx((table["a"] * table["b"]).to_numpy())
+    strengths = table["limits.high.strength"]
+    scale = 10.0 / stats.weibull_min(5).mean()
+    assert stats.kstest(strengths, stats.weibull_min(5, scale=scale).cdf).pvalue > 1e-3
+    assert abs(np.corrcoef(strengths, table["a"])[0, 1]) < 0.05
