@@ -9,7 +9,6 @@ verdict  what the answers mean, and what could turn it
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -130,12 +129,19 @@ def _run(
     cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
     evaluated = None if rows is None else surrogate.known_rows(design, rows)
 
+    reported = {"stages": 0.0, "share": 0.0}
+
+    def report(runs: int, share: float, text: str) -> None:
+        reported["stages"] = share
+        reported["share"] = max(reported["share"], share)
+        progress(runs, reported["share"], text)
+
     def stage(done: int, total: int) -> None:
-        progress(
-            evaluator.evaluations + evaluator.reused,
-            math.nan,
-            f"{done:,} of {total:,} rows of a table",
-        )
+        # how many stages follow is not known: each is shown as a tenth of what is left
+        share = reported["stages"] + 0.1 * (1.0 - reported["stages"]) * done / max(total, 1)
+        reported["share"] = max(reported["share"], share)
+        text = f"{done:,} of {total:,} model runs of this stage"
+        progress(evaluator.evaluations + evaluator.reused, reported["share"], text)
 
     evaluator = Model(
         design.judged,
@@ -151,9 +157,9 @@ def _run(
         if evaluated is not None:
             tables = surrogate.tables_of(design, evaluator, seconds=budget, known=evaluated.points)
         elif surrogate.is_slow(design, evaluator, budget):
-            tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=progress)
+            tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=report)
         else:
-            tables = grow(design, evaluator, seconds=budget, progress=progress)
+            tables = grow(design, evaluator, seconds=budget, progress=report)
         judged, tables = judge(design, evaluator, tables)
         answers = Answers()
         for analysis in ANALYSES:

@@ -233,7 +233,27 @@ def _limit(limit: Limit) -> LimitEntry:
         tests=_tests(limit),
         strength=_strength(limit),
         source="study",
+        platens=_platens(limit),
+        size_law=_size_law(limit),
     )
+
+
+def _platens(limit: Limit) -> str:
+    """Platens of the crushing tests behind a strength."""
+    if limit.tested is None or not limit.tested.forces:
+        return ""
+    modulus = limit.tested.platens[0]
+    return "rigid platens" if math.isinf(modulus) else f"platens with E = {1e-9 * modulus:.3g} GPa"
+
+
+def _size_law(limit: Limit) -> str:
+    """How the strength of tested spheres follows their size, and the rate of loading."""
+    texts = []
+    if limit.tested is not None and limit.tested.exponent:
+        texts.append(f"force at failure ~ diameter^{limit.tested.exponent:.3g}")
+    if "rate_0" in limit.parameters:
+        texts.append(f"doubled at a strain rate of {limit.parameters['rate_0']:.3g} 1/s")
+    return ", ".join(texts)
 
 
 def _assumed(mode: AssumedMode) -> LimitEntry:

@@ -313,7 +313,7 @@ def _considering(doubt: Doubt) -> str:
         "tests": f"with what its {doubt.tests} tests leave open",
         "distribution": f"with a {_family(doubt.option)} distribution of its strength",
         "contact law": "with contacts that yield",
-        "carrier": f"with its strength transferred by {doubt.option}",
+        "carrier": f"with its strength transferred by {_carrier(doubt)}",
         "tie": "with its strength independent of the inputs",
         "assumed strength": "with a strength of the library",
     }
@@ -327,7 +327,7 @@ def doubt_text(doubt: Doubt) -> str:
         "tests": f"{doubt.tests} tests, {_family(doubt.option)} distribution",
         "distribution": f"{_family(doubt.option)} distribution instead",
         "contact law": "contacts that yield",
-        "carrier": f"strength transferred by {doubt.option}",
+        "carrier": f"strength transferred by {_carrier(doubt)}",
         "tie": "strength independent of the inputs",
         "assumed strength": "library strength" + (f", {doubt.option}" if doubt.option else ""),
     }
@@ -338,6 +338,10 @@ def _family(option: str) -> str:
     """A distribution by its name: "Weibull", "lognormal"."""
     text = option.replace("_", " ")
     return text.capitalize() if text in ("weibull", "gumbel", "frechet", "rayleigh") else text
+
+
+def _carrier(doubt: Doubt) -> str:
+    return meaning(doubt.option)
 
 
 def evidence_texts(results: Results) -> list[str]:
