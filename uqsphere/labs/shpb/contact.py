@@ -1,21 +1,20 @@
-"""The contact law of a sphere that yields, from a slow load-unload record between two flat platens.
+"""The contact law of a sphere that yields, from a slow load-unload record between flat platens.
 
-The two faces are alike, so that the platens close by twice the approach of one; each follows the
-law of a face that yields (theory, C5 to C8).
-E*, p_y, H, C and the displacement of first touch follow by least squares over the displacement.
+The two faces are alike, so that the platens approach by twice the approach of one face; each
+follows the law of a face that yields (theory, C5 to C8).  E*, p_y, H, C and the displacement of
+first touch follow by least squares of the displacement.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
@@ -26,16 +25,15 @@ from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
 
-#: samples without which no law is fitted, and the most that are used
+#: fewest and most samples that are fitted
 _LEAST, _MOST = 30, 1500
-#: forces below this share of the largest are left out; a record that ends above the second is not
-#: unloaded
+#: share of the largest force below which samples are left out, and to which a record must unload
 _QUIET, _UNLOADED = 0.01, 0.5
 #: shares of the largest force at which the search for the onset begins
 _BEGINNINGS: Final = (0.03, 0.15, 0.5)
 #: bounds of H/p_y and of the pile-up
 _RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
-#: upper over lower end of an interval beyond which a number is not determined
+#: ratio of the ends of an interval beyond which a number is not determined
 _OPEN: Final = 30.0
 
 Stiffness = Annotated[float, in_unit("stiffness"), Field(gt=0.0)]
@@ -44,11 +42,11 @@ Stiffness = Annotated[float, in_unit("stiffness"), Field(gt=0.0)]
 class ContactDocument(Section):
     """An input file of `uqsphere shpb fit-contact`.
 
-    displacement, force : columns by heading or number; units stand in the heading or in `*_unit`.
-    machine_stiffness : of the machine, taken off the displacement.
-    platens : "rigid", or a material of the library for bars: E of the sphere follows from E* with
+    displacement, force : columns by heading or number; units in the heading or in `*_unit`.
+    machine_stiffness : its displacement is subtracted.
+    platens : "rigid", or a material of the library for bars; E of the sphere follows from E* and
         `nu`.
-    pile_up : where it is known; a record that was not unloaded does not tell it.
+    pile_up : required for a record that was not unloaded.
     """
 
     title: str = ""
@@ -76,8 +74,10 @@ class Fitted:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactFit:
-    """The law of the faces; `misfit` rms of the displacement [m], `depth` largest approach over
-    that of the onset.
+    """The law of the faces.
+
+    depth : largest approach over that of the onset.
+    misfit : rms error of the displacement [m].
     """
 
     onset_pressure: Fitted
@@ -92,47 +92,62 @@ class ContactFit:
 
     def lines(self) -> str:
         """The lines of a study."""
-        numbers = [
-            (
-                f'{name} = "{v.value * 1e-9:.4g} GPa"    # {v.low * 1e-9:.4g} to '
-                f"{v.high * 1e-9:.4g} "
-                "GPa"
-            )
-            for name, v in (("onset_pressure", self.onset_pressure), ("hardness", self.hardness))
-        ]
-        pile_up = (
-            f"pile_up = {self.pile_up.value:.4g}    # {self.pile_up.low:.3g} to "
-            f"{self.pile_up.high:.3g}"
-        )
-        return "\n".join(["[contact]", 'law = "plastic"', *numbers, pile_up, ""])
+        lines = ["[contact]", 'law = "plastic"']
+        for name, number in (
+            ("onset_pressure", self.onset_pressure),
+            ("hardness", self.hardness),
+        ):
+            value, low, high = (1e-9 * end for end in (number.value, number.low, number.high))
+            lines.append(f'{name} = "{value:.4g} GPa"    # {low:.4g} to {high:.4g} GPa')
+        ends = f"{self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
+        lines.append(f"pile_up = {self.pile_up.value:.4g}    # {ends}")
+        return "\n".join([*lines, ""])
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
         rows = []
-        for name, v in (
+        for name, number in (
             ("onset pressure", self.onset_pressure),
             ("hardness", self.hardness),
-            ("pile-up", self.pile_up),
             ("reduced modulus E*", self.modulus),
             ("E of the sphere", self.sphere_modulus),
         ):
-            if v is not None:
-                unit, scale = ("", 1.0) if v is self.pile_up else (" GPa", 1e-9)
-                ends = f"{v.low * scale:.4g} to {v.high * scale:.4g}{unit}"
-                rows.append((name, f"{v.value * scale:.4g}{unit}", ends))
+            if number is not None:
+                value, low, high = (1e-9 * end for end in (number.value, number.low, number.high))
+                rows.append((name, f"{value:.4g} GPa", f"{low:.4g} to {high:.4g} GPa"))
+        pile_up, misfit = self.pile_up, f"{self.misfit * 1e6:.2g} um"
+        ends = f"{pile_up.low:.4g} to {pile_up.high:.4g}"
         return [
             *rows,
-            (
-                "misfit of the displacement",
-                f"{self.misfit * 1e6:.2g} um",
-                f"{self.samples} samples",
-            ),
+            ("pile-up", f"{pile_up.value:.4g}", ends),
+            ("misfit of the displacement", misfit, f"{self.samples} samples"),
         ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Loading:
+    """A slow record: displacement [m], force [N] and the largest force so far [N], (n,) each."""
+
+    displacement: Array
+    force: Array
+    largest: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceLaw:
+    """The law of a face: radius of the sphere [m], E*, onset, hardness [Pa], pile-up."""
+
+    radius: float
+    modulus: float
+    onset: float
+    hardness: float
+    pile_up: float
+
+
 def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
-    """Displacement [m] and force [N] in the order in which they were taken, (n,), and notes;
-    UsageError for others.
+    """Displacement [m] and force [N], (n,) in the order of the record, and notes.
+
+    Raises UsageError for a table without them.
     """
     table, _ = read_recorded(folder / asked.file)
     displacement = table.numbers(
@@ -144,24 +159,16 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
     return sign * displacement, sign * force, table.notes
 
 
-def face_approach(
-    force: Array,
-    largest: Array,
-    radius: float,
-    modulus: float,
-    onset: float,
-    hardness: float,
-    pile_up: float,
-) -> Array:
+def face_approach(force: Array, largest: Array, law: FaceLaw) -> Array:
     """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
-    law = {
-        "onset": onset,
-        "hardness": hardness,
-        "pile_up": pile_up,
-        "modulus": modulus,
-        "effective_radius": radius,
+    numbers = {
+        "onset": law.onset,
+        "hardness": law.hardness,
+        "pile_up": law.pile_up,
+        "modulus": law.modulus,
+        "effective_radius": law.radius,
     }
-    face = Face(**{name: np.full(1, value) for name, value in law.items()})
+    face = Face(**{name: np.full(1, value) for name, value in numbers.items()})
     depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
     deepest = face.depth_at(largest[below])
     share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
@@ -172,31 +179,98 @@ def face_approach(
 def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> ContactFit:
     """Onset, hardness and pile-up of the faces of a sphere.
 
-    Raises UsageError for a record that was not pressed, not unloaded, too short, or elastic
+    Raises UsageError for a record without compression or unloading, of too few samples, or elastic
         throughout.
     """
-    compliance = 1.0 / asked.machine_stiffness if asked.machine_stiffness else 0.0
-    displacement = displacement - compliance * force
-    top, radius = int(np.argmax(force)), 0.5 * asked.diameter
+    loading = _usable(displacement, force, asked)
+    radius, scale = 0.5 * asked.diameter, float(np.ptp(loading.displacement))
+    best = _best_fit(loading, radius, asked.pile_up)
+    x, left = best.x, best.fun
+    law = _law_of(x, radius, asked.pile_up)
+    highest = loading.force.max()[None]
+    onset_approach = radius * (0.5 * math.pi * law.onset / law.modulus) ** 2
+    depth = float(face_approach(highest, highest, law)[0]) / onset_approach
+    # correlated residuals count for fewer
+    correlation = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    if correlation <= 2.0 / math.sqrt(len(left)):
+        correlation = 0.0
+    free = len(left) - len(x)
+    jacobian = np.asarray(best.jac)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / free
+    covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
+    reach = float(stdtrit(free, 0.975))
+
+    def interval(value: float, *weights: float) -> Fitted:
+        of = np.array([*weights, *[0.0] * (len(x) - len(weights))])
+        spread = reach * math.sqrt(max(float(of @ covariance @ of), 0.0))
+        return Fitted(value=value, low=value * math.exp(-spread), high=value * math.exp(spread))
+
+    modulus, onset = interval(law.modulus, 1.0), interval(law.onset, 0.0, 1.0)
+    hardness = interval(law.hardness, 0.0, 1.0, 1.0)
+    misfit = float(np.sqrt(np.mean(np.square(left))))
+    undetermined = onset.high > _OPEN * onset.low
+    if undetermined and misfit > 0.01:
+        raise UsageError(
+            "no contact law fits this record. Check the force for an offset, steps or clipping"
+        )
+    if undetermined or depth < 1.5:
+        reached = float(pressure_at_force(loading.force.max(), law.modulus, radius))
+        raise UsageError(
+            f"the record is hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: "
+            "press harder"
+        )
+    notes = []
+    if hardness.high > _OPEN * hardness.low:
+        notes.append("the record does not determine the hardness: press harder")
+    if correlation > 0.0:
+        notes.append(
+            f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
+            "the intervals are widened"
+        )
+    half = 0.0
+    if asked.pile_up is None:
+        half = reach * math.sqrt(max(float(covariance[4, 4]), 0.0))
+    pile_up = Fitted(
+        value=law.pile_up,
+        low=max(law.pile_up - half, _PILE_UP[0]),
+        high=min(law.pile_up + half, _PILE_UP[1]),
+    )
+    return ContactFit(
+        onset_pressure=onset,
+        hardness=hardness,
+        modulus=modulus,
+        pile_up=pile_up,
+        sphere_modulus=_sphere_modulus(modulus, asked, notes, onset),
+        depth=depth,
+        misfit=scale * misfit,
+        samples=len(left),
+        notes=tuple(notes),
+    )
+
+
+def _usable(displacement: Array, force: Array, asked: ContactDocument) -> Loading:
+    """The samples that are fitted; UsageError for a record that is no such test."""
+    if asked.machine_stiffness is not None:
+        displacement = displacement - force / asked.machine_stiffness
+    top = int(np.argmax(force))
     if not force[top] > 0.0:
         raise UsageError(
-            "the force is never positive: is compression negative in the file (compression = "
+            "the force is never positive. Is compression negative in the file (compression = "
             '"negative")?'
         )
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
         raise UsageError(
-            "the displacement does not grow with the force: turn it, or machine_stiffness is too "
-            "low"
+            "the displacement does not grow with the force. Change its sign, or raise "
+            "machine_stiffness"
         )
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
         raise UsageError(
-            "the displacement jumps back and forth: put the samples in the order in which they "
-            "were taken"
+            "the displacement jumps back and forth. Put the samples in the order of the record"
         )
     if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
         raise UsageError(
-            "the record is not unloaded, which hardness and pile-up need: unload, or give pile_up"
+            "the record is not unloaded, which hardness and pile-up need. Unload, or set pile_up"
         )
     kept = np.flatnonzero(force > _QUIET * force[top])
     if len(kept) < _LEAST:
@@ -205,99 +279,48 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
         )
     largest = np.maximum.accumulate(force)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int))]
-    force, largest, displacement = force[kept], largest[kept], displacement[kept]
-    scale, known = float(np.ptp(displacement)), asked.pile_up
+    return Loading(displacement=displacement[kept], force=force[kept], largest=largest[kept])
+
+
+def _law_of(x: Array, radius: float, pile_up: float | None) -> FaceLaw:
+    """The law of fitted numbers: logarithms of E*, onset and H/p_y, touch, and pile-up if free."""
+    modulus, onset, ratio = (math.exp(value) for value in x[:3])
+    return FaceLaw(
+        radius=radius,
+        modulus=modulus,
+        onset=onset,
+        hardness=onset * ratio,
+        pile_up=float(x[4]) if pile_up is None else pile_up,
+    )
+
+
+def _best_fit(loading: Loading, radius: float, pile_up: float | None) -> OptimizeResult:
+    """The least-squares fit of the displacement, the best of several beginnings."""
+    force, displacement = loading.force, loading.displacement
+    scale = float(np.ptp(displacement))
+    count = 5 if pile_up is None else 4
 
     def residual(x: Array) -> Array:
-        modulus, onset, ratio = (math.exp(v) for v in x[:3])
-        pile_up = x[4] if known is None else known
-        alpha = face_approach(force, largest, radius, modulus, onset, onset * ratio, pile_up)
-        return np.asarray((displacement - 2.0 * alpha) / scale - x[3])
+        approach = face_approach(force, loading.largest, _law_of(x, radius, pile_up))
+        return np.asarray((displacement - 2.0 * approach) / scale - x[3])
 
-    best = None
+    fits = []
     for share in _BEGINNINGS:
-        early = (force <= max(0.15, share) * force.max()) & (force >= largest)
-        rows = np.stack([np.cbrt(np.square(force[early])), np.ones(int(early.sum()))], axis=1)
-        slope, touch = (
-            np.linalg.lstsq(rows, displacement[early], rcond=None)[0]
-            if len(rows) > 3
-            else (0.0, 0.0)
-        )
+        early = (force <= max(0.15, share) * force.max()) & (force >= loading.largest)
+        slope, touch = 0.0, 0.0
+        if early.sum() > 3:
+            rows = np.stack([np.cbrt(np.square(force[early])), np.ones(int(early.sum()))], axis=1)
+            slope, touch = np.linalg.lstsq(rows, displacement[early], rcond=None)[0]
         if not slope > 0.0:
             slope, touch = scale / float(np.cbrt(force.max() ** 2)), float(displacement.min())
         modulus = (2.0 / slope) ** 1.5 / float(hertz_constant(1.0, radius))
         onset = float(pressure_at_force(share * force.max(), modulus, radius))
-        start = np.array(
-            [math.log(modulus), math.log(onset), math.log(2.0), touch / scale, 2.0][
-                : 4 + (known is None)
-            ]
-        )
-        low = [start[0] - 3.0, start[1] - 5.0, math.log(_RATIO[0]), -3.0, _PILE_UP[0]][: len(start)]
-        high = [start[0] + 3.0, start[1] + 5.0, math.log(_RATIO[1]), 3.0, _PILE_UP[1]][: len(start)]
-        found = least_squares(
-            residual, np.clip(start, low, high), bounds=(low, high), x_scale="jac", xtol=1e-10
-        )
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
-    x, left = best.x, best.fun
-    modulus, onset, ratio = (math.exp(v) for v in x[:3])
-    alpha_y = radius * (0.5 * math.pi * onset / modulus) ** 2
-    pile_up = float(x[4]) if known is None else known
-    deepest = face_approach(
-        force.max()[None], force.max()[None], radius, modulus, onset, onset * ratio, pile_up
-    )
-    depth = float(deepest[0]) / alpha_y
-    # residuals that follow each other count for fewer
-    alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    alike = alike if alike > 2.0 / math.sqrt(len(left)) else 0.0
-    free = len(left) - len(x)
-    jacobian = np.asarray(best.jac)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / free
-    covariance *= (1.0 + alike) / max(1.0 - alike, 0.02)
-    reach = float(stdtrit(free, 0.975))
-
-    def interval(value: float, weights: Sequence[float]) -> Fitted:
-        of = np.array([*weights, *[0.0] * (len(x) - len(weights))])
-        spread = reach * math.sqrt(max(float(of @ covariance @ of), 0.0))
-        return Fitted(value=value, low=value * math.exp(-spread), high=value * math.exp(spread))
-
-    fitted = interval(modulus, [1.0])
-    half = reach * math.sqrt(max(float(covariance[4, 4]), 0.0)) if known is None else 0.0
-    notes = []
-    hard = interval(onset * ratio, [0.0, 1.0, 1.0])
-    if hard.high > _OPEN * hard.low:
-        notes.append("the record does not determine the hardness: press harder")
-    onset_range = interval(onset, [0.0, 1.0])
-    undetermined, misfit = (
-        onset_range.high > _OPEN * onset_range.low,
-        float(np.sqrt(np.mean(np.square(left)))),
-    )
-    if undetermined and misfit > 0.01:
-        raise UsageError(
-            "no law of a contact follows this record: is the force free of offset, steps, clipping?"
-        )
-    if undetermined or depth < 1.5:
-        reached = float(pressure_at_force(force.max(), modulus, radius))
-        raise UsageError(
-            f"hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: press harder"
-        )
-    if alike > 0.0:
-        notes.append(
-            f"neighbouring residuals are correlated ({alike:.2g}), as by a drift; intervals are "
-            "widened"
-        )
-    return ContactFit(
-        onset_pressure=onset_range,
-        hardness=hard,
-        modulus=fitted,
-        pile_up=Fitted(value=pile_up, low=max(pile_up - half, 1.0), high=min(pile_up + half, 3.0)),
-        sphere_modulus=_sphere_modulus(fitted, asked, notes, onset_range),
-        depth=depth,
-        misfit=scale * misfit,
-        samples=len(left),
-        notes=tuple(notes),
-    )
+        start = [math.log(modulus), math.log(onset), math.log(2.0), touch / scale, 2.0][:count]
+        low = [start[0] - 3.0, start[1] - 5.0, math.log(_RATIO[0]), -3.0, _PILE_UP[0]][:count]
+        high = [start[0] + 3.0, start[1] + 5.0, math.log(_RATIO[1]), 3.0, _PILE_UP[1]][:count]
+        begin = np.clip(start, low, high)
+        fits.append(least_squares(residual, begin, bounds=(low, high), x_scale="jac", xtol=1e-10))
+    return min(fits, key=lambda fitted: float(fitted.cost))
 
 
 def _sphere_modulus(
@@ -306,14 +329,18 @@ def _sphere_modulus(
     """E of the sphere from E* and the platens: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p."""
     soft = 0.0
     if asked.platens != "rigid":
-        known = {**library()["bars"], **library()["plates"]}
-        if asked.platens not in known:
-            raise UsageError(f"platens = {asked.platens!r}: allowed are rigid, {', '.join(known)}")
-        plate = {key: entry.value for key, entry in known[asked.platens].properties.items()}
+        materials = {**library()["bars"], **library()["plates"]}
+        if asked.platens not in materials:
+            raise UsageError(
+                f"platens must be rigid or one of {', '.join(materials)}, not {asked.platens!r}"
+            )
+        plate = {key: entry.value for key, entry in materials[asked.platens].properties.items()}
         soft = (1.0 - plate["nu"] ** 2) / plate["E"]
         if onset.high > 1.2 * plate.get("yield_strength", math.inf):
-            notes.append("the platens yield near this onset too: what was fitted may be theirs")
-    rest = [1.0 / m - soft for m in (reduced.value, reduced.low, reduced.high)]
+            notes.append(
+                "the platens yield near this onset too: the fitted law may be that of the platens"
+            )
+    rest = [1.0 / modulus - soft for modulus in (reduced.value, reduced.low, reduced.high)]
     if min(rest) <= 0.0:
         return None
     value, low, high = ((1.0 - asked.nu**2) / compliance for compliance in rest)
