@@ -1,12 +1,11 @@
-"""Tables as a recorder writes them: columns divided by blanks too, metadata above the numbers,
-headings or none.
-"""
+"""Tables as recorders write them: columns divided by blanks too, metadata above the numbers, with
+or without headings."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mode
 from typing import Final
@@ -14,7 +13,7 @@ from typing import Final
 from uqsphere import tables
 from uqsphere.tables import NOTHING, NUMBER, Table, TableError
 
-#: what divides columns, and the decimal mark
+#: dividers of columns with decimal marks
 _WRITTEN: Final = (
     (";", "."),
     (";", ","),
@@ -24,100 +23,152 @@ _WRITTEN: Final = (
     (" ", "."),
     (" ", ","),
 )
+#: lines from which on the second half of a file shows its form; lines that are looked at
+_LONG, _LOOKED_AT = 60, 200
+#: lines of metadata that are returned where the numbers begin at once
+_METADATA: Final = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Form:
+    """How a file is written: divider, decimal mark, cells of a row, places of numbers.
+
+    whole : rows in which every such place has a number.
+    """
+
+    divider: str
+    mark: str
+    width: int
+    places: list[int]
+    whole: int
 
 
 def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str]:
     """The table of a recorder's file, and the text above its numbers.
 
-    The second half of the file shows divider and decimal mark: metadata stand above or beside the
-    first half at the most.  Raises TableError for what holds no table of numbers, AccessError as
-    `uqsphere.files.read_given`.
+    The second half of the file shows divider and decimal mark: metadata are above or beside the
+    first half at most.
+
+    Raises TableError for a file without a table of numbers, AccessError as
+        `uqsphere.files.read_given`.
     """
     name, (lines, notes) = path.name, tables.read_lines(path, largest)
-    divided = partial(tables.cells_of, name=name, strict=False)
-    # quotes around a whole line
-    lines = {
-        k: line.strip('"') if re.fullmatch('"[^"]*"', line) else line for k, line in lines.items()
+    for number, line in lines.items():
+        if re.fullmatch('"[^"]*"', line):  # quotes around a whole line
+            lines[number] = line.strip('"')
+    live = {number: line for number, line in lines.items() if not tables.is_comment(line)}
+    form = _form(name, live)
+    cells = tables.cells_of(live, form.divider, name=name, strict=False)
+    first = next(number for number, row in cells.items() if _has_numbers(row, form))
+    body = _body(name, cells, first, form)
+    comments = {
+        number: line.lstrip("# ")
+        for number, line in lines.items()
+        if number < first and tables.is_comment(line)
     }
-    live = {k: line for k, line in lines.items() if not tables.is_comment(line)}
-    keys = list(live)
-    some = {
-        k: live[k] for k in (keys[len(keys) // 2 :][:200] if len(keys) > 60 else keys[1:] or keys)
-    }
-    forms = [(*_numeric([*divided(some, one).values()], mark), one, mark) for one, mark in _WRITTEN]
-    _, whole, width, places, divider, mark = max(forms, key=lambda form: form[:2])
-    if not (places and whole):
-        raise TableError(
-            f"{name}: no table of numbers (columns divided by comma, semicolon, tab or blanks)"
-        )
-    cells = divided(live, divider)
-    first = next(
-        k
-        for k, row in cells.items()
-        if len(row) > places[-1]
-        and any(row[p] for p in places)
-        and all(_is_number(row[p], mark) for p in places)
-    )
-    body = {
-        k: row + [""] * (width - len(row)) if divider == "\t" else row
-        for k, row in cells.items()
-        if k >= first
-    }
-    if ragged := [
-        k for k, row in body.items() if len(row) < width or any(row[width:]) or len(row) > width + 1
-    ]:
-        hint = (
-            "; columns with a decimal comma are divided by semicolons or tabs"
-            if divider == ","
-            else ""
-        )
-        raise TableError(
-            f"{name}: {len(ragged)} lines do not have {width} columns, first line {ragged[0]} with "
-            f"{len(body[ragged[0]])}{hint}"
-        )
-    said = {
-        k: line.lstrip("# ") for k, line in lines.items() if k < first and tables.is_comment(line)
-    }
-    above = [row for k, row in cells.items() if k < first] or [*divided(said, divider).values()]
-    above = [row[:width] for row in above if len(row) in (width, width + 1)]
-    units = [above.pop()] if above and tables.are_units(above[-1]) else []
+    above = [row for number, row in cells.items() if number < first]
     if not above:
-        notes.append(f"{name} names no columns")
-    if mark == ",":
+        divided = tables.cells_of(comments, form.divider, name=name, strict=False)
+        above = [*divided.values()]
+    above = [row[: form.width] for row in above if len(row) in (form.width, form.width + 1)]
+    units = []
+    if above and tables.are_units(above[-1]):
+        units = [above.pop()]
+    if not above:
+        notes.append(f"{name} has no headings")
+    if form.mark == ",":
         notes.append(f"{name}: decimal comma")
-    headings = above[-1] if above else [""] * width
-    used = [k for k in range(width) if k in places or headings[k]]
-    headings = [heading or f"column {k}" for k, heading in enumerate(headings, 1)]
-    headings = [f"{k} {h}" if headings.count(h) > 1 else h for k, h in enumerate(headings, 1)]
-    numbered = zip(
-        [*range(first - len(units) - 1, first), *body],
-        [headings, *units, *body.values()],
-        strict=True,
-    )
-    table = tables.table_of(name, {k: [row[p] for p in used] for k, row in numbered}, notes, mark)
-    return table, "\n".join(line for k, line in lines.items() if k < max(first, 40))
+    headings = above[-1] if above else [""] * form.width
+    used = [place for place in range(form.width) if place in form.places or headings[place]]
+    numbers = [*range(first - len(units) - 1, first), *body]
+    rows = [_unique(headings), *units, *body.values()]
+    chosen = {
+        number: [row[place] for place in used] for number, row in zip(numbers, rows, strict=True)
+    }
+    table = tables.table_of(name, chosen, notes, form.mark)
+    metadata = [line for number, line in lines.items() if number < max(first, _METADATA)]
+    return table, "\n".join(metadata)
 
 
-def _numeric(rows: Sequence[list[str]], mark: str) -> tuple[int, int, int, list[int]]:
-    """Columns that hold numbers, and words in few rows: their number, 2 at most, in how many rows
-    all are numbers, how many cells a row has, and their places."""
-    rows = [row for row in rows if any(map(NUMBER[mark].fullmatch, row))]
+def _form(name: str, live: Mapping[int, str]) -> _Form:
+    """The form in which most columns and rows are numbers; TableError without one."""
+    numbers = list(live)
+    some = numbers[1:] or numbers
+    if len(numbers) > _LONG:
+        some = numbers[len(numbers) // 2 :][:_LOOKED_AT]
+    looked_at = {number: live[number] for number in some}
+    forms = []
+    for divider, mark in _WRITTEN:
+        rows = tables.cells_of(looked_at, divider, name=name, strict=False)
+        forms.append(_numeric([*rows.values()], divider, mark))
+    best = max(forms, key=lambda form: (min(len(form.places), 2), form.whole))
+    if not (best.places and best.whole):
+        raise TableError(
+            f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
+        )
+    return best
+
+
+def _numeric(rows: Sequence[list[str]], divider: str, mark: str) -> _Form:
+    """The columns that contain numbers, with words in less than half of the rows."""
+    number = NUMBER[mark]
+    rows = [row for row in rows if any(map(number.fullmatch, row))]
     width = mode(map(len, rows)) if rows else 0
     rows = [row for row in rows if len(row) == width]
-    places = [
-        k
-        for k in range(width)
-        if any(NUMBER[mark].fullmatch(row[k]) for row in rows)
-        and 2 * sum(not _is_number(row[k], mark) for row in rows) < len(rows)
-    ]
-    return (
-        min(len(places), 2),
-        sum(all(_is_number(row[k], mark) for k in places) for row in rows),
-        width,
-        places,
-    )
+    places = []
+    for place in range(width):
+        column = [row[place] for row in rows]
+        words = sum(not _is_number(cell, mark) for cell in column)
+        if any(map(number.fullmatch, column)) and 2 * words < len(rows):
+            places.append(place)
+    form = _Form(divider=divider, mark=mark, width=width, places=places, whole=0)
+    return replace(form, whole=sum(_all_numbers(row, form) for row in rows))
 
 
 def _is_number(cell: str, mark: str) -> bool:
     """Whether a cell is a number, or says that there is none."""
     return bool(NUMBER[mark].fullmatch(cell)) or cell.lower() in NOTHING
+
+
+def _all_numbers(row: Sequence[str], form: _Form) -> bool:
+    return all(_is_number(row[place], form.mark) for place in form.places)
+
+
+def _has_numbers(row: Sequence[str], form: _Form) -> bool:
+    """Whether a row is one of numbers, not all of them missing."""
+    if len(row) <= form.places[-1] or not any(row[place] for place in form.places):
+        return False
+    return _all_numbers(row, form)
+
+
+def _body(
+    name: str, cells: Mapping[int, list[str]], first: int, form: _Form
+) -> dict[int, list[str]]:
+    """The rows of numbers; TableError for rows of another width."""
+    body = {number: row for number, row in cells.items() if number >= first}
+    width = form.width
+    if form.divider == "\t":
+        body = {number: row + [""] * (width - len(row)) for number, row in body.items()}
+    ragged = [
+        number
+        for number, row in body.items()
+        if not width <= len(row) <= width + 1 or any(row[width:])
+    ]
+    if ragged:
+        hint = ""
+        if form.divider == ",":
+            hint = ". With a decimal comma divide the columns by semicolons or tabs"
+        raise TableError(
+            f"{name}: {len(ragged)} lines do not have {width} columns; the first is line "
+            f"{ragged[0]} with {len(body[ragged[0]])}{hint}"
+        )
+    return body
+
+
+def _unique(headings: Sequence[str]) -> list[str]:
+    """Headings that differ: an empty one is named by its place, a repeated one gets its place."""
+    named = [heading or f"column {place}" for place, heading in enumerate(headings, 1)]
+    unique = []
+    for place, heading in enumerate(named, 1):
+        unique.append(f"{place} {heading}" if named.count(heading) > 1 else heading)
+    return unique
