@@ -39,6 +39,8 @@ ENOUGH: Final = 1e-18
 #: terms at most, and candidates for them: more take time and gain nothing in
 #: tests/campaigns/chaos.py
 MOST_TERMS, MOST_CANDIDATES = 256, 800
+#: an output, or its logarithm, whose error is so many times the least is not tried in other sets
+HOPELESS: Final = 10.0
 #: terms of the second degree of many inputs: those of a hundred inputs
 MOST_SECOND: Final = 5151
 
@@ -262,9 +264,13 @@ def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
     n, found = targets[0].outputs.size, list[Choice]()
     most = max(min(n // 2, MOST_TERMS), 1)
     for basis in bases:
-        found += [_search(target, basis, most) for target in targets]
-        if min(one.error for one in found) < ENOUGH:
+        choices = [_search(target, basis, most) for target in targets]
+        found += choices
+        least = min(choice.error for choice in found)
+        if least < ENOUGH:
             break
+        bound = max(HOPELESS * least, min(choice.error for choice in choices))
+        targets = [choice.target for choice in choices if choice.error <= bound]
     else:
         # a whole set is no choice that few samples could mislead
         most = max(most, min(2 * n // 3, MOST_TERMS))
