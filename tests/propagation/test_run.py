@@ -515,6 +515,10 @@ def test_results_are_one_long_table_without_nan(granite: Run) -> None:
     assert {"sphere.E", "p_max", "contact_duration", "limits.crushing.strength"} <= set(
         opened.samples.columns
     )
+    rows = granite.samples.head(5)[list(opened.expansion("p_max").names)]
+    assert opened.expansion("p_max").predict(rows).value == pytest.approx(
+        granite.samples["p_max"].head(5), rel=0.01
+    )
 
 
 def test_the_samples_have_the_failure_probability_of_the_run(granite: Run) -> None:

@@ -14,6 +14,7 @@ from scipy.special import ndtri
 from tests.campaigns.intervals import CoverageModel, coverage_models
 from uqsphere.propagation.drivers import change_per_sd
 from uqsphere.uq.chaos import germ_points, germs_of
+from uqsphere.uq.foreign import joint_of
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, sampled_indices
 from uqsphere.uq.interop import morris_rows, salib_measures, to_salib
 from uqsphere.uq.joint import Dependence, make_joint
@@ -86,6 +87,28 @@ def test_salibs_estimators_on_our_rows_and_in_our_order(second: bool) -> None:
         rows = y.reshape(1, 4096, blocks.count) - y.reshape(-1, blocks.count)[:, [0, -1]].mean()
         top, bottom = jansen_total(rows[:, :, :1], rows[:, :, -1:], rows[:, :, 1:-1])
         assert (top / bottom)[0] == pytest.approx(theirs["ST"], rel=1e-9)
+
+
+def test_a_problem_of_salib_draws_from_the_distributions_of_the_study() -> None:
+    from SALib.sample import sobol
+
+    laws = {
+        "norm": {"dist": "normal", "mean": 1.0, "sd": 0.5},
+        "truncnorm": {"dist": "normal", "mean": 1.0, "sd": 0.5, "lower": 0.5, "upper": 3.0},
+        "lognorm": {"dist": "lognormal", "mean": 2.0, "cov": 0.3},
+        "unif": {"dist": "uniform", "lower": -1.0, "upper": 3.0},
+        "logunif": {"dist": "loguniform", "lower": 1.0, "upper": 9.0},
+        "triang": {"dist": "triangular", "lower": 1.0, "upper": 4.0, "mode": 2.0},
+    }
+    joint = joint_of(laws)
+    problem = to_salib(joint).problem
+    assert problem["dists"] == list(laws)
+    rows = sobol.sample(problem, 1024, calc_second_order=False, seed=1)
+    for law, column in zip(joint.laws, rows.T, strict=True):
+        assert np.quantile(column, [0.1, 0.5, 0.9]) == pytest.approx(
+            law.ppf(np.array([0.1, 0.5, 0.9])), rel=0.02
+        )
+    assert joint_of(problem).laws == joint.laws
 
 
 def test_indices_do_not_depend_on_unit_offset_or_order_of_inputs() -> None:

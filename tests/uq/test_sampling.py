@@ -141,3 +141,14 @@ def test_every_stream_of_random_numbers_is_listed_once_where_they_are_made() -> 
     missing = [task for task in sorted(tasks) if task not in (points.__doc__ or "")]
     assert len(tasks) > 15
     assert not missing
+
+
+def test_points_do_not_need_the_private_file_of_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = draw(40, start=7)
+
+    def missing(*_: object) -> None:
+        raise FileNotFoundError
+
+    monkeypatch.setattr(points, "_directions", missing)
+    points._scrambled.cache_clear()
+    assert np.array_equal(draw(40, start=7), expected)

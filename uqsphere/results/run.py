@@ -6,7 +6,9 @@ import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.results.answers import frame_of
@@ -17,6 +19,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from uqsphere.report.figures import Plots
+    from uqsphere.uq.surrogate import Expansion
+
+#: rows that an expansion is fitted to at most
+MOST_FITTED: Final = 512
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,25 +127,41 @@ class Run:
         """
         return self._one(limit, "margin", float(probability))
 
-    def expansion(self, quantity: str) -> Any:
+    def expansion(self, quantity: str) -> Expansion:
         """The polynomial chaos of a quantity: `predict(rows)` with intervals, `to_frame()`
-        (coefficients and multi-indices), `moments()`, `quantiles(p)`, `sample(n)`, `indices()`, and
-        `chaospy()` with chaospy's objects.
+        (coefficients and multi-indices), `moments()`, `quantiles(p)`, `sample(n)`, `indices()`,
+        `save(path)`, and `chaospy()` with chaospy's objects.
 
-        It is fitted to up to 512 model runs of this run, when it is asked for.  Raises UsageError
-        where there is none: the quantity does not vary, or the run was read from a folder.
+        It is fitted to up to 512 model runs of this run, or of its folder, when it is asked for.
+        Raises UsageError where there is none: the quantity does not vary, or has no plain value in
+        every row.
         """
-        if not self.live:
-            raise UsageError(
-                f"no expansion of {quantity!r}: the run was read from a folder, run the study again"
-            )
-        made = self.live["fit"](quantity)
+        made = self.live["fit"](quantity) if self.live else self._fitted_again(quantity)
         if made is None:
             raise UsageError(
                 f"no expansion of {quantity!r}: it does not vary, or has no plain value in every "
                 "row"
             )
         return made
+
+    def _fitted_again(self, quantity: str) -> Expansion | None:
+        """The expansion by the study and the samples of the folder."""
+        from uqsphere.study import load_study
+        from uqsphere.uq.surrogate import fit_expansion
+
+        assert self.folder is not None
+        text = (self.folder / "study.toml").read_text(encoding="utf-8")
+        overrides = self.results.study.overrides
+        study = load_study(self.folder / "files" / "study.toml", overrides, text=text)
+        rows, names = self.samples.head(MOST_FITTED), list(study.random)
+        if quantity not in rows or not names or not {*names} <= {*rows}:
+            return None
+        y = rows[quantity].to_numpy(dtype=float)
+        censored = "censored" in rows and bool(rows["censored"].any())
+        if censored or not np.isfinite(y).all() or not np.ptp(y) > 0.0:
+            return None
+        joint = study.inputs().only(tuple(names))
+        return fit_expansion(rows[names].to_numpy(dtype=float), y, joint, seed=study.seed)
 
     def pairs(self, quantity: str) -> Any:
         """The model runs behind the indices of a quantity, as SALib takes them: `problem`, `rows`

@@ -106,19 +106,42 @@ class SalibDesign:
 
 
 def salib_problem(inputs: Joint) -> dict[str, object]:
-    """The problem dict: SALib knows few laws, so the bounds are where each law begins and ends to
-    1e-15.
+    """The problem dict with the distributions that SALib has: normal, truncated normal, lognormal,
+    uniform, loguniform and triangular.  Any other stands as uniform between the ends that leave
+    1e-15 beyond them: SALib draws no rows of it, but analyses those of `to_salib`.
 
     Raises UsageError for inputs that depend on each other, of which SALib's indices would not share
         out the variance.
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
+    laws = [_law_to_salib(law) for law in inputs.laws]
     return {
         "num_vars": len(inputs.names),
         "names": list(inputs.names),
-        "bounds": list(map(_ends, inputs.laws)),
+        "bounds": [bounds for _, bounds in laws],
+        "dists": [dist for dist, _ in laws],
     }
+
+
+def _law_to_salib(law: Law) -> tuple[str, list[float]]:
+    """SALib's name of a law, and the numbers that it calls bounds."""
+    name, parameters = law.family.name, law.parameters
+    bounded = [np.isfinite(end) for end in (law.lower, law.upper)]
+    if name == "normal" and not any(bounded):
+        return "norm", [parameters["mean"], parameters["sd"]]
+    if name == "normal" and all(bounded):
+        return "truncnorm", [law.lower, law.upper, parameters["mean"], parameters["sd"]]
+    if name == "lognormal" and not any(bounded):
+        return "lognorm", [parameters["log_mean"], parameters["log_sd"]]
+    if name == "uniform":
+        return "unif", [law.lower, law.upper]
+    if name == "loguniform":
+        return "logunif", [law.lower, law.upper]
+    if name == "triangular":
+        share = (parameters["mode"] - law.lower) / (law.upper - law.lower)
+        return "triang", [law.lower, law.upper, share]
+    return "unif", _ends(law)
 
 
 def to_salib(

@@ -6,17 +6,16 @@ nothing depends on the order in which things are drawn, and a sequence can be co
 
 The streams of a study's seed, by the names of their tasks:
 
-    sample              the points of a run, and of its free number              run.design
-    pairs               the design of Sobol' indices                             run.grow
-    slow                the rows of a slow model, of which `Study.design` gives the inputs
-    run.surrogate, study slow line, factors  its rows along the free number; model factors of given
-    rows          run.surrogate limits together     strengths of several limits at once
-    run.assumptions tests of NAME       strengths that the tests of a limit allow
-    run.assumptions strengths of samples, fracture, study sample
-    run.write, run.fracture, study form starts, few, wide look, adapt, subset, subset chains,
-    importance        uq.rare chaos rows, expansion, polynomial chaos, shapley, shapley orders,
-    sensitivity, t copula             uq fragility, shpb plan
-    analysis, labs.shpb.plan
+    propagation.design      sample
+    propagation.grow        pairs
+    propagation.surrogate   slow (of which `Study.design` gives the inputs), slow line, factors
+    propagation             limits together, tests of NAME, strengths of samples, fracture
+    study                   study sample
+    uq.rare                 form starts, defensive share, wide look, adapt, subset, subset chains,
+                            importance, few, least sure, fresh calls
+    uq                      chaos rows, expansion, polynomial chaos, shapley, shapley orders,
+                            sensitivity, t copula
+    analysis, labs.shpb     fragility, shpb plan
 """
 
 from __future__ import annotations
@@ -75,7 +74,11 @@ def sobol_points(
     bits = 52 if dimension < 1000 else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
-    directions, shift = _scrambled(dimension, bits, seed, task, replicate)
+    try:
+        directions, shift = _scrambled(dimension, bits, seed, task, replicate)
+    except (OSError, KeyError):  # SciPy keeps its direction numbers elsewhere
+        generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
+        return _by_scipy(dimension, bits, generator, start, count) + 0.5 ** (bits + 1)
     size = min(4096, 1 << (count - 1).bit_length())
     block = np.zeros((size, dimension), dtype=np.uint64)
     for k in range(
@@ -86,6 +89,17 @@ def sobol_points(
     points = np.concatenate([block ^ _at(directions, shift, begin) for begin in begins])
     found: Array = points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1)
     return found
+
+
+def _by_scipy(
+    dimension: int, bits: int, generator: np.random.Generator, start: int, count: int
+) -> Array:
+    """The lower corners of the cells, by SciPy's own class, which takes half a second to load."""
+    from scipy.stats.qmc import Sobol
+
+    sequence = Sobol(dimension, scramble=True, bits=bits, rng=generator)
+    whole = sequence.random(1 << (start + count - 1).bit_length())
+    return np.asarray(whole[start : start + count])
 
 
 def _at(directions: _Words, shift: _Words, number: int) -> _Words:
