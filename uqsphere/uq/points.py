@@ -77,7 +77,7 @@ def sobol_points(
     try:
         directions, shift = _scrambled(dimension, bits, seed, task, replicate)
     except (OSError, KeyError):  # SciPy keeps its direction numbers elsewhere
-        generator = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
+        generator = np.random.default_rng(_seed(seed, task, replicate))
         return _by_scipy(dimension, bits, generator, start, count) + 0.5 ** (bits + 1)
     size = min(4096, 1 << (count - 1).bit_length())
     block = np.zeros((size, dimension), dtype=np.uint64)
