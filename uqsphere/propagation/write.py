@@ -413,8 +413,12 @@ def written(
         "answers.csv": frame_of(results.answers).to_csv(index=False),
         "samples.csv": samples.to_csv(index=False),
     }
-    write_files(folder, files)
-    from uqsphere.report import write_page
+    from uqsphere.report import page_files
 
-    write_page(folder)
+    try:
+        files |= page_files(results, [*files])
+    except Exception:
+        write_files(folder, files)  # a fault of a figure costs no results
+        raise
+    write_files(folder, files)
     return found

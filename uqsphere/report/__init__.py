@@ -4,7 +4,7 @@ side.
 
 from __future__ import annotations
 
-from uqsphere.report.page import page, write_page
+from uqsphere.report.page import page, page_files, write_page
 from uqsphere.report.terminal import summary
 
-__all__ = ["page", "summary", "write_page"]
+__all__ = ["page", "page_files", "summary", "write_page"]

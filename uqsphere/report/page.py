@@ -75,14 +75,19 @@ def write_page(folder: Path) -> Path:
 
     Raises FolderError where it holds no results, AccessError where it cannot be written.
     """
-    results = read_results(folder)
-    pictures = _pictures(results)
-    files = [name for name in LINKED if (folder / name).is_file()]
-    files += [f"figures/{name}.svg" for name in pictures]
-    header = '<?xml version="1.0" encoding="utf-8"?>\n'
-    contents = {f"figures/{name}.svg": header + one.svg for name, one in pictures.items()}
-    write_files(folder, {"report.html": _render(results, pictures, files), **contents})
+    names = [name for name in LINKED if (folder / name).is_file()]
+    write_files(folder, page_files(read_results(folder), names))
     return folder / "report.html"
+
+
+def page_files(results: Results, names: Sequence[str]) -> dict[str, str]:
+    """The page of a run and its figures, by the names of their files; it links to `names`."""
+    pictures = _pictures(results)
+    figures = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
+    linked = [*(name for name in LINKED if name in names), *figures]
+    header = '<?xml version="1.0" encoding="utf-8"?>\n'
+    page = _render(results, pictures, linked)
+    return {"report.html": page, **{name: header + svg for name, svg in figures.items()}}
 
 
 def notebook_html(results: Results) -> str:

@@ -16,7 +16,7 @@ from typing import Final
 
 from filelock import FileLock, Timeout
 
-from uqsphere.errors import AccessError, FolderError
+from uqsphere.errors import AccessError, FolderError, as_text
 from uqsphere.results.types import Results
 
 SUMS: Final = "SHA256SUMS"
@@ -32,6 +32,7 @@ OWN: Final = frozenset(
         "report.html",
         "figures",
         "history.csv",
+        "gauges.csv",
         "log.txt",
         SUMS,
         ".lock",
@@ -39,9 +40,17 @@ OWN: Final = frozenset(
         "cache.sqlite-journal",
     }
 )
+#: what `uqsphere history` may have written beside a run
+HISTORY: Final = {
+    "history.csv",
+    "gauges.csv",
+    *(f"figures/{name}.svg" for name in ("forces", "pressures", "gauges", "xt")),
+}
+#: files without a checksum
+UNLISTED: Final = {SUMS, ".lock", "log.txt", "cache.sqlite", "cache.sqlite-journal"}
 #: what a folder begins with in which files wait until all are written
 PART: Final = ".part-"
-_AGAIN: Final = "run the study again with --fresh"
+_AGAIN: Final = "Run the study again with --fresh"
 #: bytes of a results.json that is read
 LARGEST: Final = 64 << 20
 
@@ -55,21 +64,21 @@ def locked(folder: Path) -> Iterator[None]:
     """
     try:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise FolderError(f"{folder} is no folder: choose another one with --out")
+            raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         folder.mkdir(parents=True, exist_ok=True)
         names = sorted(entry.name for entry in folder.iterdir())
         strange = [name for name in names if name not in OWN and not name.startswith(PART)]
         if strange:
             raise FolderError(
-                f"{folder} holds {strange[0]!r}, which is of no run: choose another folder with "
-                "--out"
+                f"{as_text(folder)} contains {strange[0]!r}, which uqsphere did not write. Choose "
+                "another directory with --out"
             )
         lock = FileLock(folder / ".lock", timeout=0)
         lock.acquire()
     except Timeout:
-        raise FolderError(f"{folder} is in use by another run") from None
+        raise FolderError(f"{as_text(folder)} is in use by another run") from None
     except OSError as error:
-        raise AccessError(f"{folder}: {error.strerror or error}") from error
+        raise AccessError(f"{as_text(folder)}: {error.strerror or error}") from error
     try:
         for left in folder.glob(f"{PART}*"):  # of a run that was killed
             shutil.rmtree(left, ignore_errors=True)
@@ -82,12 +91,15 @@ def locked(folder: Path) -> Iterator[None]:
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files whole: all of them beside their places first, then moved there; the checksums are
-    the last.
+    the last.  With the results of a run, earlier files that are not written again are removed.
 
-    Raises AccessError where the system refuses (a full disk, no permission): what stood there
-        before stands.
+    Raises AccessError where the system refuses (a full disk, no permission); the files before are
+    then unchanged.
     """
-    sums, part = {} if RESULTS in files else _sums(folder), None
+    before, part = _sums(folder), None
+    sums = dict(before)
+    if RESULTS in files:
+        sums = {name: digest for name, digest in before.items() if name in HISTORY}
     contents = {
         name: text.encode() if isinstance(text, str) else text for name, text in files.items()
     }
@@ -103,16 +115,44 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
                 (one for one in (folder / name).parents if one != folder and one.is_symlink()), None
             )
             if link is not None and folder in link.parents:
-                raise FolderError(f"{link} is a link, which is not followed: remove it")
+                raise FolderError(f"{as_text(link)} is a link, which is not followed. Remove it")
             (part / f"{number}").write_bytes(content)
         for number, name in enumerate(contents):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(part / f"{number}", folder / name)
+        for name in before.keys() - sums.keys():
+            if _is_inside(folder, name):
+                (folder / name).unlink()
     except OSError as error:
-        raise AccessError(f"{folder}: {error.strerror or error}") from error
+        raise AccessError(f"{as_text(folder)}: {error.strerror or error}") from error
     finally:
         if part is not None:
             shutil.rmtree(part, ignore_errors=True)
+
+
+def _is_inside(folder: Path, name: str) -> bool:
+    """Whether a name is that of a plain file in a folder, without links on the way."""
+    path = folder / name
+    plain = path.is_file() and not path.is_symlink()
+    return plain and folder.resolve() in path.resolve().parents
+
+
+def read_checked(folder: Path, name: str) -> bytes:
+    """A file of a results directory, as it was written.
+
+    Raises FolderError where there is none or its checksum differs, AccessError where it cannot be
+    read.
+    """
+    path = folder / name
+    try:
+        if path.is_symlink() or not path.is_file():
+            raise FolderError(f"{as_text(folder)} does not contain {name}")
+        content = path.read_bytes()
+    except OSError as error:
+        raise AccessError(f"{as_text(path)}: {error.strerror or error}") from error
+    if hashlib.sha256(content).hexdigest() != _sums(folder).get(name):
+        raise FolderError(f"{as_text(path)} is not as it was written. {_AGAIN}")
+    return content
 
 
 def _sums(folder: Path) -> dict[str, str]:
@@ -140,38 +180,38 @@ def read_results(folder: Path) -> Results:
         it cannot be read.
     """
     path = folder / RESULTS
-    try:
-        if path.is_symlink() or not path.is_file():
-            raise FolderError(
-                f"{folder} holds no {RESULTS}: it is no result folder of this version"
-            )
-        if path.stat().st_size > LARGEST:
-            raise FolderError(f"{path} is larger than any run writes")
-        content = path.read_bytes()
-    except OSError as error:
-        raise AccessError(f"{path}: {error.strerror or error}") from error
-    if hashlib.sha256(content).hexdigest() != _sums(folder).get(RESULTS):
-        raise FolderError(f"{path} is not as it was written: {_AGAIN}")
+    if path.is_file() and path.stat().st_size > LARGEST:
+        raise FolderError(f"{as_text(path)} is larger than any run writes")
+    content = read_checked(folder, RESULTS)
     try:
         return Results.model_validate_json(content)
     except ValueError:
-        raise FolderError(f"{path} is of another version: {_AGAIN}") from None
+        raise FolderError(f"{as_text(path)} is of another version. {_AGAIN}") from None
 
 
 def damaged_files(folder: Path) -> list[str]:
-    """Files whose checksum differs from `SHA256SUMS`, or that are missing; empty where the folder
-    is whole.
+    """Files whose checksum differs from `SHA256SUMS`, that are missing, or that have none; empty
+    where the folder is whole.
+
+    The log and the cache of answers have no checksum here.  Raises FolderError without checksums.
     """
-    sums, wrong = _sums(folder), []
+    sums = _sums(folder)
     if not sums:
-        raise FolderError(f"{folder} holds no {SUMS}: it is no result folder, or an unfinished one")
-    for name, digest in sums.items():
-        path = folder / name
-        whole = (
-            path.is_file() and not path.is_symlink() and folder.resolve() in path.resolve().parents
+        raise FolderError(
+            f"{as_text(folder)} does not contain {SUMS}: it is not a results directory, or an "
+            "unfinished one"
         )
-        if not whole or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+    wrong = []
+    for name, digest in sums.items():
+        if (
+            not _is_inside(folder, name)
+            or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest
+        ):
             wrong.append(name)
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if not path.is_dir() and name not in sums and name not in UNLISTED:
+            wrong.append(f"{name} (has no checksum)")
     return wrong
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.errors import FolderError, UsageError
+from uqsphere.errors import UsageError
 from uqsphere.results.answers import frame_of
-from uqsphere.results.folder import read_results
+from uqsphere.results.folder import read_checked, read_results
 from uqsphere.results.types import Decision, Results
 
 if TYPE_CHECKING:
@@ -61,16 +62,16 @@ class Run:
 
     @cached_property
     def samples(self) -> pd.DataFrame:
-        """Inputs, strengths and columns of up to 16,384 rows, SI units."""
+        """Inputs, strengths and columns of up to 16,384 rows, SI units.
+
+        Raises FolderError where samples.csv is missing or was changed.
+        """
         import pandas as pd
 
         if self.table is not None:
             return self.table.copy()
         assert self.folder is not None
-        path = self.folder / "samples.csv"
-        if path.is_symlink() or not path.is_file():
-            raise FolderError(f"{self.folder} holds no samples.csv")
-        return pd.read_csv(path)
+        return pd.read_csv(io.BytesIO(read_checked(self.folder, "samples.csv")))
 
     @property
     def decisions(self) -> dict[str, Decision]:

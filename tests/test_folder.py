@@ -1,0 +1,149 @@
+"""A results directory is written as one, and what was changed in it is found."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.cli import _differ_by_rounding, main
+from uqsphere.errors import FolderError
+from uqsphere.propagation import write
+from uqsphere.report import page_files, write_page
+from uqsphere.results.folder import UNLISTED, damaged_files, read_results, write_files
+from uqsphere.study import Study
+
+ROUGH = {"mean": 0.1, "quantile": 0.5, "sobol": 0.5, "probability": 0.5}
+
+
+def study(sd: float = 1.0) -> Study:
+    return Study(
+        inputs={name: {"dist": "normal", "mean": 0.0, "sd": sd} for name in "ab"},
+        outputs="y",
+        limits={"high": {"quantity": "y", "strength": 3.0, "target": 0.1}},
+        analysis={"accuracy": ROUGH},
+    )
+
+
+def model(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {"y": x["a"] + 2.0 * x["b"]}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    uqsphere.run(study(), model, out=folder)
+    return folder
+
+
+@pytest.fixture
+def folder(finished: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, MemoryError])
+def test_a_run_that_ends_while_its_page_is_drawn_leaves_the_one_before(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
+) -> None:
+    """New results beside an old page would pass for one run."""
+    before = content(folder)
+
+    def ended(*_: object) -> dict[str, str]:
+        raise kind
+
+    monkeypatch.setattr("uqsphere.report.page_files", ended)
+    with pytest.raises(kind):
+        uqsphere.run(study(), model, out=folder)
+    after = content(folder)
+    assert damaged_files(folder) == []
+    if kind is KeyboardInterrupt:
+        changed = {name for name in before if before[name] != after.get(name)}
+        assert changed <= {"log.txt", "cache.sqlite"}
+    else:  # a fault of a figure costs no results, and no page of another run stands beside them
+        assert "report.html" not in after
+        assert not [name for name in after if name.startswith("figures/")]
+
+
+def test_a_run_leaves_no_file_of_the_run_before(folder: Path) -> None:
+    write_files(folder, {"figures/density-9.svg": "<svg/>"})
+    assert damaged_files(folder) == []
+    uqsphere.run(study(), model, out=folder)
+    assert not (folder / "figures" / "density-9.svg").exists()
+    assert damaged_files(folder) == []
+    write_page(folder)
+    assert damaged_files(folder) == []
+
+
+def test_what_history_wrote_stays_beside_a_run(folder: Path) -> None:
+    history = {"history.csv": "t\n0\n", "gauges.csv": "t\n0\n", "figures/forces.svg": "<svg/>"}
+    write_files(folder, history)
+    uqsphere.run(study(), model, out=folder)
+    assert history.keys() <= content(folder).keys()
+    assert damaged_files(folder) == []
+
+
+def test_every_change_of_a_folder_is_found(folder: Path) -> None:
+    names = [name for name in content(folder) if name not in UNLISTED]
+    assert len(names) > 6
+    sums = (folder / "SHA256SUMS").read_text()
+    for name in names:
+        (folder / name).write_bytes(b"x" + (folder / name).read_bytes())
+        assert damaged_files(folder) == [name]
+        # with its line taken out as well
+        lines = [line for line in sums.splitlines() if not line.endswith(f"  {name}")]
+        (folder / "SHA256SUMS").write_text("\n".join(lines) + "\n")
+        assert damaged_files(folder) == [f"{name} (has no checksum)"]
+        (folder / "SHA256SUMS").write_text(sums)
+        (folder / name).write_bytes((folder / name).read_bytes()[1:])
+        assert damaged_files(folder) == []
+    (folder / "figures" / "more.svg").write_text("<svg/>")
+    assert damaged_files(folder) == ["figures/more.svg (has no checksum)"]
+
+
+def test_samples_are_read_as_they_were_written(folder: Path) -> None:
+    assert len(uqsphere.open_run(folder).samples) > 100
+    text = (folder / "samples.csv").read_text()
+    (folder / "samples.csv").write_text(text.replace("1", "2", 1))
+    with pytest.raises(FolderError, match=r"samples\.csv is not as it was written"):
+        _ = uqsphere.open_run(folder).samples
+    (folder / "samples.csv").unlink()
+    with pytest.raises(FolderError, match=r"does not contain samples\.csv"):
+        _ = uqsphere.open_run(folder).samples
+
+
+def test_another_processor_computes_the_same_but_for_rounding(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = read_results(folder)
+    for factor, alike in ((1.0 + 3e-12, True), (1.0 + 1e-6, False)):
+        rows = []
+        for row in before.answers:
+            value = None if row.value is None else row.value * factor
+            rows.append(row.model_copy(update={"value": value}))
+        assert _differ_by_rounding(before.answers, rows) is alike
+    other = [row.model_copy(update={"note": "another"}) for row in before.answers]
+    assert not _differ_by_rounding(before.answers, other)
+    (folder.parent / "m.py").write_text(
+        "def f(x):\n    return {'y': (1 + 1e-13) * (x['a'] + 2 * x['b'])}\n"
+    )
+    command = ["verify", str(folder), "--again", "--model", f"{folder.parent / 'm.py'}:f"]
+    assert main(command) == 0
+    assert "the same except for rounding" in capsys.readouterr().out
+    (folder.parent / "m.py").write_text("def f(x):\n    return {'y': x['a'] + 2.1 * x['b']}\n")
+    assert main(command) == FolderError.exit_code
+
+
+def test_the_page_is_drawn_from_results_alone(folder: Path) -> None:
+    files = page_files(read_results(folder), ["answers.csv"])
+    assert "report.html" in files
+    assert 'href="answers.csv"' in files["report.html"]
+    assert 'href="samples.csv"' not in files["report.html"]
+    assert write.write_files is write_files
