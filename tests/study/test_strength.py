@@ -381,7 +381,12 @@ ALL_PELLETS = """11.9,2830 11.9,2260
 
 
 def test_a_basalt_between_bars_is_the_one_by_hand(tmp_path: Path) -> None:
-    *_, force = evaluated(tmp_path, ('"70 GPa"', "0.25"), BARS, 'criterion = "core_tension"')
+    *_, force = evaluated(
+        tmp_path,
+        ('"70 GPa"', "0.25"),
+        f'{BARS}\ncontact.law = "hertz"',
+        'criterion = "core_tension"',
+    )
     assert force == pytest.approx(by_hand_between_bars(), rel=1e-3)
     assert force == pytest.approx(7228.0, rel=2e-3)
 
@@ -389,7 +394,8 @@ def test_a_basalt_between_bars_is_the_one_by_hand(tmp_path: Path) -> None:
 @pytest.mark.parametrize("case", SPHERES)
 def test_pellets_and_a_hammer_are_those_by_hand(case: str, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("\n".join(["D,F", *ALL_PELLETS.split()]))
-    study = load_study(tmp_path / "s.toml", text=SPHERES[case].replace(",\n", ","))
+    text = SPHERES[case].replace(",\n", ",")
+    study = load_study(tmp_path / "s.toml", ["contact.law=hertz"], text=text)
     design = Design.of(study)
     sample = evaluate(design, Model(design.study), design.points(256))
     limit = study.limits[0]
@@ -526,6 +532,7 @@ def test_tests_refused(load: Load, change: tuple[str, str], csv: str, says: str)
 
 ROWS = ALL_PELLETS.split()[:12]
 PELLET = SCENE.replace('"60 GPa"', '"20 GPa"').replace('"10 mm"', '"6 mm"')
+PELLET += '[contact]\nlaw = "hertz"\n'
 FORCES = (
     'strength = { file = "t.csv", force = "F", force_unit = "N", diameter = "D", diameter_unit = '
     '"mm", '

@@ -95,7 +95,7 @@ def test_one_rig_with_three_limits_on_the_same_tests() -> None:
         study = load_study(shipped_studies()[name])
         assert study.rig == "impact"
         assert {limit.aim for limit in study.limits} == {aim}
-        quantities = ["p_hertz", "specific_energy_sphere", "centre_tension"]
+        quantities = ["P_max", "specific_energy_sphere", "centre_tension"]
         assert [limit.quantity for limit in study.limits] == quantities
         tests = [limit.tested for limit in study.limits]
         assert len({test.forces for test in tests if test is not None}) == 1

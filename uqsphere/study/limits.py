@@ -146,12 +146,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         quantity in ("p_max", "first_peak") and criterion is None,
     )
     if draft.plastic and not draft.law_given and quantity == "p_max" and pressure and meant is None:
-        meant = "hertz"
-        draft.warn(
-            ("limits", name),
-            'strength_is is missing and taken as "hertz", computed from a force by Hertz; write '
-            '"pressure" for a true pressure',
-        )
+        meant = "hertz"  # as nearly all tabulated strengths of contacts are
     for wrong, said in (
         (
             meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
@@ -221,6 +216,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         raise Fault(
             f"a force at failure is no measure of {limit.quantity}: name a criterion", "force"
         )
+    name = f"limits.{limit.name}."
     kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
     sphere = _sphere(draft, platens)
     found, rows, columns, stopped = values.observations(
@@ -269,10 +265,11 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
             "the hardness"
         )
     if not (slopes > _RISES).all():
+        slips = [text for code, path, text in draft.caveats if code == "unit" and name in path]
+        hint = f" ({slips[-1]})" if slips else ""
         raise Fault(
             f"{limit.quantity} hardly rises with the force of such tests, so that no force tells "
-            "its "
-            "strength: take another criterion"
+            f"its strength: take another criterion{hint}"
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:
