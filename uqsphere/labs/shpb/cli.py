@@ -7,33 +7,36 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text
 from uqsphere.labs.files import csv_text, finish, table
 from uqsphere.labs.shpb.document import RecordDocument
 
+if TYPE_CHECKING:
+    from uqsphere.labs.shpb.waves import Reading
+
 
 def main(argv: Sequence[str]) -> int:
-    """Run a command of the lab; its exit code is 2 where no record can be read."""
+    """Run a command of the lab; exit code 2 if no record can be read."""
     parser = argparse.ArgumentParser(prog="uqsphere shpb", description=__doc__)
     commands = parser.add_subparsers(required=True)
-    for name, command, text in (
+    for name, function, text in (
         ("records", _records, "forces at the faces of a specimen from gauge records"),
         (
             "fit-contact",
             _fit_contact,
             "contact law of a sphere that yields, from a slow load-unload record",
         ),
-        ("plan", _plan, "which speed or height breaks which share"),
+        ("plan", _plan, "speed, height or force at which a share of the spheres breaks"),
     ):
-        one = commands.add_parser(name, help=text, description=text)
-        one.set_defaults(command=command)
-        one.add_argument(
-            "file", type=Path, nargs="+" if name == "records" else None, help="input file (TOML)"
-        )
-        one.add_argument("--out", type=Path, help="folder for the files that are written")
-        one.add_argument("--json", action="store_true", help="one JSON document on stdout")
+        command = commands.add_parser(name, help=text, description=text)
+        command.set_defaults(command=function)
+        number = "+" if name == "records" else None
+        command.add_argument("file", type=Path, nargs=number, help="input file (TOML)")
+        command.add_argument("--out", type=Path, help="folder for the files")
+        command.add_argument("--json", action="store_true", help="print one JSON document")
     chosen = parser.parse_args(argv)
     return chosen.command(chosen) or 0
 
@@ -45,7 +48,8 @@ def _records(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.waves import read_test
 
     several = len(chosen.file) > 1
-    lines, contents, texts, files, refused = list[list[str]](), [], [], dict[str, str](), 0
+    lines, contents, texts, files = list[list[str]](), [], [], dict[str, str]()
+    refused = 0
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
         try:
@@ -59,36 +63,30 @@ def _records(chosen: argparse.Namespace) -> int:
             texts.append(f"{path}: refused: {error}")
             continue
         if not chosen.json:
-            print(
-                "".join(f"{path.name}: {c.step}: {c.text}\n" for c in test.changes),
-                end="",
-                file=sys.stderr,
-            )
+            for change in test.changes:
+                print(f"{path.name}: {change.step}: {change.text}", file=sys.stderr)
         contents.append({"file": str(path), "title": asked.title, **sheet.document(test)})
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
-        best = test.peaks["B"]
-        diameter = asked.specimen.diameter
-        lines.append(
-            [
-                path.stem,
-                "" if diameter is None else f"{diameter * 1e3:.6g}",
-                f"{best.value * 1e-3:.5g}",
-                f"{best.low * 1e-3:.5g}",
-                f"{best.high * 1e-3:.5g}",
-                "; ".join(best.doubts),
-            ]
-        )
+        lines.append(_line(path.stem, asked, test))
         folder = f"{path.stem}/" if several else ""
-        files[f"{folder}forces.csv"], files[f"{folder}pulse.csv"] = (
-            sheet.forces_csv(test),
-            sheet.pulse_csv(test),
-        )
+        files[f"{folder}forces.csv"] = sheet.forces_csv(test)
+        files[f"{folder}pulse.csv"] = sheet.pulse_csv(test)
         files[f"{folder}sheet.html"] = sheet.page(test, asked, asked.record.file)
     if several:
         head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
         files["tests.csv"] = csv_text(head, [*zip(*lines, strict=True)])
-    finish(chosen, {"tests": contents} if several else contents[0], "\n\n".join(texts), files)
+    content = {"tests": contents} if several else contents[0]
+    finish(chosen, content, "\n\n".join(texts), files)
     return 2 if refused == len(chosen.file) else 0
+
+
+def _line(name: str, asked: RecordDocument, test: Reading) -> list[str]:
+    """A test as a line of tests.csv: the force at B with its interval and doubts."""
+    peak, diameter = test.peaks["B"], ""
+    if asked.specimen.diameter is not None:
+        diameter = f"{asked.specimen.diameter * 1e3:.6g}"
+    forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
+    return [name, diameter, *forces, "; ".join(peak.doubts)]
 
 
 def _fit_contact(chosen: argparse.Namespace) -> None:

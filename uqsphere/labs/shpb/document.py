@@ -25,14 +25,14 @@ Columns = Annotated[
 
 
 class BarTable(Section):
-    """A bar and its gauge; what a receiving bar leaves out is that of the incident bar, but for
+    """A bar and its gauge; omitted keys of the receiving bar default to the incident bar's, except
     `gauge`.
 
-    gauge : distance from the specimen's face.
-    end : whether the far end reflects (`free`) or sends nothing back (`absorbing`).
-    unit : of the signal, where the heading has none; strain, microstrain, V, mV ...
-    gauge_factor, excitation [V], amplification, active_arms : eps = 4 U/(k N U_0 A) of a Wheatstone
-        bridge.
+    gauge : distance from the face of the specimen.
+    end : `free` if the far end reflects waves, `absorbing` if it does not.
+    unit : of the signal, if its heading has none: strain, microstrain, V, mV ...
+    gauge_factor, excitation [V], amplification, active_arms : of the Wheatstone bridge, eps =
+        4 U/(k N U_0 A).
     gain_sd : relative standard deviation of the gain.
     """
 
@@ -70,27 +70,23 @@ class BarTable(Section):
 
     @property
     def echo(self) -> float:
-        """Time from a wave at the gauge on its way out until its echo from the far end is there
-        [s].
-        """
+        """Time [s] in which a wave goes from the gauge to the far end and back."""
         if self.end == "absorbing" or self.length is None:
             return math.inf
         return 2.0 * (self.length - self.gauge) / self.wave_speed
 
 
 class RecordTable(Section):
-    """The file and its columns, by heading or number from 1 on; several gauges of a bar as a list.
+    """The file and its columns, by heading or by number from 1; several gauges of a bar as a list.
 
-    reflected : where the three waves stand in columns of their own.
-    aligned : each of the three waves begins at its own foot (they were cut out): distances do not
-        count.
-    more_files : other channels of the same recorder, one file each, in the same layout and on the
-        same clock.
-    polarity : sign of compression in the file; `auto`: the incident wave presses.
+    more_files : further channels of the recorder, one file each, with the same layout and clock.
+    reflected : column of the reflected wave, if the three waves have a column each.
+    aligned : each wave was cut out and begins at its own foot: gauge distances are not used.
+    polarity : sign of compression in the file (default: the incident wave is compression).
     striker_speed : of a striker like the incident bar; its wave has the strain v/(2 c0).
-    dispersion : whether waves are moved from gauge to face by the first mode of a bar, or without
-        change of shape.
-    window : times between which the incident wave passes its gauge.
+    dispersion : whether waves are moved from gauge to face by the first mode of a bar; else they
+        keep their shape.
+    window : begin and end of the incident wave at its gauge.
     """
 
     file: str
@@ -149,7 +145,7 @@ class RecordDocument(Section):
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, data: Any) -> Any:
-        """The receiving bar takes over what it leaves out; materials become numbers."""
+        """Complete the receiving bar by the incident one, and materials by their numbers."""
         if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
             return data
         incident, given = data["incident_bar"], data.get("receiving_bar", {})
@@ -167,7 +163,6 @@ class RecordDocument(Section):
         ):
             if bar.length is not None and bar.gauge > bar.length:
                 raise ValueError(
-                    f"{name}: the gauge at {bar.gauge:g} m does not sit on a bar of "
-                    f"{bar.length:g} m"
+                    f"{name}.gauge must be on the bar of {bar.length:g} m, not at {bar.gauge:g} m"
                 )
         return self

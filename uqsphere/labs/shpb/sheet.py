@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.labs.files import csv_text
-from uqsphere.labs.shpb.document import RecordDocument
+from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.peaks import NORMAL
 from uqsphere.labs.shpb.waves import Reading
 
@@ -28,36 +28,31 @@ FACES = {
 
 
 def rows(test: Reading) -> list[tuple[str, str, str]]:
-    """What a test shows: name, value, interval or remark; a doubt stands at its number."""
-    found = []
+    """Name, value, and interval or remark of every number; doubts stand below their number."""
+    lines = []
     for face, peak in test.peaks.items():
         high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
         value, ends = f"{peak.value * 1e-3:.4g} kN", f"{peak.low * 1e-3:.4g} to {high} kN"
-        found.append(
-            (
-                f"{FACES[face]}, at {peak.time * 1e6:.4g} us",
-                "DOUBTED " * bool(peak.doubts) + value,
-                ends,
-            )
-        )
-        found += [("", "doubt", doubt) for doubt in peak.doubts]
-    found += [("not given", "", reason) for reason in test.withheld]
-    found += [("note", "", note) for note in test.notes]
+        if peak.doubts:
+            value = f"DOUBTED {value}"
+        lines.append((f"{FACES[face]}, at {peak.time * 1e6:.4g} us", value, ends))
+        lines += [("", "doubt", doubt) for doubt in peak.doubts]
+    lines += [("not given", "", reason) for reason in test.withheld]
+    lines += [("note", "", note) for note in test.notes]
     if test.energies is not None:
-        e = test.energies
-        parts = f"{e['incident']:.4g} J in, {e['reflected']:.4g} back, {e['transmitted']:.4g} on"
-        found.append(("energy absorbed", f"{e['absorbed']:.4g} J", parts))
-    if test.balanced is not None:
-        found.append(
-            (
-                "forces within 5 % of their mean",
-                f"{test.balanced:.0%}",
-                "of the rise from half the largest",
-            )
+        incident, reflected, transmitted, absorbed = (
+            f"{test.energies[name]:.4g} J"
+            for name in ("incident", "reflected", "transmitted", "absorbed")
         )
-    found.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
-    found.append(("first touch", f"{test.touch * 1e6:.8g} us", "of the record"))
-    return found
+        waves = f"{incident} incident, {reflected} reflected, {transmitted} transmitted"
+        lines.append(("energy absorbed", absorbed, waves))
+    if test.balanced is not None:
+        share = f"{test.balanced:.0%}"
+        part = "of the rise from half the largest force"
+        lines.append(("forces within 5 % of their mean", share, part))
+    lines.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
+    lines.append(("first touch", f"{test.touch * 1e6:.8g} us", "in the record"))
+    return lines
 
 
 def document(test: Reading) -> dict[str, Any]:
@@ -123,26 +118,27 @@ def page(test: Reading, asked: RecordDocument, source: str) -> str:
     from uqsphere.report.figures import svg
 
     template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
-    drawn = svg(partial(_draw_forces, test=test))
-    environment = Environment(autoescape=True)
-    bars = {
-        name: ", ".join(
-            f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
-            for key, value in bar.model_dump(exclude_none=True).items()
-            if value != ""
+    bars = {"incident bar": asked.incident_bar, "receiving bar": asked.receiving_bar}
+    return (
+        Environment(autoescape=True)
+        .from_string(template)
+        .render(
+            title=asked.title or source,
+            source=source,
+            rows=rows(test),
+            figure=svg(partial(_draw_forces, test=test)),
+            bars={name: _listed(bar) for name, bar in bars.items()},
+            changes=test.changes,
+            doubted=any(peak.doubts for peak in test.peaks.values()),
+            specimen=asked.specimen.name,
         )
-        for name, bar in (
-            ("incident bar", asked.incident_bar),
-            ("receiving bar", asked.receiving_bar),
-        )
-    }
-    return environment.from_string(template).render(
-        title=asked.title or source,
-        source=source,
-        rows=rows(test),
-        figure=drawn,
-        bars=bars,
-        changes=test.changes,
-        doubted=any(p.doubts for p in test.peaks.values()),
-        specimen=asked.specimen.name,
     )
+
+
+def _listed(bar: BarTable) -> str:
+    """The numbers of a bar in one line."""
+    parts = []
+    for key, value in bar.model_dump(exclude_none=True).items():
+        if value != "":
+            parts.append(f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}")
+    return ", ".join(parts)
