@@ -1,0 +1,175 @@
+"""Sentences of a decision, on decisions made by hand: values and codes in, words out."""
+
+from pathlib import Path
+
+import pytest
+
+from uqsphere.report import summary
+from uqsphere.report.format import mode_rows
+from uqsphere.report.sentences import STOPPED, decision_text, doubt_text
+from uqsphere.results.types import (
+    Caveat,
+    CheckEntry,
+    Decision,
+    Doubt,
+    LibraryRange,
+    Range,
+    Remedy,
+    Results,
+    Use,
+)
+
+GRANITE = Path(__file__).parents[2] / "reports" / "granite" / "results.json"
+
+
+@pytest.fixture(scope="module")
+def granite() -> Results:
+    return Results.model_validate_json(GRANITE.read_bytes())
+
+
+def used(value: float, *, least: bool = False, planned: float = 0.5) -> Use:
+    return Use(
+        path="striker.speed",
+        value=value,
+        safe_end="smallest" if least else "largest",
+        planned=planned,
+        safety_factor=None,
+        best=Range(value=value),
+    )
+
+
+def decision(**changes: object) -> Decision:
+    values = {
+        "aim": "survive",
+        "limits": ["crushing"],
+        "verdict": "met",
+        "target": 0.01,
+        "governing": "limits.crushing",
+        "use": used(0.653),
+        "probability": Range(value=0.002, low=0.0019, high=0.0021),
+        "next": Remedy(code="nothing"),
+        **changes,
+    }
+    return Decision.model_validate(values)
+
+
+def test_the_sentence_has_number_plan_and_what_governs(granite: Results) -> None:
+    doubt = Doubt(
+        code="tests",
+        subject="limits.crushing",
+        option="weibull",
+        target=0.01,
+        margin=0.653,
+        governs=True,
+        tests=20,
+    )
+    text = decision_text(granite, decision(doubts=[doubt]))
+    assert text.use == "Use at most 0.65 m/s"
+    assert text.sentence == (
+        "Planned striker speed: 0.5 m/s, safety factor 1.3. "
+        "Crushing governs, with what its 20 tests leave open."
+    )
+    assert text.broken.endswith("0.200 % (0.190 to 0.210 %). Target: at most 1 %.")
+    assert doubt_text(doubt) == "20 tests, Weibull distribution"
+
+
+def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Results) -> None:
+    library = LibraryRange(mode="core tension", middle=0.122, weak=0.064, strong=0.27, own=0.65)
+    text = decision_text(
+        granite,
+        decision(
+            governing="modes.core tension",
+            verdict="not established",
+            use=used(0.122),
+            own=0.65,
+            library=library,
+            caveats=[Caveat(code="assumed strength", subject="modes.core tension")],
+            next=Remedy(code="measure the strength", subject="modes.core tension", at_best=0.42),
+        ),
+    )
+    assert text.use == "Use at most 0.12 m/s"
+    assert "no margin" in text.sentence
+    assert "(its range: 0.064 m/s to 0.27 m/s)" in text.sentence
+    assert "By your own limits: at most 0.65 m/s." in text.sentence
+    assert len(f"{text.use}. {text.sentence}".split()) <= 45
+    assert text.open == ["core tension rests on a strength of the library, not of this rock"]
+    assert text.next.startswith("Measure the tensile strength (core tension)")
+    assert "at most 0.42 m/s at best" in text.next
+
+
+def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results) -> None:
+    text = decision_text(
+        granite,
+        decision(
+            aim="break",
+            target=0.05,
+            use=used(0.213, least=True),
+            probability=Range(value=0.0, low=0.0, high=7.32e-4),
+        ),
+    )
+    assert text.use == "Use at least 0.22 m/s"
+    assert "safety factor 2.27" in text.sentence
+    assert "above 99.92 %" in text.broken
+    assert "Target: at least 95 %." in text.broken
+
+
+def test_a_probability_of_which_nothing_was_seen_is_below_its_bound(granite: Results) -> None:
+    text = decision_text(granite, decision(probability=Range(value=0.0, low=0.0, high=7.32e-4)))
+    assert "below 0.074 %" in text.broken
+    assert " 0 %" not in text.broken
+
+
+def test_what_a_number_of_tests_buys_is_told(granite: Results) -> None:
+    gains = [{"tests": n, "low": x, "median": x, "high": x} for n, x in ((25, 0.7), (100, 0.8))]
+    remedy = Remedy.model_validate(
+        {"code": "test more", "subject": "limits.crushing", "gains": gains}
+    )
+    text = decision_text(granite, decision(next=remedy))
+    assert text.gains == [("25 tests", "0.7 m/s"), ("100 tests", "0.8 m/s")]
+    assert text.lines()[-1].endswith("25 tests: 0.7 m/s; 100 tests: 0.8 m/s.")
+
+
+def test_no_number_says_by_which_limit(granite: Results) -> None:
+    text = decision_text(granite, decision(use=None, blocked_by="modes.ring crack", own=0.65))
+    assert text.use == "No value to use"
+    assert "Ring crack exceeds its target everywhere between 50 mm/s" in text.sentence or (
+        "Ring crack exceeds its target everywhere between 0.05 m/s and" in text.sentence
+    )
+    assert "By your own limits: at most 0.65 m/s." in text.sentence
+
+
+def test_synthetic_tests_of_several_limits_are_one_clause(granite: Results) -> None:
+    caveats = [
+        Caveat(code="synthetic tests", subject=f"{name}.strength") for name in ("force", "energy")
+    ]
+    text = decision_text(granite, decision(caveats=caveats))
+    assert text.open == ["the tests of force and energy are synthetic, not measured"]
+
+
+def test_a_check_that_fails_stands_beside_the_number(granite: Results) -> None:
+    failed = CheckEntry(name="contact_size", text="a/r is 1.6", share=1.0, grade="failure")
+    results = granite.model_copy(update={"checks": [failed], "decisions": [decision()]})
+    assert decision_text(results, decision()).open == ["check failed: a/r is 1.6"]
+    assert "check failed: a/r is 1.6" in summary(results)
+    known = decision(caveats=[Caveat(code="model range", subject="contact_size", text="a/r")])
+    assert decision_text(results, known).open == ["a/r"]
+
+
+def test_the_terminal_has_no_codes(granite: Results) -> None:
+    for code, words in STOPPED.items():
+        accuracy = granite.accuracy.model_copy(update={"stopped": code})
+        text = summary(granite.model_copy(update={"accuracy": accuracy}))
+        assert words in text.replace("\n", " ")
+        assert f"({code})" not in text
+        assert len(text.splitlines()) <= 40
+
+
+def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
+    doubts = [
+        Doubt(code="computation", subject="limits.crushing", target=0.01, margin=0.66),
+        Doubt(code="tests", subject="limits.crushing", target=0.01, margin=0.404, tests=20),
+    ]
+    results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
+    row = mode_rows(results)[0]
+    assert row.number("striker.speed") == "0.4 m/s"
+    assert row.span("striker.speed") == "0.404 m/s to 0.66 m/s"
