@@ -109,7 +109,7 @@ def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results
     )
     assert text.use == "Use at least 0.22 m/s"
     assert "safety factor 2.27" in text.sentence
-    assert "above 99.92 %" in text.broken
+    assert "above 99.92" in text.broken
     assert "Target: at least 95 %." in text.broken
 
 

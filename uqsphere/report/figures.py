@@ -259,14 +259,16 @@ def density_of(results: Results, quantity: str) -> Density | None:
 def _onset(results: Results, quantity: str, unit: str, factor: float) -> tuple[float, str] | None:
     """Where a contact starts to yield on the axis of the peak pressure, and how many do."""
     entry = results.study.quantities[quantity]
-    if entry.onset is None:
+    if entry.onset is None or not entry.density:
         return None
-    shares = [check.share for check in results.checks if check.name == "dented"]
-    who = "in no impact"
-    if shares and shares[0] >= 1.0:
+    places, heights = np.array(entry.density, dtype=float)
+    above = places >= entry.onset
+    share = float(np.trapezoid(heights[above], places[above])) if above.any() else 0.0
+    who = f"in {format_probability(share)} of impacts"
+    if share > 0.999:
         who = "in all impacts"
-    elif shares:
-        who = f"in {format_probability(shares[0])} of impacts"
+    elif share < 0.001:
+        who = "in no impact"
     return entry.onset * factor, f"yield from {entry.onset * factor:.3g} {unit}: {who}"
 
 

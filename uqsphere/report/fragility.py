@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 #: colours that people with any colour vision tell apart (Okabe and Ito 2008), darkened to a
 #: contrast of 4.5 on white
 BLUE, GREEN, PURPLE, RED = "#0072b2", "#007a58", "#aa4499", "#b84a00"
+BROWN, INDIGO = "#7a5500", "#4b5fc1"
 GREY, INK, FAINT = "#656b75", "#1b1f24", "#e6e8eb"
 #: probabilities that the axis is marked at, and the ends of the axis
 TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
@@ -163,7 +164,7 @@ def _colours(chart: Chart) -> dict[str, str]:
     """A colour a curve: limits in hues of their own, assumed strengths in grey, what governs in
     red.
     """
-    hues, colours = [BLUE, GREEN, PURPLE], dict[str, str]()
+    hues, colours = [BLUE, GREEN, PURPLE, BROWN, INDIGO], dict[str, str]()
     for curve in chart.curves:
         if curve.kind == "joint":
             colours[curve.name] = INK

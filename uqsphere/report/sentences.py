@@ -146,16 +146,16 @@ class _Writer:
         """The number to use, or that there is none."""
         if self.decision.use is not None:
             return f"Use {self.allowed(self.decision.use.value)}"
-        if self.free is None:
+        if self.free is None or self.decision.target is None:
             return capital(self.event(self.governing_range()))
         return "No value to use"
 
     def sentence(self) -> str:
         """What governs the number, its margin to the plan, and what else would be allowed."""
         decision, parts = self.decision, list[str]()
+        if decision.target is None and decision.use is None:
+            return "No target is set."
         if self.free is None:
-            if decision.target is None:
-                return "No target is set."
             return f"{self.target()}. Add [margins] for a number to use."
         if decision.use is None:
             parts.append(self.why_none())
