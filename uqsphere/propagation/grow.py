@@ -110,7 +110,9 @@ def grow(
         stopped: Stop = ""
         if not tables.inaccurate or not design.drawn.names:
             stopped = "accurate"
-        elif count >= MOST or runs + _rows(tables) > allowance.runs:
+        elif count >= MOST:
+            stopped = "cap"
+        elif runs + _rows(tables) > allowance.runs:
             stopped = "budget"
         elif all(_is_stuck(tables, history, error) for error in tables.inaccurate):
             stopped = "no gain"
@@ -125,7 +127,7 @@ def grow(
 def _ended(design: Design, model: Model, tables: Tables, allowance: Allowance) -> Tables:
     """The tables after a last search with what is left of the budget."""
     tables = _searched(design, model, tables, allowance)
-    if not tables.inaccurate and tables.stopped in ("budget", "no gain"):
+    if not tables.inaccurate and tables.stopped in ("budget", "cap", "no gain"):
         return replace(tables, stopped="accurate")
     return tables
 

@@ -144,7 +144,11 @@ class Slow:
 
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
-    """Whether the first size of the loop is more than the budget allows."""
+    """Whether the first size of the loop is more than the budget allows.
+
+    One run, and the same again, tell a model for which no budget of this size is enough: UsageError
+    then, before any more of the time is spent.
+    """
     analysis = design.study.analysis
     if not design.study.black_box or not design.inputs:
         return False
@@ -156,7 +160,15 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
     try:
         probe = at_normals(design.drawn, _design_points(design, PROBE)[None])
         rows = np.stack([probe.input(name)[0] for name in design.inputs], axis=1)
-        model.evaluate(design.inputs, rows, design.columns)
+        model.evaluate(design.inputs, rows[:1], design.columns)
+        seconds_per_row = model.seconds_per_row or 0.0
+        if seconds_per_row * LEAST_ROWS > seconds:
+            raise UsageError(
+                f"a model run takes {seconds_per_row:.3g} s, and at least {LEAST_ROWS} runs are "
+                f"needed; the time budget is {seconds:.3g} s. Raise analysis.budget.time or "
+                "--budget"
+            )
+        model.evaluate(design.inputs, rows[1:], design.columns)
     except Interrupted:
         raise KeyboardInterrupt from None
     return (model.seconds_per_row or 0.0) * first > seconds
@@ -252,9 +264,8 @@ def tables_of(
     )
     if count < LEAST_ROWS:
         raise UsageError(
-            f"the budget allows {affordable} model runs, and an answer takes {LEAST_ROWS} at "
-            "least: "
-            "raise analysis.budget or --budget"
+            f"the budget allows {affordable} model runs, and at least {LEAST_ROWS} are needed. "
+            "Raise analysis.budget or --budget"
         )
     stopped: Stop = ""
     rows: Sample | None = None
@@ -278,11 +289,11 @@ def tables_of(
                 done / count,
                 f"{done} of {count} runs of the design",
             )
-        if time.monotonic() - began > seconds:
+        if done >= LEAST_ROWS and time.monotonic() - began > seconds:
             stopped = "time"
             break
     if rows is None or rows.count < LEAST_ROWS:
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt  # the user has stopped
     check_failures(
         design, rows.status[0], ~rows.failed[0], f"{int(rows.failed.sum())} of {rows.count} rows"
     )

@@ -35,6 +35,7 @@ STOPPED: Final[dict[Stop, str]] = {
     "": "running",
     "accurate": "all accuracy targets met",
     "budget": "stopped at the model-run budget",
+    "cap": "stopped at the largest sample, two million rows",
     "time": "stopped at the time budget",
     "interrupted": "interrupted by the user",
     "no gain": "stopped: more runs no longer reduce the error",

@@ -28,7 +28,7 @@ Aim = Literal["survive", "break"]
 IndexMethod = Literal["", "chaos", "pairs"]
 VerdictWord = Literal["met", "not met", "undecided", "not established", "no target"]
 #: why a run ended; empty while it goes on
-Stop = Literal["", "accurate", "budget", "time", "interrupted", "no gain"]
+Stop = Literal["", "accurate", "budget", "cap", "time", "interrupted", "no gain"]
 Grade = Literal["ok", "note", "warning", "failure"]
 
 
