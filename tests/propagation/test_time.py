@@ -22,15 +22,15 @@ def test_a_model_that_is_too_slow_for_its_budget_is_told_after_one_row() -> None
 
     def slow(x: dict[str, Any]) -> dict[str, Any]:
         calls.append(len(x["a"]))
-        time.sleep(0.05)
+        time.sleep(0.08)
         return {"y": x["a"] + x["b"]}
 
-    with pytest.raises(UsageError, match=r"takes 0\.05\d* s, and at least 16 runs"):
+    with pytest.raises(UsageError, match=r"takes 0\.\d+ s, and at least 16 runs"):
         uqsphere.run(Study(inputs=INPUTS, outputs="y"), slow, seconds=0.1)
     assert calls == [1, 1]
     # enough time is no fault, though it is less than the first sample would take
     calls.clear()
-    run = uqsphere.run(Study(inputs=INPUTS, outputs="y"), slow, seconds=3.0)
+    run = uqsphere.run(Study(inputs=INPUTS, outputs="y"), slow, seconds=4.0)
     assert run.results.accuracy.stopped in ("accurate", "time", "budget")
     assert 16 <= sum(calls) <= 70
 

@@ -162,7 +162,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
         rows = np.stack([probe.input(name)[0] for name in design.inputs], axis=1)
         model.evaluate(design.inputs, rows[:1], design.columns)
         seconds_per_row = model.seconds_per_row or 0.0
-        if seconds_per_row * LEAST_ROWS > seconds:
+        if seconds_per_row * LEAST_ROWS > max(seconds, ALWAYS):
             raise UsageError(
                 f"a model run takes {seconds_per_row:.3g} s, and at least {LEAST_ROWS} runs are "
                 f"needed; the time budget is {seconds:.3g} s. Raise analysis.budget.time or "
@@ -181,6 +181,10 @@ def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow
         dimension=size + extra, count=count, seed=design.study.seed, task=task, replicate=0
     )
     return np.concatenate([normal_scores(points[:, :size]), points[:, size:]], axis=1)
+
+
+#: seconds that the least number of runs may take whatever the budget
+ALWAYS: Final = 1.0
 
 
 class KnownRows(NamedTuple):
@@ -253,7 +257,10 @@ def tables_of(
     """
     analysis, began = design.study.analysis, time.monotonic()
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
-    affordable = int(min(analysis.budget.evaluations, 0.9 * seconds / cost if cost else math.inf))
+    by_time = 0.9 * seconds / cost if cost else math.inf
+    if cost * LEAST_ROWS <= ALWAYS:
+        by_time = max(by_time, LEAST_ROWS)
+    affordable = int(min(analysis.budget.evaluations, by_time))
     along = (
         known is None and design.study.margins is not None and design.study.margins.limit is None
     )
