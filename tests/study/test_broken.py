@@ -35,10 +35,6 @@ def file(
     return Broken(name, data, None if at is None else before.count(b"\n") + 1, says, count)
 
 
-def gone(path: str, old: str, new: str, way: str) -> Broken:
-    return one(f"no longer {path} {way}", old, new, f": {path}: ", "no longer", way, at=None)
-
-
 def one(
     name: str,
     old: str,
@@ -547,98 +543,6 @@ CASES = [
         at=None,
     ),
     # keys and values of earlier studies: refused once, with the way out
-    gone("service", "seed = 7", 'seed = 7\n[service.chute]\nspeed = "3 m/s"', "a study of its own"),
-    gone("rig.kind", "seed = 7", 'seed = 7\nrig = { kind = "none" }', "write the machine as [rig]"),
-    gone("feed", "seed = 7", "seed = 7\n[feed]\nblows = 2", "uqsphere comminution"),
-    gone("product", "seed = 7", 'seed = 7\n[product]\nA = "55 %"', "comminution feed"),
-    gone("tests", "seed = 7", 'seed = 7\n[tests]\nfile = "t.csv"', "comminution fit"),
-    gone("model.fidelity", "tolerance = 1e-6", 'fidelity = "auto"', '"massless" or "linear"'),
-    gone("model.stochastic", "tolerance = 1e-6", "stochastic = true", "same row alike"),
-    gone(
-        "bars.receiving_damper",
-        'incident_end = "free"',
-        'receiving_damper = "d.csv"',
-        "receiving_end",
-    ),
-    gone("bars.insert_E", 'incident_end = "free"', 'insert_E = "190 GPa"', "[insert]"),
-    gone("contact.law", "[model]", '[contact]\nlaw = "damage"\n[model]', '"plastic"'),
-    gone(
-        "contact.dynamics",
-        "[model]",
-        '[contact]\ndynamics = "path"\n[model]',
-        "equations of motion",
-    ),
-    gone(
-        "contact.hardness",
-        "[model]",
-        '[contact]\nlaw = "plastic"\nhardness = "onset"\n[model]',
-        "pile_up = 1",
-    ),
-    gone("contact.gamma", "[model]", "[contact]\ngamma = 5\n[model]", "leave it out"),
-    gone("pulse.noise", 'rise = "25 us"', 'rise = "25 us"\nnoise = true', "shpb records"),
-    gone("limits.crushing.in", "target = 0.01", 'in = "chute"', "a study of its own"),
-    gone(
-        "limits.crushing.strength.made_up",
-        "modulus = 12 }",
-        "modulus = 12, made_up = true }",
-        "synthetic = true",
-    ),
-    gone(
-        "limits.crushing.strength",
-        '{ dist = "weibull", mean = "4 GPa", modulus = 12 }',
-        '{ fit = "vsifit" }',
-        'draws = "draws.csv"',
-    ),
-    gone(
-        "limits.crushing.strength.same_as",
-        '{ dist = "weibull", mean = "4 GPa", modulus = 12 }',
-        '{ same_as = "limits.b.strength" }',
-        "write the strength again",
-    ),
-    gone(
-        "dependence[0].copula", "spearman = 0.6", 'spearman = 0.6\ncopula = "clayton"', "student_t"
-    ),
-    gone(
-        "analysis.quantities[1]",
-        'quantities = ["p_max"]',
-        'quantities = ["p_max", "contact_time"]',
-        "write contact_duration, or time_to_first_loss",
-    ),
-    gone(
-        "limits.crushing.quantity",
-        'quantity = "p_max"',
-        'quantity = "impulse_time"',
-        "write contact_duration",
-    ),
-    gone("analysis.ways", 'quantities = ["p_max"]', 'ways = "given"', "failure_modes"),
-    gone(
-        "analysis.fields", 'quantities = ["p_max"]', "fields = { force_a = 9 }", "uqsphere history"
-    ),
-    gone("analysis.rows_per_call", 'quantities = ["p_max"]', "rows_per_call = 4", "leave it out"),
-    gone(
-        "analysis.accuracy.curve",
-        'quantities = ["p_max"]',
-        "accuracy = { curve = 0.1 }",
-        "probability",
-    ),
-    gone(
-        "margins.solve",
-        'solve = "striker.speed"',
-        'solve = "striker.specific_energy"',
-        "striker.speed",
-    ),
-    gone(
-        "margins.for_survival",
-        'solve = "striker.speed"',
-        'solve = "striker.speed"\nfor_survival = [0.9]',
-        "1 - p",
-    ),
-    gone(
-        "margins.bars_elastic",
-        'solve = "striker.speed"',
-        'solve = "striker.speed"\nbars_elastic = true',
-        "fracture = false",
-    ),
 ]
 
 

@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
-from uqsphere.documents import (
-    Fault,
-    Place,
-    parse_text,
-    read_text,
-    refusal,
-    set_value,
-    shown,
-    toml_text,
-)
-from uqsphere.study.check import BOX_STAGES, STAGES, Faults, resolve
+from uqsphere.documents import Fault, parse_text, read_text, refusal, set_value, toml_text
+from uqsphere.study.check import BOX_STAGES, STAGES, resolve
 from uqsphere.study.document import Draft
 from uqsphere.study.study import Study
 from uqsphere.uq.foreign import law_table
@@ -65,37 +53,5 @@ def load_study(
             except Fault as fault:  # behind those that the check has yielded
                 faults.append(fault)
         if faults:
-            raise refusal(path, text, [*_removed(draft.data, _ways_out())] or faults, overridden)
+            raise refusal(path, text, faults, overridden)
     return replace(resolve(draft, path, text), overrides=tuple(overrides))
-
-
-# --- keys of earlier studies ----------------------------------------------------------------------
-
-
-def _removed(node: Any, ways: Mapping[str, str], above: Place = ()) -> Faults:
-    """Every key and value of an earlier study that is renamed or dropped, with the way out; a table
-    by its keys.
-    """
-    for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
-        place: Place = (*above, key)
-        path, held = (
-            ".".join(map(str, place)),
-            "+".join(value) if isinstance(value, dict) else value,
-        )
-        for pattern, way in ways.items():
-            if fnmatchcase(path, pattern) or fnmatchcase(f"{path}={held}", pattern):
-                found = (
-                    f"{shown(value)} is no longer allowed"
-                    if "=" in pattern
-                    else f"{key} is no longer a key"
-                )
-                yield Fault(f"{found}: {way}", *place)
-                break
-        else:
-            if isinstance(value, dict | list) and len(place) < 6:
-                yield from _removed(value, ways, place)
-
-
-def _ways_out() -> dict[str, str]:
-    ways = tomllib.loads(Path(__file__).with_name("removed.toml").read_text(encoding="utf-8"))
-    return {pattern: way for way, patterns in ways.items() for pattern in patterns}
