@@ -160,7 +160,7 @@ def _run(
             tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=report)
         else:
             tables = grow(design, evaluator, seconds=budget, progress=report)
-        judged, tables = judge(design, evaluator, tables)
+        judged, tables = judge(design, evaluator, tables, started + budget)
         answers = Answers()
         for analysis in ANALYSES:
             answers += analysis(design, tables)

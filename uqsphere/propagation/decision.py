@@ -9,6 +9,7 @@ there as the study asks.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -16,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.models.model import Model
+from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import ASSUMED, Aim, Alternative, Curves, Doubt, doubts_of
@@ -25,6 +27,8 @@ from uqsphere.uq import student
 #: points of a replicate near the number to use, at first and at most
 _FIRST: Final = 64
 _MOST: Final = 1024
+#: passes that add rows at most, where a curve turns back again and again
+_PASSES: Final = 20
 #: distance of the number to a value with rows of its own, over the range of the line
 _CLOSE: Final = 1e-3
 
@@ -62,12 +66,14 @@ class Settling:
 
     others : everything of the limits that may be otherwise
     yielding : rows with contacts that yield; None where the study has such
+    end : when the time for more rows is over, by the monotonic clock [s]
     """
 
     design: Design
     model: Model
     others: Sequence[Alternative]
     yielding: YieldingRows | None = None
+    end: float = math.inf
 
     def once(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim by the rows at hand."""
@@ -82,11 +88,11 @@ class Settling:
     def accurately(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim, with rows added until the governing curve is accurate there."""
         required, count = self.design.study.analysis.accuracy.probability, _FIRST
-        while True:
-            settled = self.once(aim, line)
-            number = settled.number
+        settled = self.once(aim, line)
+        for _ in range(_PASSES):
+            number, line = settled.number, settled.line
             if number is None or math.isinf(number):
-                return settled
+                break
             nearest = int(np.argmin(np.abs(line.places - line.place_of(number))))
             away = abs(line.places[nearest] - line.place_of(number))
             there = away < _CLOSE * (line.places[-1] - line.places[0])
@@ -94,17 +100,27 @@ class Settling:
                 doubt = settled.governing
                 half = student(line.samples[0].replicates) * doubt.error[nearest]
                 if half <= required * min(doubt.allowed, 1.0 - doubt.allowed) or count >= _MOST:
-                    return settled
+                    break
                 count *= 2
             above = int(np.searchsorted(line.values, number))
             beside = line.values[max(above - 1, 0) : above + 1]
             wanted = beside if there else (*beside, number)
-            runs = self.model.evaluations + self.model.reused
-            more = len(wanted) * count * line.samples[0].replicates
-            if runs + more > self.design.study.analysis.budget.evaluations:
-                return settled
-            line = refined(line, self.model, dict.fromkeys(wanted, count))
+            if not self._affords(len(wanted) * count * line.samples[0].replicates):
+                break
+            try:
+                line = refined(line, self.model, dict.fromkeys(wanted, count))
+            except Interrupted:
+                break
             count = max(count, min(counts_at(line, wanted)))
+            settled = self.once(aim, line)
+        return settled
+
+    def _affords(self, rows: int) -> bool:
+        """Whether budget and time allow so many more model runs."""
+        runs = self.model.evaluations + self.model.reused
+        took = rows * (self.model.seconds_per_row or 0.0)
+        within = runs + rows <= self.design.study.analysis.budget.evaluations
+        return within and time.monotonic() + took < self.end
 
     def best(self, settled: Settled) -> float | None:
         """The number once the doubt that governs is gone: the failure mode, or a limit that leaves

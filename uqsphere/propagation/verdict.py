@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
+from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.caveats import caveats_of
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.contact_law import YieldingRows, yielding_design
@@ -65,9 +67,13 @@ class Judged:
     planned: float | None
 
 
-def judge(design: Design, model: Model, tables: Tables) -> tuple[list[Judged], Tables]:
+def judge(
+    design: Design, model: Model, tables: Tables, end: float = math.inf
+) -> tuple[list[Judged], Tables]:
     """Every aim of a study, with the number to use, and the tables with the rows that were added to
     the line.
+
+    end : when the time for more rows is over, by the monotonic clock [s]
     """
     found: list[Judged] = []
     yields = yielding_design(design)
@@ -78,6 +84,7 @@ def judge(design: Design, model: Model, tables: Tables) -> tuple[list[Judged], T
             model=model,
             others=alternatives(aim),
             yielding=None if yields is None else YieldingRows(design=yields, known={}),
+            end=end,
         )
         head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
         plan = settling.once(aim, plan_of(design, head))
@@ -87,8 +94,9 @@ def judge(design: Design, model: Model, tables: Tables) -> tuple[list[Judged], T
             settled = settling.accurately(aim, line) if grows else settling.once(aim, line)
             planned = planned_value(design)
             if grows and planned is not None and _is_missed_between(settled, plan, planned):
-                line = refined(settled.line, model, {planned: plan.line.rows.count})
-                settled = settling.accurately(aim, line)
+                with suppress(Interrupted):
+                    line = refined(settled.line, model, {planned: plan.line.rows.count})
+                    settled = settling.accurately(aim, line)
             if tables.line:
                 pairs = zip(settled.line.values, settled.line.samples, strict=True)
                 tables = replace(tables, line=dict(pairs))
