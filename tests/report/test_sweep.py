@@ -57,6 +57,7 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     assert len(pd.read_csv("s-sweep/sweep.csv")) == 3
 
 
+@pytest.mark.slow
 def test_two_keys_give_every_combination() -> None:
     assert main([*SWEEP, "--over", "inputs.c=1, 2", "--over", "inputs.a.sd=0.1, 0.2"]) == 0
     table = pd.read_csv("s-sweep/sweep.csv")

@@ -18,7 +18,7 @@ import numpy as np
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.report.figures import COLOURS, Picture, svg
-from uqsphere.report.format import complement, plain_probability, short
+from uqsphere.report.format import capital, complement, plain_probability, short
 from uqsphere.report.page import Table, render
 from uqsphere.report.sentences import chart_title, decision_text, exceedance_name, plain_name
 from uqsphere.report.terminal import table
@@ -143,7 +143,7 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     frame = sweep_table(sweep, runs)
     figure = svg(partial(_draw, sweep=sweep, frame=frame), 900.0, 380.0)
     first = next(iter(runs.values())).results
-    chart = f"{_free_name(first)} to use, and {chart_title(first).lower()} at the plan"
+    chart = f"{capital(_free_name(first))} to use, and {chart_title(first).lower()} at the plan"
     html = render(
         "sweep.html",
         title=f"{sweep.title}: sweep",
@@ -215,7 +215,7 @@ def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> Table:
             text = decision_text(runs[point.name].results, decision)
             rows.append(
                 (
-                    ", ".join(point.values.values()),
+                    *point.values.values(),
                     text.use,
                     plain_probability(_fracture(decision)),
                     decision.verdict,
@@ -225,7 +225,7 @@ def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> Table:
     name = exceedance_name(next(iter(runs.values())).results).lower()
     return Table(
         caption="Decisions",
-        head=(", ".join(sweep.keys), "decision", f"{name} at the plan", "verdict", "governs"),
+        head=(*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs"),
         rows=rows,
     )
 
@@ -243,7 +243,8 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
     left, right = figure.subplots(1, 2)
     free = sweep.points[0].study.margins
     path = free.solve if free is not None else ""
-    unit, factor = display_unit(path) if path else ("", 1.0)
+    largest = float(frame["use"].astype(float).max())
+    unit, factor = display_unit(path, largest) if path else ("", 1.0)
     groups = dict.fromkeys(tuple(row) for row in frame[_series(sweep)].to_numpy().tolist())
     for k, group in enumerate(groups):
         chosen = frame[(frame[_series(sweep)] == list(group)).all(axis=1)]
@@ -264,7 +265,8 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
 
 def _series(sweep: Sweep) -> list[str]:
     """Columns that tell the curves of the chart apart."""
-    return [*sweep.keys[1:], "aim"]
+    aims = {limit.aim for point in sweep.points for limit in point.study.limits}
+    return [*sweep.keys[1:], *(["aim"] if len(aims) > 1 or len(sweep.keys) == 1 else [])]
 
 
 def _place(sweep: Sweep, name: str) -> float:
@@ -286,6 +288,7 @@ def _key_axis(axes: Axes, sweep: Sweep) -> None:
         axes.set_xlabel(key)
         return
     path = path_of(key)
+    axes.set_xticks(sorted({_place(sweep, point.name) for point in sweep.points}))
     unit = display_unit(path)[0]
     name = short(lookup(path).meaning)
     axes.set_xlabel(f"{name} [{unit}]" if unit else name)
