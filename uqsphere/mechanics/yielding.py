@@ -18,18 +18,19 @@ which is (C5) without its cancellation: (1 + s)³, Hertz, as b grows.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics.roots import newton
 
-#: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel:
-#: 0.3^40/40 < 1e-22
-_TERMS: Final = 40
-_NEAR: Final = 0.3
+#: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel; the
+#: rest is 0.1^16/18 of the first term
+_TERMS: Final = 18
+_NEAR: Final = 0.1
 #: hardness over yield strength of a metal (Jackson and Green 2005)
 FLOW: Final = 2.84
 #: pile-up factor of a perfectly plastic body (Jackson and Green 2005), and of a flat cap: a² = 2 r
@@ -75,20 +76,89 @@ def softer(one: ContactParameters, other: ContactParameters) -> ContactParameter
     return ContactParameters(onset, hardness, pile_up)
 
 
-def _bend(t: Array, moment: int = 0) -> Array:
-    """G(t) = t²/2 - t + ln(1 + t) for moment 0; its integral from 0 for 1, that of t G for 2."""
-    near, series = np.minimum(t, _NEAR), np.zeros_like(t)
-    for k in range(_TERMS, 2, -1):
-        series = 1.0 / (k * (k + moment) if moment else k) - near * series
-    series = series * near ** (3 + moment)
-    log = np.log1p(t)
-    if moment == 0:
-        far = 0.5 * t * t - t + log
-    elif moment == 1:
-        far = t**3 / 6.0 - 0.5 * t * t + (1.0 + t) * log - t
-    else:
-        far = t**4 / 8.0 - t**3 / 3.0 + 0.5 * (t * t - 1.0) * log - 0.25 * t * t + 0.5 * t
-    return np.where(t < _NEAR, series, far)
+class FirstLoading(NamedTuple):
+    """Formulas of first loading, functions of z = alpha/alpha_y, b and C; see `Face`."""
+
+    force: Callable[..., Any]
+    slope: Callable[..., Any]
+    area: Callable[..., Any]
+    area_shape: Callable[..., Any]
+    work: Callable[..., Any]
+
+
+def first_loading(
+    select: Callable[..., Any], compiled: Callable[..., Any] = lambda function: function
+) -> FirstLoading:
+    """The formulas (C4) to (C7), stated once for arrays and for the compiled integrator.
+
+    select: function of (condition, a, b) that returns a where the condition holds, else b:
+    `np.where` for arrays.  compiled: decorator of every formula.
+    """
+
+    @compiled
+    def bend(t: Values, moment: int) -> Values:
+        """G(t) = t²/2 - t + ln(1 + t) for moment 0; its integral from 0 for 1, of t G for 2."""
+        near = np.minimum(t, _NEAR)
+        series = 0.0 * near
+        for k in range(_TERMS, 2, -1):
+            term = 1.0 / k
+            if moment > 0:
+                term = 1.0 / (k * (k + moment))
+            series = term - near * series
+        series = series * near ** (3 + moment)
+        log = np.log1p(t)
+        if moment == 0:
+            far = 0.5 * t * t - t + log
+        elif moment == 1:
+            far = t**3 / 6.0 - 0.5 * t * t + (1.0 + t) * log - t
+        else:
+            far = t**4 / 8.0 - t**3 / 3.0 + 0.5 * (t * t - 1.0) * log - 0.25 * t * t + 0.5 * t
+        return select(t < _NEAR, series, far)
+
+    @compiled
+    def force(z: Values, b: Values) -> Values:
+        """L = P/P_y, (C5); Hertz below onset."""
+        s = np.sqrt(np.maximum(z, 1.0)) - 1.0
+        rest = select(b > 0.0, b * b * (b - 1.0) * bend(s / b, 0), -0.5 * s * s)
+        beyond = 1.0 + 3.0 * s + 3.0 * s * s + 3.0 * rest
+        elastic = np.maximum(z, 0.0)
+        return select(z > 1.0, beyond, elastic * np.sqrt(elastic))
+
+    @compiled
+    def slope(z: Values, b: Values) -> Values:
+        """dL/dz, (C4)."""
+        y = np.sqrt(np.maximum(z, 1.0))
+        beyond = select(b > 0.0, 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0), 1.5)
+        return select(z > 1.0, beyond, 1.5 * np.sqrt(np.maximum(z, 0.0)))
+
+    @compiled
+    def area_shape(b: Values, c: Values) -> Values:
+        """g of (C6)."""
+        return select(c > 1.0, np.minimum(5.0, c * b * b / ((c - 1.0) * (1.0 + b))), 5.0)
+
+    @compiled
+    def area(z: Values, b: Values, c: Values) -> Values:
+        """A = a²/(r_eff alpha_y), (C6)."""
+        s = np.sqrt(np.maximum(z, 1.0)) - 1.0
+        g = area_shape(b, c)
+        rest = s * s * (1.0 + (c - 1.0) / g) + 2.0 * (c - 1.0) * g * (g - 1.0) * bend(s / g, 0)
+        beyond = select(g > 0.0, 1.0 + 2.0 * s + rest, 1.0 + c * s * (2.0 + s))
+        return select(z > 1.0, beyond, np.maximum(z, 0.0))
+
+    @compiled
+    def work(z: Values, b: Values) -> Values:
+        """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
+        s = np.sqrt(np.maximum(z, 1.0)) - 1.0
+        t = s / b
+        softening = b**3 * (b - 1.0) * (bend(t, 1) + b * bend(t, 2))
+        rest = select(b > 0.0, softening, -(s**3) / 6.0 - s**4 / 8.0)
+        beyond = 0.4 + 2.0 * s + 4.0 * s**2 + 4.0 * s**3 + 1.5 * s**4 + 6.0 * rest
+        return select(z > 1.0, beyond, 0.4 * np.maximum(z, 0.0) ** 2.5)
+
+    return FirstLoading(force, slope, area, area_shape, work)
+
+
+_FIRST_LOADING: Final = first_loading(np.where)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,44 +238,23 @@ class Face:
 
     def force(self, depth: Array) -> Array:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
-        s, b = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening
         with np.errstate(divide="ignore", invalid="ignore"):
-            rest = np.where(b > 0.0, b * b * (b - 1.0) * _bend(s / b), -0.5 * s * s)
-        beyond = 1.0 + 3.0 * s + 3.0 * s * s + 3.0 * rest
-        return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0) ** 1.5)
+            return np.asarray(_FIRST_LOADING.force(depth, self.softening))
 
     def slope(self, depth: Array) -> Array:
         """dL/dz on first loading, (C4)."""
-        y, b = np.sqrt(np.maximum(depth, 1.0)), self.softening
         with np.errstate(divide="ignore", invalid="ignore"):
-            beyond = np.where(b > 0.0, 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0), 1.5)
-        return np.where(depth > 1.0, beyond, 1.5 * np.sqrt(np.maximum(depth, 0.0)))
+            return np.asarray(_FIRST_LOADING.slope(depth, self.softening))
 
     def area(self, depth: Array) -> Array:
         """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
-        s, b, c = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening, self.pile_up
         with np.errstate(divide="ignore", invalid="ignore"):
-            g = np.where(c > 1.0, np.minimum(5.0, c * b * b / ((c - 1.0) * (1.0 + b))), 5.0)
-            rest = np.where(
-                g > 0.0,
-                s * s * (1.0 + (c - 1.0) / g) + 2.0 * (c - 1.0) * g * (g - 1.0) * _bend(s / g),
-                0.0,
-            )
-        beyond = np.where(g > 0.0, 1.0 + 2.0 * s + rest, 1.0 + c * s * (2.0 + s))
-        return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0))
+            return np.asarray(_FIRST_LOADING.area(depth, self.softening, self.pile_up))
 
     def work(self, depth: Array) -> Array:
         """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
-        s, b = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = s / b
-            rest = np.where(
-                b > 0.0,
-                b**3 * (b - 1.0) * (_bend(t, 1) + b * _bend(t, 2)),
-                -(s**3) / 6.0 - s**4 / 8.0,
-            )
-        beyond = 0.4 + 2.0 * s + 4.0 * s**2 + 4.0 * s**3 + 1.5 * s**4 + 6.0 * rest
-        return np.where(depth > 1.0, beyond, 0.4 * np.maximum(depth, 0.0) ** 2.5)
+            return np.asarray(_FIRST_LOADING.work(depth, self.softening))
 
     def depth_at(self, force: Array) -> Array:
         """z at which first loading reaches the force P [N]."""

@@ -48,6 +48,7 @@ def _sources() -> str:
     digest = sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
     for name in _SOURCES:
         digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
+    digest.update((Path(__file__).parent.parent / "yielding.py").read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -36,6 +36,7 @@ from uqsphere.mechanics.integrator.tracked import (
     TAIL_SHARE,
 )
 from uqsphere.mechanics.integrator.vectors import apart
+from uqsphere.mechanics.yielding import first_loading
 
 #: share of x_m by which an approach has to fall below it before it can rise through it again
 ARMED = 1e-13
@@ -47,36 +48,15 @@ MOST_TURNS = 8
 
 
 @compiled
-def _bend(t):
-    """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`; what cancels here is 1e-12 of
-    a force.
-    """
-    if t > 0.02:
-        return 0.5 * t * t - t + math.log1p(t)
-    total = 0.0
-    for k in range(12, 2, -1):
-        total = 1.0 / k - t * total
-    return total * t * t * t
+def _select(condition, a, b):
+    """`np.where` of numbers."""
+    return a if condition else b
 
 
-@compiled
-def _virgin_force(z, b):
-    """L at z >= 1, (C5)."""
-    s = math.sqrt(z) - 1.0
-    force = 1.0 + 3.0 * s + (1.5 if b == 0.0 else 3.0) * s * s
-    return force + 3.0 * b * b * (b - 1.0) * _bend(s / b) if b > 0.0 else force
-
-
-@compiled
-def _virgin_area(z, b, pile_up):
-    """A at z >= 1, (C6)."""
-    s, g = math.sqrt(z) - 1.0, 5.0
-    if pile_up > 1.0:
-        g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
-    if g == 0.0:
-        return 1.0 + pile_up * s * (2.0 + s)
-    area = 1.0 + 2.0 * s + s * s * (1.0 + (pile_up - 1.0) / g)
-    return area + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
+#: the law of first loading, compiled
+_LAW = first_loading(_select, compiled)
+_virgin_force, _virgin_slope = _LAW.force, _LAW.slope
+_virgin_area, _area_shape = _LAW.area, _LAW.area_shape
 
 
 @compiled
@@ -204,14 +184,12 @@ def _virgin(s, m, approach):
     """Force of a face at its largest approach so far, and its derivative; elastic below the
     onset.
     """
-    onset, z = s.onset[m], approach / s.onset[m]
+    onset, b = s.onset[m], s.softening[m]
+    z = approach / onset
     if z <= 1.0:
         side = s.stiffness[m] * math.sqrt(approach)
         return side * approach, 1.5 * side
-    b, y = s.softening[m], math.sqrt(z)
-    # (C4)
-    slope = 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0) if b > 0.0 else 1.5
-    return s.unit_force[m] * _virgin_force(z, b), s.unit_force[m] * slope / onset
+    return s.unit_force[m] * _virgin_force(z, b), s.unit_force[m] * _virgin_slope(z, b) / onset
 
 
 @compiled
@@ -245,9 +223,7 @@ def stored_energy(s, m, above):
     area = _virgin_area(z, b, s.pile_up[m])
     recovered = onset * (force / s.unit_force[m]) / math.sqrt(area)
     # dA/dz of (C6) is C - (C - 1) g/(g + y - 1)
-    pile_up, g = s.pile_up[m], 5.0
-    if pile_up > 1.0:
-        g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
+    pile_up, g = s.pile_up[m], _area_shape(b, s.pile_up[m])
     widens = pile_up - ((pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0) if g > 0.0 else 0.0)
     return 0.4 * force * recovered, 0.4 * recovered * (
         2.0 * slope - 0.5 * force * widens / (area * onset)

@@ -185,7 +185,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
     echoing = scene.reflections[rows] != 0.0
     breaks = pulse.breaks[rows] / time[:, None]
     powers = time[:, None] ** np.arange(4)
-    if scene.rig == "bars":
+    if scene.by_wave:
         duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
     else:  # no wave comes in
         duration = np.ones(len(rows))
@@ -210,7 +210,7 @@ def _laws(scene: Scene, rows: Places) -> Array:
     are x^(3/2).
     """
     faces = [partner.face if partner else None for partner in scene.partners]
-    if scene.rig == "bars" and faces == [None, None]:
+    if scene.by_wave and faces == [None, None]:
         return np.zeros((len(rows), 0, 2))
     laws = np.ones((len(rows), tracked.LAWS, 2))
     laws[:, tracked.LAW_ONSET] = np.inf
@@ -235,7 +235,7 @@ def _rigs(scene: Scene, rows: Places) -> Array:
     """What stands at the poles in scaled variables, (n, RIGS, 2): see `tracked`; (n, 0, 2): two
     bars.
     """
-    if scene.rig == "bars":
+    if scene.by_wave:
         return np.zeros((len(rows), 0, 2))
     scales, rigs = scene.scales, np.zeros((len(rows), tracked.RIGS, 2))
     for pole, partner in enumerate(scene.partners):
@@ -464,11 +464,11 @@ def motions(
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
     if fidelity not in MODES:
         raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
-    if scene.rig == "platens":
+    if scene.setup.by_press:
         raise ValueError(
             "between platens nothing moves: their answers are static, without an integrator"
         )
-    if scene.rig != "bars" and fidelity != "full":
+    if not scene.by_wave and fidelity != "full":
         raise ValueError(
             f"the fidelity {fidelity!r} is one of the rig bars: rig {scene.rig!r} needs 'full'"
         )
