@@ -197,6 +197,7 @@ def test_what_a_plan_cannot_use_is_refused(
         ('between = ["1 kg", "2 kg"]', "between"),
         ('limits = ["none"]', "no limit of the study means fracture"),
         ("rows = 3", "rows"),
+        ("shares = [0.1, 1.5]", "shares"),
     ):
         (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
         assert main(["shpb", "plan", str(tmp_path / "plan.toml")]) == 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
@@ -22,8 +22,12 @@ Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
 Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
 
 
+#: parameters of the laws
+_PARAMETERS: Final = frozenset(("e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"))
+
+
 class Elastic(Section):
-    """E, nu and density; those of a material of the library where they are left out."""
+    """E, nu and density; omitted ones are those of the material."""
 
     material: str | None = None
     E: Pressure | None = None
@@ -37,26 +41,26 @@ class Elastic(Section):
 
 
 class Lognormal(Section):
-    """A lognormal prior or scatter: logarithm of its median, and sd of the logarithm."""
+    """A lognormal prior or scatter: logarithm of the median, and sd of the logarithm."""
 
     log_mean: float
     log_sd: float = Field(gt=0.0)
 
 
 class TestsTable(Section):
-    """Tests of single particles, a row a blow or a compression; values name columns of the file.
+    """Tests of single particles: each row is a blow or a compression; values name columns.
 
-    rig : what the rows were tested in, or the column that says so (`rig_column`).
+    rig : what the rows were tested in; rig_column : the column that gives it.
     specific_energy, energy, speed, force : exactly one; the unit stands in the heading or in
         `unit`.
-    energy_is : `sphere` the particle's own, `contact` of all bodies of the contacts, `input` what
-        was offered.
-    particles, broken : rows that stand for many alike.  specimen : rows of one name are blows on
-        one particle.
+    energy_is : `sphere` taken up by the particle, `contact` by both bodies of the contacts, `input`
+        offered.
+    particles, broken : for rows that stand for several particles.
+    specimen : rows of one name are blows on one particle.
     stiffness : column of measured K_e = E*; without it a force needs `assume_intact = true`.
-    partner : what the particles touch: its share of the energy is taken off.
-    ratio : E_max/E50 of the lognormal law.  gamma : damage exponent, "fit" where repeated blows
-        determine it.
+    partner : what the particles touch; its share of the energy is subtracted.
+    ratio : E_max/E50 of the lognormal law.
+    gamma : damage exponent, or "fit" to repeated blows.
     """
 
     file: str
@@ -93,38 +97,37 @@ class TestsTable(Section):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> TestsTable:
-        given = [
-            key
-            for key in ("specific_energy", "energy", "speed", "force")
-            if getattr(self, key) is not None
-        ]
-        if len(given) != 1:
+        keys = ("specific_energy", "energy", "speed", "force")
+        measured = [key for key in keys if getattr(self, key) is not None]
+        if len(measured) != 1:
             raise ValueError(
-                "exactly one of specific_energy, energy, speed, force is required, each a column"
+                "exactly one of specific_energy, energy, speed, force is required, a column"
             )
         if self.diameter is None and (self.mesh_lower is None or self.mesh_upper is None):
-            raise ValueError("diameter is required, or mesh_lower and mesh_upper")
+            raise ValueError("diameter, or mesh_lower and mesh_upper, is required")
         if self.outcome is None and self.broken is None:
-            raise ValueError("outcome is required, or broken with particles")
-        if given[0] == "force" and self.stiffness is None and not self.assume_intact:
+            raise ValueError("outcome, or broken with particles, is required")
+        if measured[0] == "force" and self.stiffness is None and not self.assume_intact:
             raise ValueError(
                 "a force needs the stiffness of each particle (stiffness = COLUMN), or "
                 "assume_intact = true"
             )
-        if given[0] in ("specific_energy", "energy") and self.energy_is is None:
+        if measured[0] in ("specific_energy", "energy") and self.energy_is is None:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
         if isinstance(self.gamma, float) and not 0.5 < self.gamma < 50.0:
-            raise ValueError("gamma lies from 0.5 to 50 (published: 3 to 5.4)")
-        known = {"e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"}
-        if set(self.prior) - known:
-            raise ValueError(f"prior: allowed are {', '.join(sorted(known))}")
+            raise ValueError(
+                f"gamma must be between 0.5 and 50 (published: 3 to 5.4), not {self.gamma:g}"
+            )
+        strange = set(self.prior) - _PARAMETERS
+        if strange:
+            raise ValueError(
+                f"prior must name one of {', '.join(sorted(_PARAMETERS))}, not {min(strange)}"
+            )
         return self
 
 
 class SizesTable(Section):
-    """The feed by mass: a law with its numbers, or a sieve table; classes from `top` down in steps
-    of `ratio`.
-    """
+    """The feed by mass: a law or a sieve table; classes from `top` down by the factor `ratio`."""
 
     law: Literal["rosin_rammler", "gaudin_schuhmann", "lognormal", "table"]
     d63: Length | None = None
@@ -149,19 +152,19 @@ class SizesTable(Section):
         }[self.law]
         missing = [key for key in needs if getattr(self, key) is None]
         if missing:
-            raise ValueError(f"{self.law}: {', '.join(missing)} required")
+            raise ValueError(f'law = "{self.law}" requires {" and ".join(missing)}')
         return self
 
 
 class FeedTable(Section):
     """A feed under blows.
 
-    specific_energy, energy, speed : of one blow, exactly one; the same J/kg for all sizes, J a
-        blow, closing speed.
+    specific_energy, energy, speed : of one blow, exactly one: J/kg of every size, J, impact speed.
     impact_surface : what the particles hit.
-    rebreak : whether fragments are hit by the blows that are left, as fresh particles of the law.
-    undersize : whether what is below the last sieve breaks too.  lot : mass over which numbers
-        scatter.
+    rebreak : whether the remaining blows hit fragments, as fresh particles.
+    undersize : whether particles below the last sieve break too.
+    lot : mass whose scatter is computed.
+    fines : size below which the product counts as fines.
     """
 
     sizes: SizesTable
@@ -183,7 +186,7 @@ class FeedTable(Section):
 
 
 class ProductTable(Section):
-    """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha a number, or its scatter."""
+    """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha is a number or scatters."""
 
     A: Share
     b: Annotated[float, in_unit("mass_per_energy"), Field(gt=0.0)]

@@ -1,16 +1,17 @@
-"""Laws of the fracture energy of a particle: scatter, size, repeated blows, force in place of
-energy, product.
+"""Laws of the fracture energy of a particle: scatter, size, repeated blows, force, product.
 
 Every function is elementwise on arrays.  The energy e [J/kg] is what the particle itself takes up
-per its mass, d [m] the diameter of the sphere of its volume.
+per mass, d [m] the diameter of the sphere of its volume.
 
-    lognormal  P(e) = Phi(ln(e*/E50)/sigma),  e* = e/(1 - e/E_max),  E_max = r E50
-    (L1) weibull    P(e) = 1 - exp(-ln 2 (e/E50)^s),  s = 3 m/5,  m the modulus of the force
-    (L2) size       tavares E50 = E_inf (1 + (d0/d)^phi);  king E_inf (1 + d0/d)^phi;  power C
-    d^-phi         (L3) damage     a blow E < e leaves e (1 - D),  E/e = D^(5/(2g)) (2g + 5 -
-    5D)/(2g)                       (L4) blows      n equal blows E break what has e <= u_n E,
-    u_(n+1) (1 - D(1/u_(n+1))) = u_n              (L5) product    t10 = A (1 - exp(-b E));  t_n = 1
-    - (1 - t10)^((9/(n-1))^alpha)                           (L6)
+    (L1) lognormal  P(e) = Phi(ln(e*/E50)/sigma),  e* = e/(1 - e/E_max),  E_max = r E50
+    (L2) weibull    P(e) = 1 - exp(-ln 2 (e/E50)^s),  s = 3 m/5,  m the modulus of the force
+    (L3) size       tavares  E50 = E_inf (1 + (d0/d)^phi)
+                    king     E50 = E_inf (1 + d0/d)^phi
+                    power    E50 = C d^-phi
+    (L4) damage     a blow E < e leaves e (1 - D),  E/e = D^(5/(2g)) (2g + 5 - 5D)/(2g)
+    (L5) blows      n equal blows E break particles with e <= u_n E,  u_(n+1) (1 - D(1/u_(n+1))) =
+                    u_n
+    (L6) product    t10 = A (1 - exp(-b E)),  t_n = 1 - (1 - t10)^((9/(n-1))^alpha)
 
 Half of the particles break at e = r/(1 + r) E50 of (L1), not at E50.  Sources: L. M. Tavares, R. P.
 King, Powder Technol. 123 (2002) 138; R. P. King, MODSIM (BRPROB, TN, TN1); T. J. Napier-Munn and
@@ -148,10 +149,10 @@ def thresholds(gamma: Values, blows: int) -> Array:
     >>> thresholds(4.0, 3).round(4).tolist()
     [0.0, 1.0, 1.4509, 1.8166]
     """
-    found = [np.zeros(np.shape(gamma))]
+    steps = [np.zeros(np.shape(gamma))]
     for _ in range(blows):
-        found.append(before_blow(found[-1], gamma))
-    return np.stack(found, axis=-1)
+        steps.append(before_blow(steps[-1], gamma))
+    return np.stack(steps, axis=-1)
 
 
 def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Values) -> Array:
@@ -196,7 +197,7 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
     inside = np.where(n > 1.0, n, 2.0)
     with np.errstate(divide="ignore", over="ignore"):
         if curve == "trr":
-            found = -np.expm1((9.0 / (inside - 1.0)) ** alpha * np.log1p(-fine))
+            finer = -np.expm1((9.0 / (inside - 1.0)) ** alpha * np.log1p(-fine))
         else:
             from scipy.special import betainc
 
@@ -208,5 +209,5 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
                 1.193 / (inside - 1.0) ** 1.392
                 + 2.722 * inside**-0.3404 / (0.01175 * inside**2 + 1.0) ** 0.3381
             )
-            found = betainc(a, np.minimum(b, 1e6), fine)
-    return np.where(n > 1.0, found, 1.0)
+            finer = betainc(a, np.minimum(b, 1e6), fine)
+    return np.where(n > 1.0, finer, 1.0)

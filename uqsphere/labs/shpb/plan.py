@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
 
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import Section, csv_text, table
+from uqsphere.labs.files import Section, csv_text, in_unit, table
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.units import UnitError, parse_value
 
@@ -35,6 +35,9 @@ _FREE: Final = (
 )
 
 
+Share = Annotated[float, in_unit("number"), Field(gt=0.0, lt=1.0)]
+
+
 class PlanDocument(Section):
     """An input file of `uqsphere shpb plan`.
 
@@ -48,7 +51,7 @@ class PlanDocument(Section):
     study: str
     free: str = ""
     between: tuple[str, str] | None = None
-    shares: tuple[float, ...] = Field(default=(0.01, 0.1, 0.5, 0.9), min_length=1)
+    shares: tuple[Share, ...] = Field(default=(0.01, 0.1, 0.5, 0.9), min_length=1)
     limits: tuple[str, ...] = ()
     rows: int = Field(default=256, ge=64, le=65536)
     points: int = Field(default=25, ge=2, le=200)
