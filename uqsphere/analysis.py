@@ -305,9 +305,11 @@ def failure_probability(
 ) -> Failure:
     """Probability of limit(rows) < 0 for inputs of these laws, dependent or not.
 
-    Design points, subset simulation and importance sampling that certify each other; with fewer
-    than 5,000 evaluations all of them are a plain sample, whose rule of three bounds what no search
-    has seen, and nothing is sure.  The model is not called beyond 9 standard deviations.
+    Design points, subset simulation and importance sampling certify each other.  With fewer than
+    5,000 evaluations and up to ten inputs, kriging answers, corrected by fresh calls; nothing is
+    sure then.  A tenth of the evaluations is a plain sample: `high_unseen` of the probability also
+    allows for failures that no search has aimed at.  The model is not called beyond 9 standard
+    deviations.
 
     Parameters
     ----------

@@ -9,9 +9,11 @@ verdict  what the answers mean, and what could turn it
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -86,48 +88,50 @@ def run(
             f"{type(study).__name__}"
         )
     check_scene(study)
-    if progress is None:
-        with watched() as progress:
-            return run(
-                study,
-                model,
-                out=out,
-                executor=executor,
-                threads=threads,
-                seconds=seconds,
-                progress=progress,
-                stop=stop,
-                fresh=fresh,
-                rows=rows,
-            )
-    if out is None:
-        return _run(study, model, None, executor, threads, seconds, progress, stop, rows)
-    folder = Path(out).absolute()  # a function of the user may change the working folder
-    with locked(folder):
-        _check_owner(folder, study, fresh=fresh)
-        return _run(study, model, folder, executor, threads, seconds, progress, stop, rows)
+    task = Task(
+        study=study,
+        model=model,
+        # a function of the user may change the working folder
+        folder=None if out is None else Path(out).absolute(),
+        executor=executor,
+        threads=threads,
+        seconds=study.analysis.budget.time if seconds is None else seconds,
+        stop=stop,
+        rows=rows,
+    )
+    with contextlib.ExitStack() as stack:
+        if progress is None:
+            progress = stack.enter_context(watched())
+        if task.folder is not None:
+            stack.enter_context(locked(task.folder))
+            _check_owner(task.folder, study, fresh=fresh)
+        return _run(task, progress)
 
 
-def _run(
-    study: Study,
-    model: str | Callable[..., Any] | None,
-    folder: Path | None,
-    executor: Executor | None,
-    threads: int | None,
-    seconds: float | None,
-    progress: Progress,
-    stop: Callable[[], bool] | None,
-    rows: Any,
-) -> Run:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """What `run` was asked for, by its parameters."""
+
+    study: Study
+    model: str | Callable[..., Any] | None
+    folder: Path | None
+    executor: Executor | None
+    threads: int | None
+    seconds: float
+    stop: Callable[[], bool] | None
+    rows: Any
+
+
+def _run(task: Task, progress: Progress) -> Run:
     from threadpoolctl import threadpool_limits
 
-    started = time.monotonic()
+    started, study, folder = time.monotonic(), task.study, task.folder
     log = Log(None if folder is None else folder / "log.txt")
     log.write(f"run of {study.title!r}, study {study.hash}")
     design = Design.of(study)
-    budget = study.analysis.budget.time if seconds is None else seconds
+    budget = task.seconds
     cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
-    evaluated = None if rows is None else surrogate.known_rows(design, rows)
+    evaluated = None if task.rows is None else surrogate.known_rows(design, task.rows)
 
     reported = {"stages": 0.0, "share": 0.0}
 
@@ -145,11 +149,11 @@ def _run(
 
     evaluator = Model(
         design.judged,
-        model if evaluated is None else evaluated.model,
-        executor=executor,
-        threads=threads,
+        task.model if evaluated is None else evaluated.model,
+        executor=task.executor,
+        threads=task.threads,
         cache_file=cache,
-        stop=stop,
+        stop=task.stop,
         progress=stage,
     )
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other

@@ -277,9 +277,9 @@ def _from_few(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
     if evaluator.dimension > MOST_DIMENSIONS or evaluator.left < FEWEST:
         return _sampled(evaluator, seed)
 
-    def search(surrogate: Evaluator, half_width: float) -> few.Found:
+    def search(surrogate: Evaluator, half_width: float) -> few.SurrogateAnswer:
         answer = failure_probability(surrogate, seed=seed, accuracy=half_width)
-        return few.Found(estimate=answer.estimate, draws=answer.draws)
+        return few.SurrogateAnswer(estimate=answer.estimate, draws=answer.draws)
 
     estimate = few.by_kriging(evaluator, search, seed=seed, accuracy=accuracy)
     if estimate is None:

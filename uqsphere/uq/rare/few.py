@@ -35,15 +35,15 @@ LEAST_FRESH: Final = 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """What the search on a surrogate has found: its probability, and the draws that show it."""
+class SurrogateAnswer:
+    """What the search on a surrogate has answer: its probability, and the draws that show it."""
 
     estimate: Estimate
     draws: Draws | None
 
 
 #: a search for a small probability to an accuracy
-Search = Callable[[Evaluator, float], Found]
+Search = Callable[[Evaluator, float], SurrogateAnswer]
 
 
 def by_kriging(
@@ -71,17 +71,17 @@ def by_kriging(
         surrogate = fit_kriging(points[usable], values[usable], lengths)
         lengths = surrogate.lengths
         model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
-        found = search(model, 0.1)
+        answer = search(model, 0.1)
         batch = int(min(max(len(points) // 10, 1), last - evaluator.count))
-        if found.draws is None:
+        if answer.draws is None:
             # nothing fails on the surrogate: where it is least sure of that
             around = wide_mixture(d)
             counts, around = around.allocated(1024)
             places = around.draw(counts, seed=seed, task="least sure", replicate=len(points))
         else:
-            around, places = found.draws.mixture, found.draws.points.reshape(-1, d)
+            around, places = answer.draws.mixture, answer.draws.points.reshape(-1, d)
         doubt = _doubtful_mass(evaluator, surrogate, around, places)
-        value = found.estimate.value
+        value = answer.estimate.value
         if value is not None and value > 0.5 and evaluator.left >= allowed / 2:
             return None
         settled = value is not None and float(doubt.mean()) < 0.3 * accuracy * value
@@ -90,9 +90,9 @@ def by_kriging(
         chosen = _spread_out(places, doubt, lengths, batch)
         points = np.concatenate([points, chosen])
         values = np.concatenate([values, evaluator.values(chosen)])
-    found = search(replace(evaluator, function=surrogate.mean, limit=None, budget=2e4), accuracy)
+    answer = search(replace(evaluator, function=surrogate.mean, limit=None, budget=2e4), accuracy)
     size = plain.answers.size
-    estimate = _corrected(evaluator, surrogate, found, accuracy=accuracy, seed=seed)
+    estimate = _corrected(evaluator, surrogate, answer, accuracy=accuracy, seed=seed)
     if estimate is None or estimate.high is None:
         failures = float(np.nansum(evaluator.mass(values[:size])))
         high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
@@ -134,14 +134,14 @@ def _spread_out(points: Array, doubt: Array, lengths: Array, count: int) -> Arra
 
 
 def _corrected(
-    evaluator: Evaluator, surrogate: Kriging, found: Found, *, accuracy: float, seed: int
+    evaluator: Evaluator, surrogate: Kriging, answer: SurrogateAnswer, *, accuracy: float, seed: int
 ) -> Estimate | None:
     """The probability on the surrogate, corrected by fresh calls until it is accurate, or the calls
     are spent; None where there are too few.
     """
-    if found.draws is None or not found.estimate.value:
+    if answer.draws is None or not answer.estimate.value:
         return None
-    base, drawn = found.estimate.value, found.draws
+    base, drawn = answer.estimate.value, answer.draws
     places = drawn.points.reshape(-1, evaluator.dimension)
     order = random_generator(seed=seed, task="fresh calls").permutation(len(places))
     off, variance = np.empty(0), np.empty(0)
@@ -159,7 +159,7 @@ def _corrected(
         shift = float(off.mean())
         shrunk = shift * shift**2 / (shift**2 + error**2) if shift else 0.0
         value = max(base + shrunk, 1e-3 * base)
-        half = NORMAL * math.hypot(error, found.estimate.std_error or 0.0)
+        half = NORMAL * math.hypot(error, answer.estimate.std_error or 0.0)
         if half <= accuracy * value:
             break
         block = max(LEAST_FRESH, off.size // 2)
