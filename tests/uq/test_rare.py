@@ -64,12 +64,16 @@ TWO = {
 
 
 @pytest.mark.parametrize("name", TWO)
-@pytest.mark.parametrize("budget", [200, 1000, 30_000])
+@pytest.mark.parametrize(
+    "budget", [*(pytest.param(few, marks=pytest.mark.slow) for few in (200, 1000)), 30_000]
+)
 def test_two_regions_are_never_sure_and_wrong(name: str, budget: int) -> None:
     function, truth = TWO[name]
-    for seed in range(6):
+    for seed in range(6 if budget > 5000 else 2):
         found = failure_probability(Evaluator(function, 2, budget=budget), seed=seed)
-        assert holds(found.estimate, truth, 0.01)
+        low, high = found.estimate.outer
+        assert low <= 1.01 * truth
+        assert high >= truth / 1.01
         assert not (budget < 5000 and found.sure)
 
 

@@ -29,9 +29,11 @@ PLAIN, FRESH = 0.1, 0.25
 #: evaluations of a surrogate that a search takes while it is refined
 LOOK: Final = 8000
 #: points that a surrogate is fitted to at most: its cost grows with their cube
-MOST_POINTS: Final = 300
+MOST_POINTS: Final = 120
 #: fresh calls that correct the answer at least
 LEAST_FRESH: Final = 16
+#: points of the plain sample that a surrogate is fitted to at a time
+FITTED: Final = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,10 +61,13 @@ def by_kriging(
         evaluator, standard_normal(d), int(PLAIN * allowed), seed=seed, task="defensive share"
     )
     wide = draw(evaluator, wide_mixture(d), 6 + 2 * d, seed=seed, task="wide look")
-    points = np.concatenate([plain.points, wide.points])
-    values = evaluator.values(points, np.concatenate([plain.answers, wide.answers]))
+    shown = evaluator.values(plain.points, plain.answers)
+    # a few of the plain sample, and later those on which the surrogate is wrong
+    points = np.concatenate([wide.points, plain.points[:FITTED]])
+    values = np.concatenate([evaluator.values(wide.points, wide.answers), shown[:FITTED]])
+    rest, of_rest = plain.points[FITTED:], shown[FITTED:]
     fresh = max(FRESH * evaluator.left, LEAST_FRESH)
-    last = evaluator.count + min(evaluator.left - fresh, MOST_POINTS - len(points))
+    last = evaluator.count + evaluator.left - fresh
     lengths: Array | None = None
     while True:
         usable = np.isfinite(values)
@@ -70,9 +75,15 @@ def by_kriging(
             return None  # a plain sample says what can be said
         surrogate = fit_kriging(points[usable], values[usable], lengths)
         lengths = surrogate.lengths
+        wrong = np.flatnonzero((surrogate.mean(rest) < 0.0) != (of_rest < 0.0))[:FITTED]
+        if wrong.size and len(points) < MOST_POINTS:
+            points = np.concatenate([points, rest[wrong]])
+            values = np.concatenate([values, of_rest[wrong]])
+            rest, of_rest = np.delete(rest, wrong, axis=0), np.delete(of_rest, wrong)
+            continue
         model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
         answer = search(model, 0.1)
-        batch = int(min(max(len(points) // 10, 1), last - evaluator.count))
+        batch = int(min(len(points) // 10, last - evaluator.count, MOST_POINTS - len(points)))
         if answer.draws is None:
             # nothing fails on the surrogate: where it is least sure of that
             around = wide_mixture(d)
@@ -94,7 +105,7 @@ def by_kriging(
     size = plain.answers.size
     estimate = _corrected(evaluator, surrogate, answer, accuracy=accuracy, seed=seed)
     if estimate is None or estimate.high is None:
-        failures = float(np.nansum(evaluator.mass(values[:size])))
+        failures = float(np.nansum(evaluator.mass(shown)))
         high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
         reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
         none = absent(reason, METHOD, evaluator.count)
