@@ -1,5 +1,4 @@
-"""Slow models: one design, a polynomial chaos corrected by its own rows, and the same tables as any
-run.
+"""Slow models: one design, expansions corrected by its rows, and the same tables as any run.
 
 A model is slow where the first size of the loop would take longer than the budget allows.  It gets
 one design of N rows, to which the eight expansions of `uqsphere.uq.response` are fitted; replicate
@@ -9,7 +8,6 @@ An event rarer than about 3/N is not in N rows: every answer says so.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -129,9 +127,9 @@ class Slow:
     def _indices_of(self, name: str) -> Indices:
         response, runs, inputs = self.responses.get(name), self.rows.size, self.design.inputs
         if response is None:
-            reason = f"{runs} runs of a rough model show no indices"
+            reason = f"some of the {runs} model runs have no plain value"
             if self.rows.failed.any():
-                reason += '; analysis.on_failure = "drop" gives those of the rows that answered'
+                reason += '; analysis.on_failure = "drop" gives the indices of those that do'
             nothing = absent(reason, ROUGH, runs)
             return dict.fromkeys(inputs, (nothing, nothing))
         orders = indices_of(response)
@@ -188,16 +186,14 @@ ALWAYS: Final = 1.0
 
 
 class KnownRows(NamedTuple):
-    """Rows that were answered elsewhere: their points (1, N), and a model that looks their answers
-    up.
-    """
+    """Rows that were evaluated elsewhere: their points (1, N), and a model that looks them up."""
 
     points: Sample
     model: Callable[[Mapping[str, Array]], dict[str, Array]]
 
 
 def known_rows(design: Design, frame: Any) -> KnownRows:
-    """Inputs and outputs (N rows) by their names; model factors of limits are drawn besides.
+    """Inputs and outputs (N rows) by their names; model factors of limits are drawn as well.
 
     Rows that repeat count once, with a warning.  Raises UsageError for a study of a scene, columns
     that are missing, unknown or no numbers, fewer than 16 rows, and inputs that do not follow their
@@ -220,22 +216,23 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
         columns_of(frame[list(inputs)], inputs), frame[list(outputs)].to_numpy(dtype=float)
     )
     if len(x) < LEAST_ROWS:
-        raise UsageError(f"{len(x)} rows are too few: {LEAST_ROWS} or more are needed")
-    if steps := [name for name in inputs if design.study.random[name].is_steps]:
-        raise UsageError(f"{steps[0]} is discrete: rows from elsewhere need inputs with a density")
+        raise UsageError(f"{len(x)} rows are too few; at least {LEAST_ROWS} are needed")
+    for name in inputs:
+        if design.study.random[name].is_steps:
+            raise UsageError(f"input {name!r} is discrete; given rows need continuous inputs")
     check_rows(x, design.joint.only(inputs))
-    own = design.joint.only(inputs).normals(x)
     names = design.drawn.names
+    columns = [names.index(name) for name in inputs]
     normals = _design_points(design, len(x), task="factors")
-    normals[:, [names.index(name) for name in inputs]] = own
+    normals[:, columns] = design.joint.only(inputs).normals(x)
     physical = design.drawn.physical(normals)
-    physical[:, [names.index(name) for name in inputs]] = x
+    physical[:, columns] = x
     places = {row.tobytes(): k for k, row in enumerate(x)}
 
     def model(columns: Mapping[str, Array]) -> dict[str, Array]:
-        asked = np.stack([columns[name] for name in inputs], axis=1)
-        found = y[[places[row.tobytes()] for row in asked]]
-        return dict(zip(outputs, found.T, strict=True))
+        rows = np.stack([columns[name] for name in inputs], axis=1)
+        answers = y[[places[row.tobytes()] for row in rows]]
+        return dict(zip(outputs, answers.T, strict=True))
 
     return KnownRows(points=Sample.at(names, normals[None], physical[None]), model=model)
 
@@ -255,58 +252,31 @@ def tables_of(
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
-    analysis, began = design.study.analysis, time.monotonic()
+    analysis, free = design.study.analysis, design.study.margins
+    end = time.monotonic() + seconds
     cost = analysis.cost if analysis.cost is not None else model.seconds_per_row or 0.0
-    by_time = 0.9 * seconds / cost if cost else math.inf
-    if cost * LEAST_ROWS <= ALWAYS:
-        by_time = max(by_time, LEAST_ROWS)
-    affordable = int(min(analysis.budget.evaluations, by_time))
-    along = (
-        known is None and design.study.margins is not None and design.study.margins.limit is None
-    )
-    count = (
-        min(int(affordable * (1.0 - LINE_BUDGET * along)), MOST_ROWS)
-        if known is None
-        else known.count
-    )
-    if count < LEAST_ROWS:
-        raise UsageError(
-            f"the budget allows {affordable} model runs, and at least {LEAST_ROWS} are needed. "
-            "Raise analysis.budget or --budget"
-        )
-    stopped: Stop = ""
-    rows: Sample | None = None
-    points = (
-        at_normals(design.drawn, _design_points(design, count)[None]) if known is None else known
-    )
-    done = 0
-    step = max(PROBE, count // 8)
-    while done < count:
-        part = points.rows(done, min(done + step, count))
-        try:
-            more = evaluate(design, model, part, part=True)
-        except Interrupted:
-            stopped = "interrupted"
-            break
-        rows = more if rows is None else rows.join(more)
-        done = rows.count
-        if progress is not None:
-            progress(
-                model.evaluations + model.reused,
-                done / count,
-                f"{done} of {count} runs of the design",
+    affordable = analysis.budget.evaluations
+    if cost > 0.0:
+        in_time = 0.9 * seconds / cost
+        if cost * LEAST_ROWS <= ALWAYS:
+            in_time = max(in_time, LEAST_ROWS)
+        affordable = int(min(affordable, in_time))
+    along = known is None and free is not None and free.limit is None
+    if known is not None:
+        points = known
+    else:
+        share = 1.0 - LINE_BUDGET if along else 1.0
+        count = min(int(affordable * share), MOST_ROWS)
+        if count < LEAST_ROWS:
+            raise UsageError(
+                f"the budget allows {affordable} model runs; at least {LEAST_ROWS} are needed. "
+                "Raise analysis.budget or --budget."
             )
-        if done >= LEAST_ROWS and time.monotonic() - began > seconds:
-            stopped = "time"
-            break
-    if rows is None or rows.count < LEAST_ROWS:
-        raise KeyboardInterrupt  # the user has stopped
-    check_failures(
-        design, rows.status[0], ~rows.failed[0], f"{int(rows.failed.sum())} of {rows.count} rows"
-    )
+        points = at_normals(design.drawn, _design_points(design, count)[None])
+    rows, stopped = _evaluated(design, model, points, end, progress)
     slow = _predicted(design, rows)
     line: Mapping[float, Sample] = {}
-    most = min(affordable - count, MOST_ROWS)
+    most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
             line = _line(design, model, most, slow.sample)
@@ -333,6 +303,34 @@ def tables_of(
     if not tables.inaccurate:
         stopped = stopped or "accurate"
     return replace(tables, reached=reached, stopped=stopped or "budget")
+
+
+def _evaluated(
+    design: Design, model: Model, points: Sample, end: float, progress: Progress | None
+) -> tuple[Sample, Stop]:
+    """The rows (1, n) of the design that were evaluated, and what ended them early, if anything."""
+    rows: Sample | None = None
+    stopped: Stop = ""
+    done, count = 0, points.count
+    step = max(PROBE, count // 8)
+    while done < count and not stopped:
+        try:
+            part = evaluate(design, model, points.rows(done, min(done + step, count)), part=True)
+        except Interrupted:
+            stopped = "interrupted"
+            break
+        rows = part if rows is None else rows.join(part)
+        done = rows.count
+        if progress is not None:
+            runs = model.evaluations + model.reused
+            progress(runs, done / count, f"{done} of {count} runs of the design")
+        if done >= LEAST_ROWS and time.monotonic() > end:
+            stopped = "time"
+    if rows is None or rows.count < LEAST_ROWS:
+        raise KeyboardInterrupt  # the user has stopped
+    note = f"{int(rows.failed.sum())} of {rows.count} rows"
+    check_failures(design, rows.status[0], ~rows.failed[0], note)
+    return rows, stopped
 
 
 def _predicted(design: Design, rows: Sample) -> Slow:
