@@ -236,17 +236,21 @@ class Corrected:
         """The quantile at p: where the distribution function of (1) reaches it."""
         places, value, low, high = self._distribution
 
-        def first(levels: Array) -> float:
+        def below(levels: Array) -> float:
+            return float(np.interp(p, levels, places))
+
+        def above(levels: Array) -> float:
+            # the place itself: the output may be this value with a probability
             place = int(np.searchsorted(levels, p - 1e-12))
             return float(places[place]) if place < len(places) else math.inf
 
-        at = float(np.interp(p, value, places))
-        ends = min(first(high), at), max(first(low), at)
+        at = below(value)
+        ends = min(below(high), at), max(above(low), at)
         if math.isinf(ends[1]) or p <= high[0]:
             reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"
             return absent(reason, self.method, self.runs)
         missed = 3.0 / self.runs
-        outer = min(first(high + missed), at), max(first(low - missed), at)
+        outer = min(below(high + missed), at), max(above(low - missed), at)
         if p <= high[0] + missed:
             outer = -math.inf, outer[1]
         estimate = self._estimate(at, ends[0], ends[1] - at)
