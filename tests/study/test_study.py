@@ -23,7 +23,7 @@ from study_base import BASE, BLACK_BOX
 from test_broken import CASES
 
 import uqsphere
-from tests.campaigns.fuzz import fuzz
+from tests.campaigns.fuzz import campaign
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.propagation.failure_modes import failure_modes_of
@@ -447,9 +447,9 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_mutated_studies_are_refused_or_read() -> None:
-    codes = fuzz(60, 11)
-    assert codes.keys() <= {0, 2, 6}, codes
-    assert codes[2] > 30
+    codes, failures = campaign(30, 11)
+    assert failures == []
+    assert codes[2] > 10
 
 
 def test_reading_a_study_imports_nothing_heavy() -> None:
