@@ -294,3 +294,17 @@ def test_rows_that_repeat_count_once() -> None:
         study.analyse(rows.assign(y=rows["y"] + 1j))
     with pytest.raises(UsageError, match="found bool"):
         A.failure_probability(lambda r: r["a"] > 0.5, AB)
+
+
+@pytest.mark.parametrize("mask", [[0, 0, 0, 0, 1], [1, 0, 0, 0, 0]])
+def test_masked_and_complex_tests_are_refused(mask: list[int]) -> None:
+    """sherpa #695, astropy #17401: a mask that is dropped counts the masked tests."""
+    values = [410.0, 455.0, 489.0, 520.0, 9000.0]
+    with pytest.raises(UsageError, match="masked"):
+        A.weibull_fit(np.ma.array(values, mask=mask))
+    with pytest.raises(UsageError, match="complex"):
+        A.weibull_fit(np.array(values) + 1j)
+    fit = A.weibull_fit(values[:4])
+    assert fit.failures == 4
+    assert fit.shape == pytest.approx(13.680813, rel=1e-6)
+    assert fit.scale == pytest.approx(486.9947, rel=1e-6)

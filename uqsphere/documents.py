@@ -258,7 +258,7 @@ def set_value(data: dict[str, Any], text: str) -> Place:
     parts, place = _parts(path), list[str | int]()
     if not sign or not parts:
         raise UsageError(
-            f"found {shown(text)}: PATH=VALUE is required, such as striker.speed=0.6 m/s"
+            f"--set needs PATH=VALUE, such as striker.speed=0.6 m/s, not {shown(text)}"
         )
     try:
         held = tomllib.loads(f"value = {value}")["value"]
@@ -278,7 +278,7 @@ def set_value(data: dict[str, Any], text: str) -> Place:
     except (LookupError, TypeError):
         near = suggestion(place[-1], node) if isinstance(node, dict) else ""
         raise UsageError(
-            f"found {shown(text)}, but there is no {path_of(tuple(parts))} in the study{near}"
+            f"{shown(text)}: there is no {path_of(tuple(parts))} in the study{near}"
         ) from None
     return tuple(place)
 
@@ -411,7 +411,10 @@ def _text(kind: Any, fault: Any, place: Place) -> str:
     for words, ours in _WORDS.items():
         message = re.sub(words, ours, message)
     near = suggestion(fault["input"], re.findall("'([^']*)'", message))
-    return f"found {shown(fault['input'])}, {message}{near}"
+    if message.startswith("it must "):
+        message = message.removeprefix("it must ")
+        return f"must {message}, not {shown(fault['input'])}{near}"
+    return f"{shown(fault['input'])}: {message}{near}"
 
 
 def table_in(annotation: Any) -> Any:

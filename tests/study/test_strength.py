@@ -511,7 +511,7 @@ def test_sizes_beyond_half_as_much_need_a_law(
         ((', diameter = "D", diameter_unit = "mm"', ""), CSV, "diameter is missing"),
         (("censored", "cencored"), CSV, "did you mean 'censored'"),
         ((" }", ', platens = "stel" }'), CSV, "did you mean 'steel'"),
-        ((" }", ', lower = "1 GPa" }'), CSV, "strength.lower: lower does not belong to force = …"),
+        ((" }", ', lower = "1 GPa" }'), CSV, "strength.lower: lower is not used with force = …"),
         (
             ('diameter = "D", diameter_unit = "mm"', 'diameter = "20 furlong"'),
             CSV,
@@ -604,7 +604,7 @@ def test_a_shape_that_no_law_has_is_warned_of(load: Load) -> None:
     ("old", "new", "says"),
     [
         ('E = "60 GPa"', 'E = "20 MPa"', "sphere.E: 0.02 GPa is unusual"),
-        ("cov = 0.03", "cov = 15", "15 times the mean"),
+        ("cov = 0.03", "cov = 15", "coefficient of variation is 15"),
         ('"2700 kg/m3"', '"3.7 kg/m3"', "sphere.density: 3.7 kg/m3 is unusual"),
         ('strength = "4 GPa"', 'strength = "4 Pa"', "limits.a.strength: 4e-09 GPa is unusual"),
         ('strength = "4 GPa"', 'strength = "4 MPa"', "limits.a.strength: 0.004 GPa is unusual"),

@@ -222,9 +222,7 @@ def check_scene(study: Study) -> None:
     requested |= dict.fromkeys(study.analysis.quantities, "analysis.quantities")
     for name, place in requested.items():
         if why := absent_quantity(study, name):
-            raise UsageError(
-                f"{place}: the rig {study.rig} has no {name} here: {why}; leave it out"
-            )
+            raise UsageError(f"{place}: the rig {study.rig} has no {name} here: {why}. Remove it")
 
 
 def checked_rows(

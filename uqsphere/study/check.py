@@ -175,8 +175,8 @@ def _rig(draft: Draft) -> Faults:
         homes = [shown(name) for name, own in RIG_TABLES.items() if table in own]
         if homes and shown(rig) not in homes:
             said = (
-                f"[{table}] belongs to the rig {one_of(homes)}, and this is {shown(rig)}: leave "
-                "it out"
+                f"table [{table}] is used only with rig.kind = {one_of(homes)}; this study has "
+                f"{shown(rig)}. Remove it"
             )
             yield Fault(said, table)
     striker = ["striker"] if draft.document.pulse.shape == "measured" else []
@@ -190,7 +190,7 @@ def _box(draft: Draft) -> Faults:
     scene = [name for name in (*SCENE, "model", "gauges") if name in draft.data]
     for name in scene:
         yield Fault(
-            f"[{name}] belongs to a scene, [inputs] and [outputs] to a black box: leave one out",
+            f"[{name}] describes a scene, [inputs] and [outputs] a black box. Remove one of them",
             name,
         )
     if not inputs and not scene:
@@ -239,7 +239,7 @@ def _library(draft: Draft) -> Faults:
             draft.numbers[path] = Number(value=entry.value)
             draft.sources[path] = entry
         if (E := known[name].properties.get("E")) is not None and E.value < 1e8:
-            draft.warn((table, "material"), f"{name} is no elastic solid: {E.note}")
+            draft.warn((table, "material"), f"{name} is not an elastic solid: {E.note}")
 
 
 # --- 3: what each table needs by its kind ---------------------------------------------------------
@@ -270,7 +270,7 @@ def _forms(draft: Draft) -> Faults:
             shape, values = PRESETS[pulse.preset]
             usual |= {f"pulse.{key}": value for key, value in values.items()}
             if "shape" in pulse.model_fields_set and pulse.shape != shape:
-                said = f'the preset "{pulse.preset}" is a {shape} pulse: leave shape or preset out'
+                said = f'the preset "{pulse.preset}" is a {shape} pulse. Remove shape or preset'
                 yield Fault(said, "pulse", "shape")
         options |= {
             "bars.infinite": document.bars.infinite,
@@ -310,15 +310,13 @@ def _forms(draft: Draft) -> Faults:
                     of += f" with {shown(kind)}"
                 if homes:
                     of += f", but with {one_of(homes)}"
-                yield Fault(f"{key} does not belong to {of}: leave it out", table, key)
+                yield Fault(f"{key} is not a key of {of}. Remove it", table, key)
         for keys in forms.needs_of(needs):
             given = [
                 key for key in keys if key in raw or (key in known and known[key].name in numbers)
             ]
             if len(given) == 2:
-                yield Fault(
-                    f"{keys[0]} is given too: leave one of {one_of(keys)} out", table, keys[1]
-                )
+                yield Fault(f"give only one of {one_of(keys)}", table, keys[1])
             if not given:
                 ways = [
                     f'{key} = "{f"… {known[key].display}".rstrip() if key in known else "…"}"'
@@ -352,20 +350,25 @@ def _model(draft: Draft) -> Faults:
             )
             yield Fault(said, "model", key)
     if model.whole_record and model.first_loading_only:
-        said = "the whole record goes on after the first loading: leave first_loading_only out"
+        said = "whole_record continues after the first loading. Remove first_loading_only"
         yield Fault(said, "model", "whole_record")
     if model.fidelity != "full" and not rig.by_wave and not light:
         yield Fault(
-            f"the rig {shown(draft.rig)} is solved in full: leave fidelity out", "model", "fidelity"
+            f'the rig {shown(draft.rig)} supports only fidelity = "full". Remove fidelity',
+            "model",
+            "fidelity",
         )
     if rig.by_impact:
         draft.warn((), _NO_SPHERE)
     if draft.mean("platens.displacement") >= (radius := draft.mean("sphere.radius")):
-        said = f'more than the radius of the sphere, {1e3 * radius:.4g} mm: write "0.1 mm", say'
+        said = (
+            f"displacement must be below the sphere radius ({1e3 * radius:.4g} mm), for example "
+            '"0.1 mm"'
+        )
         yield Fault(said, "platens", "displacement")
     if "insert" in draft.data and draft.document.bars.rigid_contact:
         yield Fault(
-            "rigid_contact = true leaves inserts out as well: leave one of them out", "insert", "E"
+            "rigid_contact = true leaves out inserts too. Remove one of them", "insert", "E"
         )
 
 
@@ -406,7 +409,7 @@ def _scene(draft: Draft) -> Faults:
             draft.scene = scene = scene_now()
     except ValueError as error:
         raise Fault(
-            f"{error}: leave them out, or write shape = {one_of(STRIKER_SHAPES)}", "striker"
+            f"{error}. Remove them, or write shape = {one_of(STRIKER_SHAPES)}", "striker"
         ) from None
     if draft.plastic and not faces:
         bodies = dict.fromkeys(f"{one.table}.yield_strength" for one in scene.there)
@@ -496,7 +499,7 @@ def _gauges(draft: Draft) -> Faults:
         elif position > (length := draft.mean(path)):
             found, end = format_value(position, path), format_value(length, path)
             said = (
-                f"found {found}, beyond the far end of the {what} of {end}: the distance counts "
+                f"{found} is beyond the far end of the {what} ({end}): the distance counts "
                 "from the sphere"
             )
             yield Fault(said, *place)
@@ -577,7 +580,7 @@ def _margins(draft: Draft) -> Faults:
             ends.append(value_of(raw, entry))
     if not ends[0] < ends[1]:
         found = " and ".join(map(shown, table.between))
-        raise Fault(f"found {found}: the lower value must come first", "margins", "between")
+        raise Fault(f"must be [low, high], not {found}. Swap the values", "margins", "between")
     for limit in draft.limits.values():
         if solve == "sphere.radius" and limit.tested is not None:
             with within("margins"):

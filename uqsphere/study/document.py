@@ -267,11 +267,11 @@ class LimitTable(Table):
     def _one_demand(self) -> LimitTable:
         if (self.quantity is None) == (self.criterion is None):
             raise Fault(
-                'one of both is required, quantity = "p_max", say, or a criterion', "quantity"
+                'a quantity, for example quantity = "p_max", or a criterion is required', "quantity"
             )
         if self.energy_is is not None and self.criterion != "specific_energy":
             raise Fault(
-                "energy_is belongs to the criterion specific_energy: leave it out", "energy_is"
+                "energy_is is used only with the criterion specific_energy. Remove it", "energy_is"
             )
         return self
 

@@ -96,7 +96,7 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
             )
         elif modulus is not None and abs(own - modulus) > 1e-9 * modulus:
             raise Fault(
-                f"found {modulus:g}, but the strength has the modulus {own:g}: leave modulus out",
+                f"modulus is {modulus:g}, but the strength has the modulus {own:g}. Remove modulus",
                 "modulus",
             )
         limit = replace(limit, parameters={"modulus": own or modulus or 0.0, **limit.parameters})
@@ -214,7 +214,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     """The law of the strength from forces at failure, and the tests themselves; raises Fault."""
     if limit.criterion is None and not follows_force(limit.quantity):
         raise Fault(
-            f"a force at failure is no measure of {limit.quantity}: name a criterion", "force"
+            f"a force at failure does not measure {limit.quantity}. Name a criterion", "force"
         )
     name = f"limits.{limit.name}."
     kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
@@ -391,7 +391,7 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
             return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
         if not isinstance(raw, str) or raw not in choices:
             raise Fault(
-                f"found {shown(raw)}, allowed: {one_of([*choices, 'a table of E and nu'])}"
+                f"platens must be {one_of([*choices, 'a table of E and nu'])}, not {shown(raw)}"
                 f"{suggestion(raw, known)}"
             )
         if math.isnan(choices[raw][0]):

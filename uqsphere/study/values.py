@@ -206,9 +206,7 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, law.given.get("cov", 0.0))
     if cov > 1.0:
         share = ' 15 % is written "15 %" or 0.15' * ("cov" in law.given)
-        draft.warn(
-            place, f"the standard deviation is {cov:.3g} times the mean: is that meant?{share}"
-        )
+        draft.warn(place, f"the coefficient of variation is {cov:.3g}: is that intended?{share}")
     if (mean := law.given.get("mean")) is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         said = (
@@ -317,9 +315,7 @@ class Observations(Table):
             self.model_fields_set
             - {"dist", "decimal", "sheet", "synthetic", kind, *_TAKEN[kind].split()}
         ):
-            raise Fault(
-                f"{strange[0]} does not belong to {kind} = …: leave one of them out", strange[0]
-            )
+            raise Fault(f"{strange[0]} is not used with {kind} = …. Remove one of them", strange[0])
         return self
 
 
@@ -610,7 +606,7 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
         raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
     if not volts and table.factor is not None:
         raise Fault(
-            "factor is the strain of one volt, and this is a strain: leave it out", "factor"
+            "factor is the strain of one volt, and this column is a strain. Remove factor", "factor"
         )
     notes = list(found.notes)
     if -strain.min() > strain.max():

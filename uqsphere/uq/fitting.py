@@ -211,6 +211,11 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
     [2.0, 1.0, 0.0]
     """
+    for given in (values, stopped, counts):
+        if np.ma.isMaskedArray(given):
+            raise ValueError("masked arrays are not accepted. Remove the masked values first")
+        if np.iscomplexobj(given):
+            raise ValueError("complex numbers are not accepted. Give real numbers")
     found = np.atleast_1d(np.asarray(values, dtype=float))
     if found.ndim != 1 or found.size == 0:
         raise ValueError("there are no tests: at least two failures are needed")
