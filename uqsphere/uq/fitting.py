@@ -212,9 +212,9 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     [2.0, 1.0, 0.0]
     """
     for given in (values, stopped, counts):
-        if np.ma.isMaskedArray(given):
+        if isinstance(given, np.ma.MaskedArray):
             raise ValueError("masked arrays are not accepted. Remove the masked values first")
-        if np.iscomplexobj(given):
+        if np.asarray(given).dtype.kind == "c":
             raise ValueError("complex numbers are not accepted. Give real numbers")
     found = np.atleast_1d(np.asarray(values, dtype=float))
     if found.ndim != 1 or found.size == 0:
