@@ -264,6 +264,9 @@ def _onset(results: Results, quantity: str, unit: str, factor: float) -> tuple[f
     places, heights = np.array(entry.density, dtype=float)
     above = places >= entry.onset
     share = float(np.trapezoid(heights[above], places[above])) if above.any() else 0.0
+    for check in results.checks:
+        if check.name == "dented":
+            share = check.share
     who = f"in {format_probability(share)} of impacts"
     if share > 0.999:
         who = "in all impacts"
