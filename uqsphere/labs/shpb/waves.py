@@ -185,10 +185,12 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     note = check_specimen(peaks, pressed, document, mass)
     _check_gauges(peaks, record, window, time)
     balanced, rate = _balance(time, force_a, face_b.force, peaks["B"])
-    aligned = document.record.aligned
+    touch = record.start + step * window.start
+    if not document.record.aligned:
+        touch += bar.gauge / bar.wave_speed
     return Reading(
         step=step,
-        touch=record.start + step * window.start + (0.0 if aligned else bar.gauge / bar.wave_speed),
+        touch=touch,
         time=time,
         force_a=force_a,
         force_b=face_b.force,
