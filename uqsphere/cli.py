@@ -10,6 +10,7 @@ import json
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -51,6 +52,8 @@ def program() -> None:
     with contextlib.suppress(AttributeError, OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+    if not sys.warnoptions:  # NumPy's are for developers; ours are printed
+        warnings.simplefilter("ignore")
     try:
         code = main(sys.argv[1:])
         sys.stdout.flush()

@@ -587,3 +587,15 @@ def test_the_shipped_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     forces = json.loads(capsys.readouterr().out)["forces"]
     # the scene that it was computed from bears 2.5 to 2.8 kN when it breaks
     assert forces["B"]["low"] < 2.7e3 < forces["B"]["high"]
+
+
+def test_an_excitation_may_have_its_unit() -> None:
+    from pydantic import ValidationError
+
+    from uqsphere.labs.shpb.document import BarTable
+
+    bar = {"gauge": "0.1 m", "E": "200 GPa", "density": "7850 kg/m3", "diameter": "20 mm"}
+    for given in ("5 V", "5000 mV", 5.0):
+        assert BarTable.model_validate({**bar, "excitation": given}).excitation == 5.0
+    with pytest.raises(ValidationError, match="unknown unit 'kg' for a voltage"):
+        BarTable.model_validate({**bar, "excitation": "5 kg"})

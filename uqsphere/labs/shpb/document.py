@@ -18,9 +18,17 @@ from uqsphere.labs.files import (
     Time,
     from_library,
 )
+from uqsphere.units import parse_value
 
 Columns = Annotated[
     tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)
+]
+
+
+Volts = Annotated[
+    float,
+    Field(gt=0.0),
+    BeforeValidator(lambda raw: parse_value(raw, "voltage") if isinstance(raw, str) else raw),
 ]
 
 
@@ -46,7 +54,7 @@ class BarTable(Section):
     end: Literal["free", "absorbing"] = "free"
     unit: str = ""
     gauge_factor: float = Field(default=2.0, gt=0.0)
-    excitation: float | None = Field(default=None, gt=0.0)
+    excitation: Volts | None = None
     amplification: float = Field(default=1.0, gt=0.0)
     active_arms: float = Field(default=1.0, gt=0.0)
     gain_sd: float = Field(default=0.01, ge=0.0, lt=1.0)
