@@ -68,6 +68,8 @@ density = "2650 kg/m3"
 [rig]
 kind = "impact"
 speed = "5 m/s"
+[contact]
+law = "hertz"
 [target]
 kind = "thick"
 E = "210 GPa"
