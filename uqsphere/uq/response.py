@@ -301,7 +301,7 @@ def _bounded(response: Response) -> Response:
 class _Allowed:
     """The variances that the expansion of a fold may have.
 
-    low, high : 99 % interval of the variance from the rows alone
+    low, high : 99 % interval of the variance from the rows only, for all folds together
     median : (K,) of the variances of the other folds
     room : (K,) how far from it a fold may lie: the 99 % interval of their correction by the rows,
         their own scatter (median absolute deviation), and the error of their integration
@@ -316,7 +316,8 @@ class _Allowed:
     def by(cls, response: Response, variances: Array) -> _Allowed:
         y, folds = response.outputs, range(len(variances))
         squares = (y - y.mean()) ** 2
-        down, up = distances(squares, REJECTED)
+        # folds share most of their rows, so that unlucky rows contradict all of them at once
+        down, up = distances(squares, 1.0 - (1.0 - REJECTED) / len(variances))
         influence = squares - (response.levels - y.mean()) ** 2
         t = float(stdtrit(len(variances) - 2, 0.5 + 0.5 * REJECTED))
         integration = ROUNDING + 4.0 * max(known.error for known in response.known)
