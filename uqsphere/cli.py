@@ -266,6 +266,12 @@ def _parser() -> argparse.ArgumentParser:
     schema.add_argument("what", nargs="?", choices=("study", "results"), default="study")
     bench = add("bench", _bench, "time the integrator against others at equal error", "--rows 256")
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
+    bench.add_argument(
+        "--study",
+        type=Path,
+        metavar="FILE",
+        help="time per row and error of the quantities of this study, by tolerance",
+    )
     if _labs_installed():
         for name, text in LABS.items():
             commands.add_parser(name, help=text)
@@ -636,6 +642,9 @@ def _schema(options: argparse.Namespace) -> None:
 
 
 def _bench(options: argparse.Namespace) -> None:
-    from uqsphere.bench import bench_text
+    from uqsphere.bench import bench_study_text, bench_text
 
-    print(bench_text(rows=options.rows))
+    if options.study is None:
+        print(bench_text(rows=options.rows))
+    else:
+        print(bench_study_text(options.study, rows=options.rows))

@@ -78,34 +78,66 @@ def rig_scenes(rows: int, seed: int) -> list[Scene]:
 def quadrature(course: Motion) -> float:
     """t_eq/t_c of a motion that ends with its record: Gauss over every step, the tail between
     infinite bars closed.
+
+    Between bars the impulse runs to the first loss of contact after the largest mean force, unless
+    the whole record counts.
     """
-    begin, end = course.start, np.minimum(course.start + course.length, course.end)
-    inside = end > begin
-    middle, half = 0.5 * (begin + end)[inside, None], 0.5 * (end - begin)[inside, None]
-    times = (middle + half * _NODES) * course.unit
-    mean = course.forces_at(times.ravel()).mean(axis=1).reshape(times.shape)
-    impulse = float((mean * _WEIGHTS * half).sum()) * course.unit
-    width = 2.0 * float(half.max()) * course.unit
-    top = _largest(course, lambda forces: forces.mean(axis=1), times.ravel(), width)
-    scene, row = course.scene, course.row
-    if scene.rig == "bars" and np.isinf(scene.record_end[row]):
-        last = np.array([course.end * course.unit])
+    scene, row, unit = course.scene, course.row, course.unit
+    times, _ = _points(course, course.end)
+    width = 4.0 * float(np.diff(times).max())
+    top, at = _largest(course, lambda forces: forces.mean(axis=1), times, width)
+    end, lost = course.end, False
+    if scene.rig == "bars" and not scene.whole_record:
+        counted = [time for time in _losses(course, times) if at <= time < course.horizon]
+        end, lost = min([*counted, course.horizon]) / unit, bool(counted)
+    times, weights = _points(course, end)
+    impulse = float(course.forces_at(times).mean(axis=1) @ weights)
+    if scene.rig == "bars" and np.isinf(scene.record_end[row]) and not lost:
+        last = np.array([course.horizon])
         if course.forces_at(last).min() > 1e-9 * top:  # no face was lost
-            above = course.states_at(last)[0, :2] - _dents(course, times.ravel(), width)
+            above = course.states_at(last)[0, :2] - _dents(course, times, width)
             impulse += float(scene.scales.impedance[row]) * 0.5 * float(above.sum())
-    return impulse / top / course.unit
+    return impulse / top / unit
 
 
-def _largest(course: Motion, of: Callable[[Array], Array], times: Array, width: float) -> float:
-    """The largest value of a function of both forces: about the highest node, on finer and finer
-    grids.
+def _losses(course: Motion, times: Array) -> list[float]:
+    """Times [s] at which the force of a face falls to zero, between the points `times`."""
+    found = []
+    pressed = course.forces_at(times) > 0.0
+    for face in (0, 1):
+        for i in np.flatnonzero(pressed[:-1, face] & ~pressed[1:, face]):
+            low, high = times[i], times[i + 1]
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                if course.forces_at(np.array([middle]))[0, face] > 0.0:
+                    low = middle
+                else:
+                    high = middle
+            found.append(float(high))
+    return sorted(found)
+
+
+def _points(course: Motion, end: float) -> tuple[Array, Array]:
+    """Gauss points [s] of all steps of a motion up to `end`, over t_c, and their weights [s]."""
+    begin, until = course.start, np.minimum(course.start + course.length, end)
+    inside = until > begin
+    middle, half = 0.5 * (begin + until)[inside, None], 0.5 * (until - begin)[inside, None]
+    times, weights = middle + half * _NODES, half * _WEIGHTS
+    return times.ravel() * course.unit, weights.ravel() * course.unit
+
+
+def _largest(
+    course: Motion, of: Callable[[Array], Array], times: Array, width: float
+) -> tuple[float, float]:
+    """The largest value of a function of both forces and its time: about the highest node, on finer
+    and finer grids.
     """
     at, top = times[int(np.argmax(of(course.forces_at(times))))], 0.0
     for _ in range(40):
         grid = np.clip(at + width * np.linspace(-1.0, 1.0, 41), 0.0, course.end * course.unit)
         value = of(course.forces_at(grid))
         at, width, top = grid[int(np.argmax(value))], 0.2 * width, max(top, float(value.max()))
-    return top
+    return top, float(at)
 
 
 def _dents(course: Motion, times: Array, width: float) -> Array:
@@ -116,7 +148,7 @@ def _dents(course: Motion, times: Array, width: float) -> Array:
     if law is None or course.forces is None:
         return np.zeros(2)
     face = law.at(course.row)
-    tops = [_largest(course, lambda forces, k=k: forces[:, k], times, width) for k in (0, 1)]  # type: ignore[misc]
+    tops = [_largest(course, lambda forces, k=k: forces[:, k], times, width)[0] for k in (0, 1)]  # type: ignore[misc]
     dents = [float(face.pressed(face.depth_at(np.array([top]))).dent[0]) for top in tops]
     return np.where(
         course.forces_at(np.array([course.end * course.unit]))[0] < np.array(tops), dents, 0.0

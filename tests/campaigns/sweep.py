@@ -422,9 +422,11 @@ def against_reference(
 
     def judge(scene: Scene, found: SceneAnswers) -> _Answer:
         known: dict[int, Reference] = {}
-        for row in np.flatnonzero(scene.status == 0):
+        goes_on = found.record > found.values["time_to_first_loss"] * (1.0 + 1e-9)
+        until = np.where(goes_on, found.record, np.inf)
+        for row in np.flatnonzero(scene.status == 0).tolist():
             with contextlib.suppress(Unaffordable):
-                known[int(row)] = refer(scene, int(row), budget=budget, rtol=rtol)
+                known[row] = refer(scene, row, until=until[row], budget=budget, rtol=rtol)
         none = np.full(len(scene), np.nan)
         # the equivalent duration has a campaign of its own (`durations`)
         values = {name: none.copy() for name in found.values if name != "contact_duration"}

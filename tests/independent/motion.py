@@ -513,8 +513,18 @@ def jumps_of(edges: list[float], trips: list[float], ends: list[float], most: fl
     return [time for time in kept if 0.0 < time < most]
 
 
-def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-11) -> Reference:
+def refer(
+    scene: Scene,
+    row: int = 0,
+    *,
+    until: float = math.inf,
+    budget: int = 20_000,
+    rtol: float = 1e-11,
+) -> Reference:
     """Answers of one row of a scene of two bars, by the formulas of the theory.
+
+    until : end of a record [s] that goes on behind the first loss of contact; without it the record
+        ends at the first loss.
 
     Raises ValueError for a row outside the domain, Unaffordable for one that takes more than
         `budget` steps.
@@ -566,7 +576,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
         z, k = t - breaks[piece], cubics[piece]
         return float(k[0] + z * (k[1] + z * (k[2] + z * k[3])))
 
-    record = float(scene.record_end[row]) / second
+    record = min(float(scene.record_end[row]), until) / second
     endless = math.isinf(record)
     jumps = jumps_of(
         [0.0, *(float(edge) for edge in breaks[1:] if math.isfinite(edge))],
@@ -581,7 +591,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
         pulse=pulse,
         jumps=jumps,
         record=min(record, 1e9),
-        stop="loss",
+        stop="loss" if math.isinf(until) else "end",
         fade=float(breaks[-1]) if endless else math.inf,
         budget=budget,
         rtol=rtol,
@@ -635,7 +645,7 @@ def refer(scene: Scene, row: int = 0, *, budget: int = 20_000, rtol: float = 1e-
         "alpha_max": unit * max(deepest),
         "dent": unit * max(part["dent"] for part in parts),
         "plastic_work": force * unit * sum(part["plastic"] for part in parts),
-        "time_to_first_loss": second * end,
+        "time_to_first_loss": second * (end if lost is None else motion.first_loss),
         "rise_time": rise,
         "loading_rate": 0.8 * force * top / rise,
         "first_peak": peak_of(early)["centre"],

@@ -5,14 +5,16 @@ contact duration).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.campaigns.durations import compare, quadrature, rig_scenes, scenes
+from tests.campaigns.sweep import with_law
 from tests.scenes import ENDLESS, example, scaled_scene
 from uqsphere.mechanics.closed_form import loading_approach, solve_closed, solve_impact
-from uqsphere.mechanics.integrator.solve import later_loading, motion, motions, solve
+from uqsphere.mechanics.integrator.solve import Motion, later_loading, motion, motions, solve
 from uqsphere.mechanics.scene import Scene
 
 
@@ -134,19 +136,43 @@ def short_striker(**changes: object) -> Scene:
     )
 
 
-def test_a_later_loading_that_is_larger_is_counted_and_found() -> None:
+def test_a_later_loading_that_is_larger_is_counted() -> None:
+    """The record goes on behind the first loss while a later squeeze may be harder."""
     scene = short_striker()
-    ratio = later_loading(scene)[0]
-    assert ratio > 1.1
-    whole, first = (
-        solve(one, tolerance=1e-8, quantities=("P_max",)).values["P_max"][0]
-        for one in (short_striker(whole_record=True), scene)
+    found, whole = (
+        solve(one, tolerance=1e-8, quantities=("P_max", "time_to_first_loss"))
+        for one in (scene, short_striker(whole_record=True))
     )
-    assert whole / first == pytest.approx(ratio, rel=1e-3)
-    # the history says the same
+    assert later_loading(scene)[0] == pytest.approx(1.0, rel=1e-6)
+    largest = found.values["P_max"][0]
+    assert largest == pytest.approx(whole.values["P_max"][0], rel=1e-6)
+    # the history says the same, and how much the first loading would have had
     course = motion(scene, 0, tolerance=1e-8)
     times = np.linspace(0.0, course.horizon, 400_000)
-    assert whole == pytest.approx(course.forces_at(times).max(), rel=1e-5)
+    forces = course.forces_at(times).max(axis=1)
+    assert largest == pytest.approx(forces.max(), rel=1e-5)
+    assert largest > 1.1 * forces[times < found.values["time_to_first_loss"][0]].max()
+
+
+@pytest.mark.parametrize("law", ["hertz", "plastic"])
+def test_no_squeeze_behind_the_record_is_harder(law: str) -> None:
+    """Forces with both faces pressed, from the end of each record on to the horizon."""
+    rng = np.random.default_rng(31)
+    theta = 10.0 ** rng.uniform(-1.5, 0.3, 16)
+    trips = theta[:, None] * 10.0 ** rng.uniform(0.4, 1.2, (16, 2))
+    ends = rng.choice([0.0, 0.3, 0.5, 0.9, 1.0], (16, 2))
+    scene = scaled_scene(10.0 ** rng.uniform(-3.0, -1.3, 16), theta, trips, ends)
+    if law == "plastic":
+        (scene,) = with_law([scene], 3)
+    answers = solve(scene, quantities=("P_max", "contact_duration"))
+    early = np.flatnonzero(answers.record < 0.99 * scene.record_end)
+    assert len(early) >= 6
+    for course in motions(replace(scene, whole_record=True), early):
+        assert isinstance(course, Motion)
+        end, largest = answers.record[course.row], answers.values["P_max"][course.row]
+        forces = course.forces_at(np.linspace(end, course.horizon, 20_001))
+        squeezed = np.where(forces.min(axis=1) > 0.0, forces.max(axis=1), 0.0)
+        assert squeezed.max() <= largest * (1.0 + 1e-4)
 
 
 def test_scenes_whose_record_ends_otherwise_have_no_later_loading() -> None:

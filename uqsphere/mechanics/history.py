@@ -7,7 +7,7 @@ accuracy.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,7 +26,7 @@ from uqsphere.mechanics.field import (
     waves_at,
     with_jumps,
 )
-from uqsphere.mechanics.integrator.solve import Motion, motion
+from uqsphere.mechanics.integrator.solve import Motion, motion, solve
 from uqsphere.mechanics.integrator.tracked import ORDER
 from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
@@ -267,7 +267,7 @@ class History:
     velocity (m,): of the sphere's centre.
     incident, returning, leaving_a, leaving_b (m,): the waves f, h, g_A and k_B of theory (4) and
         (5) [m/s]; 0 in rigs without a wave.
-    first_peak, later_peak: peak contact pressure before and after the first contact loss.
+    first_peak, later_peak: peak contact pressure in the evaluation window and after it.
     record_end, horizon: ends of the evaluation window of the quantities, and of this history.
     mass_number, pulse_number: mu and theta of theory (10).
     modulus, effective_radius, hertz_constant: for `pressure_over_contact`.
@@ -357,10 +357,12 @@ def trace(
     row = range(len(scene))[row]
     found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
     changes = find_changes(found, tolerance=tolerance)
-    lost = next(
-        (change.time for change in changes if change.kind == "lost" and scene.by_wave), np.inf
-    )
-    first, later = largest(found, 0.0, lost), largest(found, lost, found.horizon)
+    record_end = found.horizon
+    if scene.by_wave and not scene.whole_record:
+        record_end = _record_end(found, tolerance)
+    first, later = largest(found, 0.0, record_end), None
+    if record_end < found.horizon:
+        later = largest(found, record_end, found.horizon)
     times, sides = _instants(
         found, points, [event.time for event in (*changes, first, later) if event is not None]
     )
@@ -388,7 +390,7 @@ def trace(
         first_peak=first,
         later_peak=later,
         horizon=found.horizon,
-        record_end=found.horizon if scene.whole_record else min(lost, found.horizon),
+        record_end=record_end,
         mass_number=float(scales.mass_number[row]),
         pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]),
@@ -398,6 +400,19 @@ def trace(
         motion=found,
         balance=balance,
     )
+
+
+def _record_end(found: Motion, tolerance: float) -> float:
+    """End of the record [s] that a batch has of the row of a motion."""
+    scene = replace(found.scene.at(slice(found.row, found.row + 1)), demands={})
+    answers = solve(
+        scene,
+        fidelity=found.fidelity,
+        tolerance=tolerance,
+        threads=1,
+        quantities=("P_max", "contact_duration"),
+    )
+    return float(np.fmin(answers.record[0], found.horizon))
 
 
 def _pressed(

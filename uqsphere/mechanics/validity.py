@@ -668,8 +668,9 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="grazing contact, lost or kept by rounding alone (1 or 0)",
         measure=lambda s, a: np.where(a.grazes, 1.0, 0.0),
         information=0.0,
-        words="the contact force nearly vanishes: time to first contact loss and contact duration "
-        "may be wrong by one oscillation of the sphere",
+        words="the contact force nearly vanishes, or contact is lost too often to keep the "
+        "tolerance: time to first contact loss and contact duration may be wrong by one "
+        "oscillation of the sphere",
     ),
     Rule(
         name="chatter",

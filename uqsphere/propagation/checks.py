@@ -184,9 +184,7 @@ def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None
 
 
 def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
-    """Whether bars load the sphere harder after the record, which ends at the first loss of
-    contact.
-    """
+    """Whether the loose sphere strikes one bar harder after the record than in it."""
     with np.errstate(all="ignore"):
         ratio = later_loading(design.study, design.inputs, rows)
     known = ratio[np.isfinite(ratio)]
@@ -201,11 +199,10 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
             share=share,
             grade="failure",
             failures=whole,
-            text=f"in {format_probability(share)} of the rows a later echo loads the sphere with "
-            f"{median:.3g} times "
-            "the force of the record, which ends at the first loss of contact",
+            text=f"in {format_probability(share)} of the rows the loose sphere later strikes one "
+            f"bar with {median:.3g} times the largest force of the record",
             effect=(
-                "forces, pressures and fracture probabilities are too small: set "
+                "blows on one face after the last squeeze between both are not counted: set "
                 "model.whole_record = true"
             ),
             remedy="set model.whole_record = true to count every loading up to the horizon, or "

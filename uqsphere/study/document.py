@@ -214,7 +214,7 @@ class ModelChoice(Table):
     )
     first_loading_only: bool = keyed("end the record when the first reflected wave is back", False)
     whole_record: bool = keyed(
-        "continue after the first loss of contact, to the horizon (bars)", False
+        "follow the motion to the horizon, later blows of the loose sphere included (bars)", False
     )
     horizon: Seconds | None = keyed(
         "latest end of the record (default: eight round trips of the longer bar)"

@@ -29,6 +29,7 @@ _SOURCES = (
     "faces",
     "incoming",
     "kernel",
+    "records",
     "searches",
     "step",
     "tracked",

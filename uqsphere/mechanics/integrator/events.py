@@ -73,6 +73,7 @@ def begin(s, j):
     s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
     s.grazed[j], s.blur[j] = math.nan, 0.0
     s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0
+    s.counted[j], s.counted_peak[j] = 0.0, 0.0
 
 
 @compiled
@@ -183,8 +184,7 @@ def after_step(s, j):
     if s.flags[j] & tracked.SOMETHING:
         ends, met = _faces(s, j)
         if met >= 0:
-            left = s.piece[0, met] > 0.0 and s.stop_at_loss and not s.rigged
-            s.why[j], s.side[j] = End.RECORD if left else End.CONTACT, met
+            s.why[j], s.side[j] = End.CONTACT, met
     if ends < s.theta[j]:
         searches.survey(s, ends)
     known = _largest(s, j, ends)
@@ -210,7 +210,7 @@ def after_step(s, j):
 # --- What all lanes can have met in a step: the largest approach, and a warning where a search has
 # to follow. Values and slopes at a few points of the step bound what the approaches reach between
 # them.  The top of a bend is refined by Newton's iteration on the series, for all lanes together.
-# An energy argument (`decided`) says when nothing that is wanted can change any more.
+# An energy argument (`no_later_peak`) says when nothing that is wanted can change any more.
 
 
 def _bounds(
@@ -461,8 +461,8 @@ def _look_further(s):
 
 
 @compiled
-def decided(s, j):
-    """Whether nothing that is wanted can change any more while the incoming wave stays as it is.
+def no_higher_approach(s, j):
+    """Whether no approach can exceed the largest so far while the incoming wave stays as it is.
 
     With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall,
     where phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) -
@@ -470,11 +470,11 @@ def decided(s, j):
     with laws of their own are all springs now: what yields takes energy and brings none back.
     """
     apart()
-    wanted, level, slack = s.wanted, s.steady[j], 1.0 + 0.1 * s.error[j]
-    if wanted & tracked.TO_THE_END or (level > 0.0 and wanted & _SEARCHED):
+    level, slack = s.steady[j], 1.0 + 0.1 * s.error[j]
+    if level < 0.0:
         return False
-    stored, energy = 0.5 * s.mass[j] * (s.u[0, j] - level) ** 2, 0.5 * s.mass[j] * s.u[0, j] ** 2
-    least, stiffest, rest, least_phi = math.inf, 0.0, level, 0.5 * level * level
+    stored = 0.5 * s.mass[j] * (s.u[0, j] - level) ** 2
+    least, rest, least_phi = math.inf, level, 0.5 * level * level
     for m in range(j, PAIR, LANES):
         spring, reached = s.spring[m], max(s.x[0, m], 0.0)
         if spring == 0.0:
@@ -485,14 +485,28 @@ def decided(s, j):
         top = (largest_approach(s, m) - s.dent[m] if s.has_laws else s.peak[FACE_A, j]) * slack
         if top < rest * slack:
             return False
-        held, stiffest = stored_energy(s, m, reached)[0], max(stiffest, spring)
         least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
-        stored += held - level * reached + least_phi
-        energy += held
-    if least < stored:
+        stored += stored_energy(s, m, reached)[0] - level * reached + least_phi
+    return not least < stored
+
+
+@compiled
+def no_later_peak(s, j):
+    """Whether no largest value that is wanted can change any more while the incoming wave stays as
+    it is.
+    """
+    apart()
+    wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
+    if wanted & tracked.TO_THE_END or (s.steady[j] > 0.0 and wanted & _SEARCHED):
+        return False
+    if not no_higher_approach(s, j):
         return False
     if not wanted & _SEARCHED:
         return True
+    energy, stiffest = 0.5 * s.mass[j] * s.u[0, j] ** 2, 0.0
+    for m in range(j, PAIR, LANES):
+        energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
+        stiffest = max(stiffest, s.spring[m])
     force = math.sqrt(2.0 * energy) if s.mode == LINEAR else stiffest**0.4 * (2.5 * energy) ** 0.6
     return not (
         (wanted & tracked.WANT_DIFFERENCE and force > s.peak[DIFFERENCE, j] * slack)
@@ -589,11 +603,15 @@ def note_impulse(s, j, theta):
 
 @compiled
 def note_duration(s, j, settled):
-    """Impulse over peak of the mean force up to now, (Q1); settled: the waves are over, and what is
-    still pressed dies out with the impulse that (Q2) says."""
-    apart()
-    left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
-    s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
+    """Impulse over peak of the mean force up to now, (Q1), if that peak has grown since it was last
+    noted: later contacts that press less do not count.
+
+    settled: the waves are over, and what is still pressed dies out with the impulse that (Q2) says.
+    """
+    if s.wanted & tracked.WANT_DURATION and not s.peak[MEAN, j] <= s.counted_peak[j]:
+        left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
+        s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
+        s.counted[j], s.counted_peak[j] = s.time[j], s.peak[MEAN, j]
 
 
 @compiled
@@ -615,6 +633,7 @@ def finish(s, j, made, out):
     out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
     out[tracked.ANSWER_X_FIRST] = max(s.x_first[0, j], s.x_first[1, j])
     out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = s.ended[j], s.duration[j]
+    out[tracked.ANSWER_COUNTED] = s.counted[j]
     out[tracked.ANSWER_CONTACT] = s.lost[j] if lost else s.ended[j]
     out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
     out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = s.grazed[j], s.blur[j]
@@ -697,20 +716,3 @@ def next_touch(s, j):
         if rate > 0.0:
             closing = min(closing, -s.x[0, m] / rate)
     return closing
-
-
-@compiled
-def echoes_have_acted(s, j):
-    """Time from which no echo can close the gaps of a rig again that both grow.
-
-    A contact sends compression into a bar.  A far end with R >= 0 sends it back as tension, which
-    only opens the gap.  One with R < 0 sends back compression; what the gap's free end returns of
-    that comes back as tension, and so on with alternating signs: two round trips after the last
-    contact every echo of it has come once with either sign, each later one is weaker (|R| <= 1),
-    and the gap has grown in between.
-    """
-    wait = 0.0
-    for bar in range(2):
-        if s.reflect[bar, j] < 0.0 and s.trips[bar, j] < math.inf:
-            wait = max(wait, 2.0 * s.trips[bar, j])
-    return s.parted[j] + wait * (1.0 + 1e-12) if wait > 0.0 else -math.inf

@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 from uqsphere.arrays import Array
-from uqsphere.mechanics.integrator import events, incoming, step, tracked
+from uqsphere.mechanics.integrator import events, incoming, records, step, tracked
 from uqsphere.mechanics.integrator.branches import branch_ends
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
@@ -120,7 +120,7 @@ def march(rows, order, lanes, made, kept, out, status, steps):
                 _keep(s, j, ending, made)
                 if s.keeping and s.count[j] <= kept.shape[1]:
                     _give_out(s, j, ending, kept[s.place_in_order[j], s.count[j] - 1])
-                if _turn(s, j, ending):
+                if _turn(s, j, ending, made):
                     _jump(s, j, rows)
                 _judge(s, j)
             if s.fate[j] != GOES_ON:
@@ -143,9 +143,9 @@ def _leave(s, j, made, out, status, steps):
     if math.isnan(s.ended[j]):
         last = made[j, (s.count[j] - 1) & (s.ring - 1)]
         s.ended[j] = last.began + last.holds
-    if s.wanted & tracked.WANT_DURATION and math.isnan(s.duration[j]):
-        # the tail between infinite bars belongs to the record
-        events.note_duration(s, j, not s.rigged and math.isnan(s.lost[j]) and s.end[j] == math.inf)
+    # the tail between infinite bars, in which both faces are pressed, belongs to the record
+    pressed = min(s.x[0, j], s.x[0, LANES + j]) > 0.0
+    events.note_duration(s, j, not s.rigged and pressed and s.end[j] == math.inf)
     events.finish(s, j, made, out[r])
 
 
@@ -173,6 +173,7 @@ def _enter(s, j, r, rows):
     s.back[j] = min(s.trips[0, j], s.trips[1, j])
     tailed = not s.rigged and s.end[j] == math.inf
     s.fades[j] = rows.pulse_end[r] * (1.0 - 1e-12) if tailed else math.inf
+    s.pulse_end[j] = rows.pulse_end[r] * (1.0 - 1e-12)
     s.size[0, j], s.size[1, j], s.size[2, j] = rows.level[r], 0.1 * rows.level[r], rows.level[r]
     events.begin(s, j)
     incoming.enter_piece(s, j, rows)
@@ -400,11 +401,12 @@ def _root_is_wrong(s, j):
 
 
 @compiled
-def _turn(s, j, ending):
+def _turn(s, j, ending, made):
     """The state from which the next step of a lane starts, or the end of its row; whether the waves
     jump.
     """
     apart()
+    reaches = records.approach_alone(s, j, ending)
     before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
     _move_on(s, j, ending)
     at_stop = at_stop and s.why[j] < End.CONTACT
@@ -417,10 +419,11 @@ def _turn(s, j, ending):
             s.proposed[j] = 1.001 * ahead
         elif ahead == math.inf:
             s.proposed[j] = 1e30
-            done = s.time[j] >= events.echoes_have_acted(s, j)
-    lost = s.stop_at_loss and not s.rigged and not math.isnan(s.lost[j])
-    if lost and s.wanted & tracked.WANT_DURATION and math.isnan(s.duration[j]):
+            done = s.time[j] >= records.echoes_have_acted(s, j)
+    left = s.why[j] == End.CONTACT and s.touching[j] == 0.0
+    if left and s.stop_at_loss and not s.rigged:
         events.note_duration(s, j, False)
+        done = events.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made)
     if done:
         s.fate[j] = tracked.OK
     elif at_stop and s.time[j] >= s.end[j]:
@@ -434,7 +437,7 @@ def _judge(s, j):
     """Whether nothing that is wanted can change any more, or there is no more room."""
     if s.fate[j] != GOES_ON:
         return
-    if s.steady[j] >= 0.0 and s.touching[j] == 0.0 and not s.rigged and events.decided(s, j):
+    if s.steady[j] >= 0.0 and s.touching[j] == 0.0 and not s.rigged and events.no_later_peak(s, j):
         s.fate[j] = tracked.OK
         return
     # the first step that is read again: of the whole path, or of the waves of a round trip

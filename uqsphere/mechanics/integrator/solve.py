@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.tracked import empty_answers
@@ -38,8 +38,8 @@ MODES: Final[dict[str, int]] = {
 #: threads
 _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few;
-#: powers of two
-_CAPACITIES = (1024, 16_384, 262_144)
+#: powers of two, from 16,384 on each twice the one before
+_CAPACITIES = (1024, *(16_384 << k for k in range(5)))
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the
 #: forces is asked for; where the record ends in the tail of the force; once a face has yielded, for
 #: the end of contact.  Measured by the sweep, each quantity asked for alone: each then keeps the
@@ -521,12 +521,12 @@ def solve(
 def later_loading(
     scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-4, threads: int | None = None
 ) -> Array:
-    """Largest force up to the horizon over that up to the first loss of contact, (n,): above 1 an
-    echo loads harder.
+    """Largest force up to the horizon over that of the record, (n,): above 1 the loose sphere
+    strikes one bar harder than it is squeezed in the record.
 
-    For bars whose record ends at the first loss; NaN where a row has no answer, 1 where the record
-    ends otherwise.  A row of the whole record costs 3 to 75 times as much: a run looks at its first
-    512.
+    NaN where a row has no answer; 1 where the record leaves nothing out: that of other rigs ends
+    when no contact can follow, and the others are cut as the study says.  A row followed to the
+    horizon costs 3 to 75 times as much: a run looks at its first 512.
     """
     if scene.rig != "bars" or scene.infinite or scene.first_loading_only or scene.whole_record:
         return np.where(scene.status == 0, 1.0, np.nan)
@@ -568,9 +568,10 @@ def look_closer(
     """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse
     than `tolerance`.
 
-    ANSWER_GRAZED is then 1 where the first loss of contact is in doubt at the finest tolerance
-    still, else 0: an error of the approach may decide whether contact is lost, or move the loss by
-    more than `_FIRM` tolerances.
+    ANSWER_GRAZED is then 1 where the finest tolerance still leaves a doubt, else 0: where an error
+    of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
+    tolerances; and where a duration that counts contacts behind the first loss differs by as much
+    from that at a hundred times the tolerance.
     """
     n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["rigs"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
@@ -585,6 +586,9 @@ def look_closer(
     )
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
     again = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | (wanted != 0))
+    rough = np.zeros(n, dtype=bool)
+    if wanted & tracked.WANT_DURATION and arguments["rigs"].shape[1] == 0:
+        rough = (status == tracked.OK) & _counts_on(answers)
     while True:
         if timed:
             lost, grazed = (
@@ -596,7 +600,7 @@ def look_closer(
             )
             moved = np.fmax(lost - grazed, blur)
             doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
-        again = (again | doubt) & (closest > _FINEST)
+        again = (again | doubt | rough) & (closest > _FINEST)
         if not again.any():
             break
         for each in np.unique(closest[again]):
@@ -608,8 +612,18 @@ def look_closer(
             closest[picked] = closer
             # one that has no room for so many steps keeps the answers that it has
             done = look.status == tracked.OK
+            durations = answers[picked, tracked.ANSWER_DURATION]
+            change = np.abs(look.answers[:, tracked.ANSWER_DURATION] / durations - 1.0)
+            rough[picked] &= ~(done & (change <= _FIRM * tolerance))
             answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
             closest[picked[~done]] = _FINEST
         again[:] = False
-    answers[:, tracked.ANSWER_GRAZED] = doubt
+    answers[:, tracked.ANSWER_GRAZED] = doubt | rough
     return replace(found, answers=answers)
+
+
+def _counts_on(answers: Array) -> Flags:
+    """Rows whose duration counts contacts behind their first loss."""
+    lost = answers[:, tracked.ANSWER_CONTACT_CENSORED] == 0.0
+    behind = answers[:, tracked.ANSWER_COUNTED] > answers[:, tracked.ANSWER_CONTACT]
+    return np.asarray(lost & behind)

@@ -27,6 +27,8 @@ WAVE: Final = 12
 #: room for jumps that are under way in each bar; rows of working space that `step.follow_slow`
 #: needs
 QUEUE, SLOW_ROOM = 2048, 10
+#: parts of a round trip in which the waves under way are bounded (`records`)
+CELLS: Final = 512
 
 #: what is integrated: theory (9), the linear contact of the paper's section 4, no mass
 FULL, LINEAR, MASSLESS = range(3)
@@ -74,7 +76,8 @@ SOMETHING = 1 << KINDS
 # largest approach, that before the first echo, force of the other face at the peak of this one,
 # integral of its squared force; largest mean force and sphere's share of the stored energy; last
 # parting; speeds of sphere, A and B at the end; how often a face that yields was unloaded, and how
-# often contact was regained before the largest approach; impulse over peak of the mean force
+# often contact was regained before the largest approach; impulse over peak of the mean force; time
+# up to which that impulse counts
 (
     ANSWER_X_MAX,
     ANSWER_X_FIRST,
@@ -103,8 +106,9 @@ SOMETHING = 1 << KINDS
     ANSWER_TOUCHES,
     ANSWER_DURATION,
     ANSWER_BLUR,
+    ANSWER_COUNTED,
     ANSWERS,
-) = range(28)
+) = range(29)
 #: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be
 #: wanted for it
 SCALED = {
@@ -182,7 +186,9 @@ LANE: Final = np.dtype(
         # mu, 1/mu, mu or inf without mass; how quickly the lightest body answers; error allowed in
         # one step; end of the record, of the pulse where the tail counts; round trip; the wave that
         # stays, or -1
-        *_fields((LANES,), "mass inverse_mu inertia quickest error end fades back steady"),
+        *_fields(
+            (LANES,), "mass inverse_mu inertia quickest error end pulse_end fades back steady"
+        ),
         # time, length of the trial step, share of it that is taken, length to try next, next jump;
         # 1 where it starts from a touch, is on the slow motion; when that is looked for next
         *_fields((LANES,), "time h theta proposed stop touching on_slow calm"),
@@ -205,7 +211,9 @@ LANE: Final = np.dtype(
         *_fields((KINDS, LANES), "peak"),
         *_fields((2, LANES), "touched x_first other carried"),
         *_fields(
-            (LANES,), "lost ended parted unloadings touches chatter impulse duration grazed blur"
+            (LANES,),
+            "lost ended parted unloadings touches chatter impulse duration grazed blur "
+            "counted counted_peak",
         ),
         # the law of a face (`faces`), and what stands at its pole: zeta, 1/mu_i, 1 or 0 where
         # nothing does
@@ -234,6 +242,7 @@ LANE: Final = np.dtype(
         *_fields((3, LANES), "reach left left_slope"),
         *_fields((4, WAVE), "work"),
         *_fields((TERMS, SLOW_ROOM), "slow"),
+        *_fields((2, CELLS), "cell_end cell_wave"),
         # the step of one lane that is searched: its series, values and slopes, where its faces are
         # pressed deepest
         *_fields((TERMS, 2), "piece"),
