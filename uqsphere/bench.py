@@ -15,7 +15,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.outputs import Answers
+from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.scene import Scene
 from uqsphere.models.scene import solve_scene
 from uqsphere.study import Study, load_study
@@ -237,7 +237,7 @@ def _timed(
 ) -> list[dict[str, float | str]]:
     """Rows of the table of a study for some of its quantities, one for each tolerance."""
 
-    def solved(tolerance: float) -> Answers:
+    def solved(tolerance: float) -> SceneAnswers:
         return solve_scene(scene, fidelity, tolerance=tolerance, threads=1, quantities=names)
 
     reference, entries = solved(_STUDY_REFERENCE), list[dict[str, float | str]]()
