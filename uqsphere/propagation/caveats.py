@@ -33,7 +33,8 @@ def caveats_of(
     for code, path, text in design.study.caveats:
         known = next(word for word in get_args(CaveatCode) if word == code)
         found.append(Caveat(code=known, subject=path, text=text))
-    names = [strength_name(limit.name) for limit in settled.aim.limits]
+    # limits on the same tests rest on one set of synthetic data
+    names = [strength_name(group[0].name) for group in settled.aim.groups]
     found += [
         Caveat(code="synthetic tests", subject=name)
         for name in dict.fromkeys([*names, *design.inputs])
