@@ -309,6 +309,15 @@ def test_a_damaged_file_of_compiled_code_is_compiled_anew(
     assert sum(fresh.stats.cache_hits.values()) == (damage != "a folder")
 
 
+def test_the_cache_of_other_functions_stays_where_it_was() -> None:
+    import numba
+
+    before = numba.config.CACHE_DIR
+    compiled.compiled(entry=True)(double)
+    assert before == numba.config.CACHE_DIR
+    assert "uqsphere" not in before
+
+
 def test_no_folder_for_compiled_code_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/nowhere")
     assert compiled.cache_folder() is None

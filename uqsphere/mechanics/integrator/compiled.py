@@ -13,7 +13,7 @@ import os
 import pickle
 import stat
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from hashlib import sha256
 from importlib import metadata
@@ -203,6 +203,19 @@ def _compilers() -> tuple[Any, Any] | None:
     return Inner, Outermost
 
 
+@contextlib.contextmanager
+def _cache_in(folder: Path) -> Iterator[None]:
+    """numba's own folder for compiled code, while one function is prepared for it."""
+    import numba
+
+    before = numba.config.CACHE_DIR
+    setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - made at run time
+    try:
+        yield
+    finally:
+        setattr(numba.config, "CACHE_DIR", before)  # noqa: B010
+
+
 def compiled(
     function: Callable[..., Any] | None = None, *, entry: bool = False, **options: Any
 ) -> Any:
@@ -216,8 +229,6 @@ def compiled(
     import numba
 
     folder = cache_folder()
-    if folder is not None:
-        setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba makes its settings at run time
     # nothing is allocated in compiled code, so that numba need not count the owners of arrays
     options |= {"nogil": True, "error_model": "numpy", "_nrt": False}
     if (compilers := _compilers()) is not None:
@@ -227,7 +238,12 @@ def compiled(
         if entry
         else {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     )
-    made: Any = numba.njit(**options)(function)
+    made: Any
+    if entry and folder is not None:
+        with _cache_in(folder):
+            made = numba.njit(**options)(function)
+    else:
+        made = numba.njit(**options)(function)
     if folder is not None and entry:
         _keep(folder, made)
     ask = made.get_call_template
