@@ -208,7 +208,7 @@ def _cache_in(folder: Path) -> Iterator[None]:
     """numba's own folder for compiled code, while one function is prepared for it."""
     import numba
 
-    before = numba.config.CACHE_DIR
+    before = getattr(numba.config, "CACHE_DIR")  # noqa: B009
     setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - made at run time
     try:
         yield
