@@ -79,8 +79,17 @@ def run(
     fresh : forget what an earlier run of the study left in the folder
     rows : table of inputs and outputs that are known already, in place of a model (`Study.analyse`)
 
-    Raises UqsphereError (`uqsphere.errors`), KeyboardInterrupt where `stop` leaves nothing to
-        answer with.
+    Returns
+    -------
+    Run
+        The finished run.
+
+    Raises
+    ------
+    UqsphereError
+        Any of `uqsphere.errors`.
+    KeyboardInterrupt
+        If `stop` leaves nothing to answer with.
     """
     if not isinstance(study, Study):
         raise UsageError(

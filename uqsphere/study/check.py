@@ -135,10 +135,10 @@ def tables(draft: Draft) -> Faults:
             for key in draft.data[table]:
                 if isinstance(number := getattr(getattr(draft.document, table), key), Number):
                     draft.numbers[numbers_of(table)[key].name] = number
-        draft.plastic = law == "plastic" or (law is None and _says_what_yields(draft))
+        draft.plastic = law == "plastic" or (law is None and _yielding_is_known(draft))
 
 
-def _says_what_yields(draft: Draft) -> bool:
+def _yielding_is_known(draft: Draft) -> bool:
     """Whether the study or the library says at which pressure a contact yields, and the model can
     follow it.
     """

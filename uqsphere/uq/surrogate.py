@@ -275,7 +275,10 @@ class Expansion:
         level : share of points, drawn as the rows were, whose answer lies in its interval
         outside : for rows beyond the laws' support "nan", or "raise" a UsageError
 
-        Ends are infinite where there are too few rows for the level, or no response.
+        Returns
+        -------
+        Prediction
+            Values and ends, (n,); ends are infinite where there are too few rows for the level.
         """
         if not 0.0 < level < 1.0 or outside not in ("raise", "nan"):
             raise UsageError(

@@ -92,7 +92,7 @@ class Column:
         if factor := factor_in_heading(text):
             raise UsageError(
                 f"the heading {text!r} has the factor {factor!r}. Multiply the values by it and "
-                "write the unit alone"
+                "write only the unit"
             )
         return "", given
 

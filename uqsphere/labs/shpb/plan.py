@@ -88,7 +88,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
     notes = []
     if len(limits) > 1:
-        notes.append("each failure mode alone; the share that breaks by any of them is larger")
+        notes.append("each failure mode by itself; the share that breaks by any of them is larger")
     notes += [
         f"{limit.name} has the aim to break: the shares are of broken spheres"
         for limit in limits
