@@ -276,9 +276,7 @@ def bench_study_text(path: Path, *, rows: int = 256) -> str:
         raise UsageError(
             f"{path} has nothing to integrate: bench needs a study of a wave, a blow or a weight"
         )
-    head = (
-        f"{path.name}: quantities asked for alone, one thread; errors against 1e-10; {_versions()}"
-    )
+    head = f"{path.name}: one quantity at a time, one thread; errors against 1e-10; {_versions()}"
     table = bench_study(study, rows=rows).to_string(index=False, float_format="{:.2g}".format)
     return f"{head}\n\n{table}"
 

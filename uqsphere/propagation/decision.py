@@ -168,4 +168,4 @@ def _governing(settled: Settled) -> Doubt:
         if curves.adds_up(other.limit) and not settled.aim.same_tests(other.limit, doubt.limit):
             candidates.setdefault(other.limit.name, other)
     candidates |= {mode.limit.name: curves.assumed(mode) for mode in settled.aim.modes}
-    return max(candidates.values(), key=lambda one: line.at(one.alone, number))
+    return max(candidates.values(), key=lambda one: line.at(one.single, number))

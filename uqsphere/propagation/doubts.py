@@ -126,7 +126,7 @@ class Alternative:
 class Doubt:
     """An alternative with its curve along a line.
 
-    alone, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with the
+    single, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with the
         other failure modes
     opposite : the joint curve at the other end of what tests leave open; None for other doubts
     error : standard error (K,) of the curve by the numerical computation
@@ -138,7 +138,7 @@ class Doubt:
     limit: Limit
     detail: str
     allowed: float
-    alone: Array
+    single: Array
     curve: Array
     error: Array
     margin: float | None = None
@@ -245,7 +245,7 @@ def other_distributions(law: Law) -> dict[str, Law]:
 # --- curves ---------------------------------------------------------------------------------------
 
 
-def others_hold(aim: Aim, line: Line) -> dict[str, Array]:
+def others_survive(aim: Aim, line: Line) -> dict[str, Array]:
     """Probability (R, N) that no other failure mode is exceeded, by the name of a limit; none for
     limits that are no fracture.
     """
@@ -282,7 +282,7 @@ class Curves:
 
     @cached_property
     def _held(self) -> Mapping[str, Array]:
-        return others_hold(self.aim, self.line)
+        return others_survive(self.aim, self.line)
 
     @cached_property
     def few(self) -> Curves:
@@ -414,7 +414,7 @@ class Curves:
             limit=limit,
             detail=detail,
             allowed=allowed,
-            alone=curves[0],
+            single=curves[0],
             curve=curves[1],
             error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
             margin=margin,

@@ -93,7 +93,7 @@ def judge(
             grows = tables.surrogate is None and tables.stopped != "interrupted"
             settled = settling.accurately(aim, line) if grows else settling.once(aim, line)
             planned = planned_value(design)
-            if grows and planned is not None and _is_missed_between(settled, plan, planned):
+            if grows and planned is not None and _fails_between(settled, plan, planned):
                 with suppress(Interrupted):
                     line = refined(settled.line, model, {planned: plan.line.rows.count})
                     settled = settling.accurately(aim, line)
@@ -117,7 +117,7 @@ def judge(
     return found, tables
 
 
-def _is_missed_between(settled: Settled, plan: Settled, planned: float) -> bool:
+def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
     """Whether the plan misses a target on the side that the curve calls safe: the curve turns back
     between its values.
     """
@@ -332,7 +332,7 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
     at_number = types.Range()
     number = math.inf if settled.number is None else settled.number
     if along is not None and math.isfinite(number):
-        at_number = _missed(aim, settled.line.at(doubt.curve, number))
+        at_number = _failure_range(aim, settled.line.at(doubt.curve, number))
     law = strength_of(doubt.limit)
     code = doubt.code
     if code == COMPUTATION and _is_carrier(aim, doubt.limit):
@@ -345,7 +345,7 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
         margin=doubt.margin,
         margin_note=note,
         at_number=at_number,
-        at_plan=types.Range() if at_plan is None else _missed(aim, float(at_plan.curve[0])),
+        at_plan=types.Range() if at_plan is None else _failure_range(aim, float(at_plan.curve[0])),
         governs=doubt.key == settled.governing.key,
         counts=doubt.code != ASSUMED or any(doubt.limit is mode.limit for mode in aim.modes),
         tests=count_tests(law) if isinstance(law, Law) and is_fitted(law) else None,
@@ -357,7 +357,7 @@ def _is_carrier(aim: Aim, limit: Limit) -> bool:
     return any(limit in group[1:] for group in aim.groups)
 
 
-def _missed(aim: Aim, exceedance: float) -> types.Range:
+def _failure_range(aim: Aim, exceedance: float) -> types.Range:
     """A failure probability from that of exceedance."""
     return types.Range(value=exceedance if aim.survive else 1.0 - exceedance)
 
@@ -488,7 +488,7 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
             else doubt.detail
         )
         at = "assumed: " + _TEXTS[doubt.code].format(name)
-        p = float(doubt.alone[0]) if survive else 1.0 - float(doubt.alone[0])
+        p = float(doubt.single[0]) if survive else 1.0 - float(doubt.single[0])
         answers.row(subject, "failure_probability", at, p, unit="1", runs=runs, method="epistemic")
     if doubt.code == TESTS and doubt.opposite is not None:
         law = strength_of(doubt.limit)
