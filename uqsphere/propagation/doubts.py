@@ -126,8 +126,8 @@ class Alternative:
 class Doubt:
     """An alternative with its curve along a line.
 
-    single, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with the
-        other failure modes
+    single, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with
+        the other failure modes
     opposite : the joint curve at the other end of what tests leave open; None for other doubts
     error : standard error (K,) of the curve by the numerical computation
     margin : where the curve crosses its target; None where the safe end misses it, infinite where
