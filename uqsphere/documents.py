@@ -66,9 +66,10 @@ def path_of(place: Place) -> str:
     >>> path_of(("dependence", 0, "of"))
     'dependence[0].of'
     """
-    return "".join(
-        f"[{part}]" if isinstance(part, int) else f".{part}" for part in place
-    ).removeprefix(".")
+    path = ""
+    for part in place:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return path.removeprefix(".")
 
 
 #: larger whole numbers are not written out
@@ -77,8 +78,10 @@ _LARGEST_SHOWN: Final = 10**60
 
 def shown(value: object, longest: int = 60) -> str:
     """A value of a file as its message shows it."""
-    if isinstance(value, Mapping | list | tuple):
-        return "a table" if isinstance(value, Mapping) else "an array"
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return "an array"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int) and abs(value) > _LARGEST_SHOWN:
@@ -97,13 +100,16 @@ def one_of(words: Iterable[str]) -> str:
     'a, b or c'
     """
     *first, last = list(words) or ["none"]
-    return f"{', '.join(first)} or {last}" if first else last
+    if not first:
+        return last
+    return f"{', '.join(first)} or {last}"
 
 
 def suggestion(word: object, known: Iterable[str]) -> str:
     """A hint at the known word that was likely meant."""
-    near = get_close_matches(str(word)[:80], list(known), n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""
+    for near in get_close_matches(str(word)[:80], list(known), n=1):
+        return f"; did you mean '{near}'?"
+    return ""
 
 
 def unknown(what: str, word: object, known: Iterable[str]) -> str:
@@ -148,8 +154,10 @@ def read_text(path: Path) -> str:
         return read_given(path, 1 << 20).removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
-        said = f"byte 0x{error.object[error.start]:02x} is not UTF-8 text: save the file as UTF-8"
-        raise StudyError(str(path), [Problem(line=line, path="", message=said)]) from None
+        message = (
+            f"byte 0x{error.object[error.start]:02x} is not UTF-8 text: save the file as UTF-8"
+        )
+        raise StudyError(str(path), [Problem(line=line, path="", message=message)]) from None
 
 
 def parse_text(text: str, path: Path) -> dict[str, Any]:
@@ -157,33 +165,32 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
     no double holds, with the line.
     """
     try:
-        if not (dots := _DOTS.search(text)):
+        dots = _DOTS.search(text)
+        if not dots:
             data = tomllib.loads(text)
-            huge = next(_huge_numbers(data), None)
-            if huge is not None:
-                raise refusal(path, text, [Fault("this whole number is too large", *huge)])
+            for place in _huge_numbers(data):
+                raise refusal(path, text, [Fault("this whole number is too large", *place)])
             return data
-        line, said = (
-            text[: dots.start()].count("\n") + 1,
-            "a dotted key goes more than 12 levels deep",
-        )
+        line = text[: dots.start()].count("\n") + 1
+        message = "a dotted key goes more than 12 levels deep"
     except RecursionError:
-        line, said = 1, "brackets are nested deeper than any study needs"
+        line, message = 1, "brackets are nested deeper than any study needs"
     except ValueError as error:  # a fault of syntax, or a number that Python does not read
-        message, *place = re.split(r" \(at | for integer", str(error))
-        where = re.match(r"line (\d+)", place[-1])
+        message, *rest = re.split(r" \(at | for integer", str(error))
+        where = re.match(r"line (\d+)", rest[-1])
         line = int(where[1]) if where else text.rstrip("\n").count("\n") + 1
-        seen = f"{message}\n{[*text.split(chr(10)), ''][line - 1]}"
-        hint = next(
-            (
-                f"; {found.expand(way)}"
-                for p, way in _HINTS.items()
-                if (found := re.search(p, seen))
-            ),
-            "",
-        )
-        said = f"this is not valid TOML: {message[:160]}{hint}"
-    raise StudyError(str(path), [Problem(line=line, path="", message=said)])
+        message = f"this is not valid TOML: {message[:160]}{_hint(message, text, line)}"
+    raise StudyError(str(path), [Problem(line=line, path="", message=message)])
+
+
+def _hint(message: str, text: str, line: int) -> str:
+    """The way out of a fault of syntax, where it is known."""
+    seen = f"{message}\n{[*text.split(chr(10)), ''][line - 1]}"
+    for pattern, way in _HINTS.items():
+        match = re.search(pattern, seen)
+        if match:
+            return f"; {match.expand(way)}"
+    return ""
 
 
 def _huge_numbers(node: Any, place: Place = ()) -> Iterator[Place]:
@@ -205,7 +212,7 @@ def lines_of(text: str) -> dict[Place, int]:
     >>> lines_of('[sphere]\\nE = { sd = 1 }\\n[[dependence]]\\nof = []')[("dependence", 0, "of")]
     4
     """
-    found: dict[Place, int] = {}
+    lines: dict[Place, int] = {}
     table: Place = ()
     seen: Counter[Place] = Counter()
     for number, line in enumerate(text.split("\n"), 1):
@@ -213,14 +220,16 @@ def lines_of(text: str) -> dict[Place, int]:
         key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
         if key is None:
             continue
-        parts: Place = _parts(key[2]) if header else (*table, *_parts(key[2]))
+        parts: Place = _parts(key[2])
         if header:
             table = (*parts, seen[parts]) if key[1] == "[[" else parts
             seen[parts] += 1
-            found[table] = number
+            lines[table] = number
+        else:
+            parts = (*table, *parts)
         for n in range(1, len(parts) + 1):
-            found.setdefault(parts[:n], number)
-    return found
+            lines.setdefault(parts[:n], number)
+    return lines
 
 
 def _parts(text: str) -> tuple[str, ...]:
@@ -239,11 +248,12 @@ def refusal(
     """
     lines, problems = lines_of(text), set()
     for fault in faults:
-        line = next(
-            (lines[fault.at[:n]] for n in range(len(fault.at), 0, -1) if fault.at[:n] in lines), 1
-        )
-        note = " (set by --set)" if any(fault.at[: len(one)] == one for one in overridden) else ""
-        problems.add(Problem(line=line, path=as_text(path_of(fault.at)), message=f"{fault}{note}"))
+        line, message = 1, str(fault)
+        for n in range(len(fault.at)):
+            line = lines.get(fault.at[: n + 1], line)
+        if any(fault.at[: len(place)] == place for place in overridden):
+            message += " (set by --set)"
+        problems.add(Problem(line=line, path=as_text(path_of(fault.at)), message=message))
     return StudyError(str(path), list(problems))
 
 
@@ -268,8 +278,9 @@ def set_value(data: dict[str, Any], text: str) -> Place:
     try:
         for part in parts:
             if place:
-                may_add = isinstance(node, dict) and value != "null"
-                node = node.setdefault(place[-1], {}) if may_add else node[place[-1]]
+                if isinstance(node, dict) and value != "null":
+                    node.setdefault(place[-1], {})
+                node = node[place[-1]]
             place.append(int(part) if isinstance(node, list) and part.isdecimal() else part)
         if value == "null":
             del node[place[-1]]
@@ -389,18 +400,15 @@ def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
 
 
 def _text(kind: Any, fault: Any, place: Place) -> str:
-    name = str(place[-1]) if place else ""
+    name = str(("", *place)[-1])
     for part in place[:-1]:
-        kind = (
-            table_in(kind.model_fields[part].annotation) or kind
-            if part in kind.model_fields
-            else kind
-        )
+        if part in kind.model_fields:
+            kind = table_in(kind.model_fields[part].annotation) or kind
     if fault["type"] == "value_error":
         return str(fault["ctx"]["error"])
     if fault["type"] == "missing":
-        meaning = kind.model_fields[name].description
-        return f"{name} is missing{f': {meaning}' if meaning else ''}".replace("`", "")
+        parts = [f"{name} is missing", kind.model_fields[name].description]
+        return ": ".join(filter(None, parts)).replace("`", "")
     if fault["type"] == "extra_forbidden":
         key, way = _SLIPS.get(name.lower(), ("", ""))
         if key in kind.model_fields:
@@ -421,4 +429,4 @@ def table_in(annotation: Any) -> Any:
     """The table that a key holds, one or several; None for a value."""
     if isinstance(annotation, type) and issubclass(annotation, Table):
         return annotation
-    return next((found for part in get_args(annotation) if (found := table_in(part))), None)
+    return next(filter(None, map(table_in, get_args(annotation))), None)

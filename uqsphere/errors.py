@@ -19,7 +19,9 @@ def as_text(value: object, longest: int = 300) -> str:
     text = "".join(
         character if character.isprintable() else "?" for character in " ".join(text.split())
     )
-    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+    if len(text) > longest:
+        return f"{text[: longest - 1]}…"
+    return text
 
 
 class UqsphereError(Exception):
@@ -45,7 +47,9 @@ class Problem:
     def render(self, file: str) -> str:
         """``file:line: path: message``; the path is left out where the file as a whole is meant."""
         place = f"{as_text(file)}:{self.line}: "
-        return place + (f"{self.path}: " if self.path else "") + self.message
+        if self.path:
+            place += f"{self.path}: "
+        return place + self.message
 
 
 class StudyError(UsageError):

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -107,7 +108,7 @@ _UNIT_KEYS: Final = {
 }
 #: what a row of units below the headings may have
 _ALL_UNITS: Final = {"", "-", *_SPELLED} | {
-    unit for units in UNITS.values() for unit in units if not unit.isdigit()
+    unit for unit in chain(*UNITS.values()) if not unit.isdigit()
 }
 
 
@@ -132,13 +133,10 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     ('stress [10 MPa]', None)
     """
     heading = heading[:200]
-    units = {
-        bracket: unit
-        for bracket in _BRACKET.finditer(heading)
-        if (unit := _known_unit(bracket[1], dimension))
-    }
-    if len(units) == 1:
-        ((bracket, unit),) = units.items()
+    brackets = [b for b in _BRACKET.finditer(heading) if _known_unit(b[1], dimension)]
+    if len(brackets) == 1:
+        (bracket,) = brackets
+        unit = _known_unit(bracket[1], dimension)
         name, behind = heading[: bracket.start()].strip(), heading[bracket.end() :]
         if name and not factor_in_heading(behind):
             return name, unit
@@ -148,16 +146,25 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
             continue
         if rest == "in" and not set("/,") & set(gap.group()):
             continue  # the inner diameter D_in is no length in inches
-        known = _known_unit(rest, dimension)
-        if known is not None:
-            return name, known
+        unit = _known_unit(rest, dimension)
+        if unit is not None:
+            return name, unit
     return heading, None
 
 
 def factor_in_heading(heading: str) -> str:
     """The factor that a heading has beside a unit, such as x10 or 10^3; empty without one."""
-    factor = _FACTOR.search(heading)
-    return "" if factor is None else factor[0].strip()
+    factor = _FACTOR.search(heading) or [""]
+    return factor[0].strip()
+
+
+def _bare_name(heading: str, dimension: str) -> str:
+    """A heading without its unit, of this dimension or else of any."""
+    for name in (dimension, *UNITS):
+        bare = unit_in_heading(heading, name)[0]
+        if bare != heading:
+            return bare
+    return heading
 
 
 def _known_unit(text: str, dimension: str) -> str | None:
@@ -184,32 +191,35 @@ def unknown_unit(heading: str, dimension: str) -> str:
     """
     heading = heading[:200].strip()
     brackets = _BRACKET.findall(heading)
-    text = brackets[-1].strip() if brackets else re.split(r"[\s_/,]+", heading)[-1]
-    known = [unit for unit in UNITS[dimension] if unit]
+    text = (brackets or re.split(r"[\s_/,]+", heading))[-1].strip()
+    units = [unit for unit in UNITS[dimension] if unit]
     factor = factor_in_heading(heading)
     if factor:
-        unit = next((u for u in known if re.search(rf"(?<!\w){re.escape(u)}(?!\w)", heading)), "")
-        way = f" and write [{unit}]" if unit else ""
-        return (
+        message = (
             f"its heading {as_text(heading, 60)!r} has the factor {factor!r}. Multiply the values "
-            f"by it{way}"
+            "by it"
         )
-    if text in known:
+        for unit in units:
+            if re.search(rf"(?<!\w){re.escape(unit)}(?!\w)", heading):
+                return f"{message} and write [{unit}]"
+        return message
+    if text in units:
         return f"is {text!r} its unit? Write a name and [{text}]"
     near = nearest_unit(text, dimension)
+    message = f"{as_text(text, 30)!r} is not a unit of this column"
     if near:
-        return f"{as_text(text, 30)!r} is not a unit of this column; did you mean {near!r}?"
-    return f"{as_text(text, 30)!r} is not a unit of this column" if brackets else ""
+        return f"{message}; did you mean {near!r}?"
+    if brackets:
+        return message
+    return ""
 
 
 def _decimal_mark(texts: Iterable[str]) -> str:
     """The mark that some cells have for certain; both, ".,", or neither, ""."""
-    certain = {
-        mark
-        for text in texts
-        for mark in ".,"
-        if mark in text and NUMBER[mark].fullmatch(text) and not _PERHAPS.fullmatch(text)
-    }
+    certain = set()
+    for text in texts:
+        if not _PERHAPS.fullmatch(text):
+            certain |= {m for m in ".," if m in text and NUMBER[m].fullmatch(text)}
     return "".join(sorted(certain, reverse=True))
 
 
@@ -233,7 +243,7 @@ class Table:
 
     @cached_property
     def _mark(self) -> str:
-        return _decimal_mark(cell for row in self.rows for cell in row)
+        return _decimal_mark(chain(*self.rows))
 
     @cached_property
     def _no_data(self) -> dict[str, Flags]:
@@ -250,10 +260,7 @@ class Table:
         TableError else.
         """
         column = str(column)
-        bare = [
-            next((name for d in (dimension, *UNITS) if (name := unit_in_heading(h, d)[0]) != h), h)
-            for h in self.headings
-        ]
+        bare = [_bare_name(heading, dimension) for heading in self.headings]
         for names in (self.headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
@@ -261,11 +268,14 @@ class Table:
             return int(column) - 1
         twice = column in (*self.headings, *bare)
         near = get_close_matches(column, [*self.headings, *bare], n=1)
-        hint = f"; did you mean {near[0]!r}?" if near and not twice else ""
-        known = ", ".join(repr(h[:24]) for h in self.headings[:12])
-        often = "twice or more" if twice else "not"
+        headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
+        often, hint = "not", ""
+        if twice:
+            often = "twice or more"
+        elif near:
+            hint = f"; did you mean {near[0]!r}?"
         raise TableError(
-            f"the column {column!r} is {often} in {self.name!r}, which has {known}{hint}", key
+            f"the column {column!r} is {often} in {self.name!r}, which has {headings}{hint}", key
         )
 
     def unit_of(self, column: str | int, dimension: str) -> str | None:
@@ -296,29 +306,31 @@ class Table:
             values = self._parsed(at, str(column), key, blank)
             self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
             return values
-        heading, units = self.headings[at], UNITS[dimension]
-        column = heading if str(column).isdigit() else str(column)
-        own, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
+        heading, units, column = self.headings[at], UNITS[dimension], str(column)
+        if column.isdigit():
+            column = heading
+        its_unit, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
         if unit is not None and unit not in units:
             raise TableError(
                 f"{unit_key} must be one of {typed_units(dimension)}, not {unit!r}", unit_key
             )
-        if unit and own and units[unit] != units[own]:
+        if unit and its_unit and units[unit] != units[its_unit]:
             raise TableError(
-                f"{unit_key} is {unit!r}, but the heading {heading!r} has {own!r}", unit_key
+                f"{unit_key} is {unit!r}, but the heading {heading!r} has {its_unit!r}", unit_key
             )
-        if unit is None and own is None:
+        if unit is None and its_unit is None:
             wrong = unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{column!r}: {wrong} ({typed_units(dimension)})", key)
-            first = next(iter(units))
-            more = f', or add {unit_key} = "{first}"' if key in _UNIT_KEYS else ""
+            first, more = next(iter(units)), ""
+            if key in _UNIT_KEYS:
+                more = f', or add {unit_key} = "{first}"'
             raise TableError(
                 f'the unit of the column {column!r} is missing. Write it in the heading, "{column} '
                 f'[{first}]"{more} ({typed_units(dimension)})',
                 key,
             )
-        values = units[unit or own or ""] * self._parsed(at, column, key, blank)
+        values = units[unit or its_unit or ""] * self._parsed(at, column, key, blank)
         self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
         return values
 
@@ -339,8 +351,7 @@ class Table:
         refuse(thousands, _each(_MARKED.fullmatch, texts))
         perhaps = _each(_PERHAPS.fullmatch, texts)
         if certain == ".,":
-            mark = max(".,", key=lambda one: sum(one in text for text in texts))
-            other = "," if mark == "." else "."
+            mark, other = sorted(".,", key=lambda m: -sum(m in text for text in texts))
             refuse(
                 "decimal point and comma in one column: write all alike",
                 _each(lambda text: other in text, texts),
@@ -357,7 +368,7 @@ class Table:
                     f'{text!r} can be a decimal comma or a mark of thousands: add decimal = ","',
                     perhaps,
                 )
-        number = _each(NUMBER["," if mark == "," else "."].fullmatch, texts)
+        number = _each(NUMBER.get(mark, NUMBER["."]).fullmatch, texts)
         empty = _each(lambda text: text.lower() in NOTHING if blank else not text, texts)
         formulas = _each(lambda text: text.startswith("="), texts)
         refuse(
@@ -388,11 +399,11 @@ class Table:
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]
-        strange = _each(lambda text: text not in words, texts) & ~np.logical_or.reduce(
-            [*self._no_data.values()]
-        )
-        text = as_text(texts[int(np.argmax(strange))], 60) if strange.any() else ""
-        self.refuse(key, f"{column}: {text!r} is not {meant}", strange)
+        strange = _each(lambda text: text not in words, texts)
+        strange &= ~np.logical_or.reduce([*self._no_data.values()])
+        if strange.any():
+            text = as_text(texts[int(np.argmax(strange))], 60)
+            self.refuse(key, f"{column}: {text!r} is not {meant}", strange)
         return _each(lambda text: words.get(text, False), texts)
 
     def check(self) -> None:
@@ -419,25 +430,24 @@ class Table:
         if pasted or (
             0 < len(again) <= _MOST_LINES and (len(again) > 1 or len(set(self.rows[again[0]])) > 2)
         ):
-            self.notes.append(
-                f"{self.name}: {_lines([self.lines[k] for k in again])} repeat"
-                f"{'s' * (len(again) == 1)} earlier rows: pasted twice?"
-            )
+            verb = "repeats" if len(again) == 1 else "repeat"
+            lines = _lines([self.lines[k] for k in again])
+            self.notes.append(f"{self.name}: {lines} {verb} earlier rows: pasted twice?")
         self._note_sums()
 
     def _note_sums(self) -> None:
         """Note rows near the end that are the mean or the sd of all above; one that stands behind
         an empty line needs a single column for that.
         """
-        columns = []
+        columns, digits = [], []
         for cells in zip(*self.rows, strict=True):
             column = [text.replace(",", ".") for text in cells]
             if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
                 columns.append(column)
+                digits.append([len(text.partition(".")[2]) for text in column])
         if not columns or len(self.rows) < 5:
             return
         values = np.array(columns, dtype=float)
-        digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
         for k in range(max(3, len(self.rows) - 8), len(self.rows)):
             above, step = values[:, :k], np.array([10.0 ** -column[k] for column in digits])
             least = 1 if self.lines[k] in self.apart else max(2, len(columns) - 1)
@@ -452,9 +462,12 @@ class Table:
 
 
 def _lines(lines: list[int]) -> str:
-    more = f" and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
-    noun = "lines" if len(lines) > 1 else "line"
-    return f"{noun} {', '.join(map(str, lines[:_MOST_LINES]))}{more}"
+    if len(lines) == 1:
+        return f"line {lines[0]}"
+    text = f"lines {', '.join(map(str, lines[:_MOST_LINES]))}"
+    if len(lines) > _MOST_LINES:
+        text += f" and {len(lines) - _MOST_LINES} more"
+    return text
 
 
 def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
@@ -543,7 +556,9 @@ def _headings_above_numbers(rows: Mapping[int, list[str]], lines: list[int]) -> 
     texts = [cell for cell in cells if cell and cell.lower() not in NOTHING]
     if len(texts) < 2 or any(map(_is_numeric, cells)) or any(map(is_error_value, cells)):
         return 0
-    return 0 if any(_all_numbers(rows[line]) for line in lines[:place]) else place
+    if any(_all_numbers(rows[line]) for line in lines[:place]):
+        return 0
+    return place
 
 
 def _is_numeric(cell: str) -> bool:
@@ -577,7 +592,8 @@ def read_lines(
         lines = dict(enumerate(re.split("\r*\n|\r", _decoded(data, name, notes)), 1))
         if re.fullmatch("sep=.", lines[1]):
             del lines[1]
-        if (longest := max(map(len, lines.values()), default=0)) > _LONGEST:
+        longest = max(map(len, lines.values()), default=0)
+        if longest > _LONGEST:
             raise TableError(
                 f"{name!r} has a line of {longest:,} characters; {_LONGEST:,} are read at most"
             )
@@ -607,14 +623,13 @@ def cells_of(
     def divided(line: str) -> list[str]:
         if divider == " ":
             return line.split()
-        return (
-            next(csv.reader([line], delimiter=divider, strict=strict))
-            if '"' in line
-            else line.split(divider)
-        )
+        cells = line.split(divider)
+        if '"' in line:
+            cells = next(csv.reader([line], delimiter=divider, strict=strict))
+        return [cell.strip() for cell in cells]
 
     try:
-        return {k: [cell.strip() for cell in divided(line)] for k, line in lines.items()}
+        return {k: divided(line) for k, line in lines.items()}
     except csv.Error:
         raise TableError(
             f"{name!r}: a text in quotes extends over several lines. Keep every row on one line"
@@ -641,10 +656,8 @@ def table_of(
     if width > MOST_COLUMNS:
         raise TableError(f"{name!r} has {width:,} columns; {MOST_COLUMNS:,} are read at most")
     if numbered and are_units(numbered[0][1]):
-        units = [cell.strip("[]()- ") for cell in numbered.pop(0)[1]]
-        headings = [
-            f"{h} [{unit}]" if unit else h for h, unit in zip(headings, units, strict=False)
-        ]
+        units = [f" [{cell.strip('[]()- ')}]" for cell in numbered.pop(0)[1]]
+        headings = [h + unit.removesuffix(" []") for h, unit in zip(headings, units, strict=False)]
     if not numbered:
         raise TableError(f"{name!r} has no row below its headings")
     return Table(
@@ -659,11 +672,11 @@ def table_of(
 
 def _way_out(headings: Sequence[str], numbered: Sequence[tuple[int, list[str]]]) -> str:
     """What may have brought a row more cells than headings."""
-    cells = [cell for _, row in numbered[:20] for cell in row]
-    if sum(1 for heading in headings if heading) == 1 and len(numbered) > 1:
+    if sum(map(bool, headings)) == 1 and len(numbered) > 1:
         return f"Is {as_text(headings[0], 40)!r} a title? Delete its line"
-    whole = [cell for cell in cells if cell]
-    if whole and all(cell.lstrip("+-").isdigit() for cell in whole):
+    rows = [row for _, row in numbered[:20]]
+    cells = [cell for cell in chain(*rows) if cell]
+    if cells and all(cell.lstrip("+-").isdigit() for cell in cells):
         return "A decimal comma between commas? Save the file with semicolons"
     return "Give every column a heading"
 
@@ -684,14 +697,16 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         titles = [sheet.title for sheet in book.worksheets]
         if wanted and wanted not in titles:
-            known = ", ".join(repr(as_text(title, 40)) for title in titles[:12])
+            listed = ", ".join(repr(as_text(title, 40)) for title in titles[:12])
             raise TableError(
-                f"there is no sheet {wanted!r} in {name!r}, which has {known}", "sheet"
+                f"there is no sheet {wanted!r} in {name!r}, which has {listed}", "sheet"
             )
         full: dict[str, dict[int, list[str]]] = {}
         for sheet in book.worksheets:
             if wanted in ("", sheet.title):
-                full |= {sheet.title: rows} if (rows := _rows_of(sheet, name)) else {}
+                rows = _rows_of(sheet, name)
+                if rows:
+                    full[sheet.title] = rows
         title, rows = next(iter(full.items()), (wanted, {}))
         if formulas and title:
             _mark_formulas(rows, load_workbook(io.BytesIO(data), read_only=True)[title])
@@ -721,17 +736,17 @@ def _has_formulas(data: bytes, name: str) -> bool:
         raise TableError(
             f"{name!r} unpacks to {size >> 20:,} MiB; at most {8 * LARGEST >> 20} MiB are read"
         )
-    found, rows = False, 0
+    formulas, rows = False, 0
     for part in archive.infolist():
         if part.filename.startswith("xl/worksheets/"):
             content = archive.read(part)
-            found = found or b"<f>" in content or b"<f " in content
+            formulas = formulas or b"<f>" in content or b"<f " in content
             rows += content.count(b"<c ") + content.count(b"<c>") + content.count(b"<row")
             if rows > _MOST_CELLS:
                 raise TableError(
                     f"{name!r} has more than {_MOST_CELLS:,} cells. Save the sheet as CSV"
                 )
-    return found
+    return formulas
 
 
 def _rows_of(sheet: Any, name: str) -> dict[int, list[str]]:
@@ -761,8 +776,12 @@ def _cell_text(cell: object) -> str:
     """
     if isinstance(cell, float):
         return str(int(cell)) if cell.is_integer() else f"{cell:.12g}"
-    text = "" if cell is None else " ".join(str(cell).split())
-    return f'"{text.replace(chr(34), 2 * chr(34))}"' if '"' in text else text
+    if cell is None:
+        return ""
+    text = " ".join(str(cell).split())
+    if '"' in text:
+        text = f'"{text.replace(chr(34), 2 * chr(34))}"'
+    return text
 
 
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
