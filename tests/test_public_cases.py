@@ -144,7 +144,7 @@ def test_a_constant_output_has_no_scatter_and_no_indices() -> None:
 
 
 def test_groups_are_refused_by_name_and_copies_share_the_effect() -> None:
-    with pytest.raises(StudyError, match=r"analysis\.groups.*read the total indices"):
+    with pytest.raises(StudyError, match=r"analysis\.groups: unknown key"):
         Study(inputs={"a": U}, outputs="y", analysis={"groups": {"G": ["a"]}})
     uniform, rho = stats.uniform(0, 10), 0.99999
     joint = A.joint({"x1": uniform, "x2": uniform, "x3": uniform}, {("x1", "x3"): rho})
@@ -171,7 +171,7 @@ def test_a_discrete_input_has_its_indices_and_probability() -> None:
         limits={"high": {"quantity": "y", "strength": 3.5}},
     )
     truth = (1 / 2) / (1 / 2 + 1 / 12)
-    assert indices(run, "first")["n"]["low"] < truth < indices(run, "first")["n"]["high"]
+    assert indices(run, "first")["n"]["low"] <= truth <= indices(run, "first")["n"]["high"]
     assert run.probability("high")["low"] < 1 / 8 < run.probability("high")["high"]
     assert run.samples["n"].isin([1.0, 2.0, 3.0]).all()
 

@@ -220,8 +220,7 @@ def open_run(folder: str | Path) -> Run:
     >>> open_run("nowhere")
     Traceback (most recent call last):
     ...
-    uqsphere.errors.FolderError: nowhere holds no results.json: it is no result folder of this
-    version
+    uqsphere.errors.FolderError: nowhere does not contain results.json
     """
     path = Path(folder)
     return Run(results=read_results(path), folder=path)

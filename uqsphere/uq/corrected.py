@@ -281,16 +281,15 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
 
     of all rows, each with its own fold.  The last part of the first indices is that of `explained`;
     of the total ones it lies between that of the first index and all of r^2.  Values are the middle
-    of what it may be.  Without expansions that can be trusted f is the mean.
+    of what it may be.  Without expansions that can be trusted f is the mean.  Where the variance of
+    the rows may be infinite, every interval is from 0 to 1.
     """
     y, n, d = response.outputs, response.count, len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
     method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
-    reason = heavy_tail(y, certain=True)
+    unbounded = heavy_tail(y, certain=True)
     if not np.ptp(y) > 1e-14 * abs(y).max():
-        reason = "the output does not vary with the inputs"
-    if reason:
-        nothing = [absent(reason, method, n)] * d
+        nothing = [absent("the output does not vary with the inputs", method, n)] * d
         return {"first": nothing, "total": list(nothing)}
     used = np.isin(response.fold, folds) if folds else np.ones(n, dtype=bool)
     residual = (y - y.mean()) / y.std()
@@ -327,6 +326,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
             high = value + rest[1] + math.hypot(up, spread[row, j], rest[2]) + rounding
             best = value + 0.5 * (least + (most if order == "first" else left))
             low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
+            if unbounded:
+                low, high = 0.0, 1.0
             estimate = Estimate(
                 value=min(max(best, low), high),
                 low=low,
@@ -334,6 +335,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
                 std_error=0.25 * (high - low),
                 method=method,
                 evaluations=n,
+                reason=unbounded or None,
             )
             found[order].append(estimate)
     if not folds:

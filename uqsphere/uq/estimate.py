@@ -211,7 +211,7 @@ def distances(influence: Array, level: float = 0.95) -> tuple[float, float]:
 
     >>> lone = np.zeros(100); lone[0] = 1.0
     >>> [round(end, 3) for end in distances(lone)]
-    [0.042, 0.082]
+    [0.042, 0.101]
     """
     from scipy.special import stdtrit
 
