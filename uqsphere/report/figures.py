@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import capital, label, meaning, short, table_of, value
+from uqsphere.report.format import capital, label, meaning, short, table_of, value, with_unit
 from uqsphere.report.fragility import (
     BLUE,
     GREEN,
@@ -30,7 +30,7 @@ from uqsphere.report.fragility import (
 from uqsphere.report.fragility import draw_fragility as draw_chart
 from uqsphere.report.pictures import Density, Indices, draw_convergence, draw_density, draw_indices
 from uqsphere.report.sentences import chart_title, decision_text
-from uqsphere.results.types import Decision, Kind, QuantityEntry, Results
+from uqsphere.results.types import Answer, Decision, Kind, QuantityEntry, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -114,17 +114,18 @@ def chart_of(results: Results, limit: str | None = None) -> Chart | None:
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     curves = []
     for subject in _most_exceeded(results, dict.fromkeys(subjects)):
-        points = [(row.at, _number(row.value)) for row in answers.where(subject, Kind.CURVE)]
+        points = [(row.at, row.value) for row in answers.where(subject, Kind.CURVE)]
         x, p = np.array(points, dtype=float).T
         kind: Any = "limit" if subject.startswith("limits.") else "assumed"
         curves.append(Curve(name=label(subject), x=x, p=p, kind=kind, governs=subject in governing))
-    joint = _joint_curve(results)
-    if limit is None and joint is not None:
-        curves.append(joint)
+    joint, marks = _joint_curve(results), list[Mark]()
+    if limit is None:
+        marks = [_mark(results, entry) for entry in results.decisions if entry.use is not None]
+        if joint is not None:
+            curves.append(joint)
     planned = None
     if free.planned is not None and free.low <= free.planned <= free.high:
         planned = (free.planned, f"planned {format_value(free.planned, free.path, 3)}")
-    marks = [_mark(results, one) for one in results.decisions if one.use is not None]
     return Chart(
         free=free.path,
         meaning=free.meaning,
@@ -132,22 +133,19 @@ def chart_of(results: Results, limit: str | None = None) -> Chart | None:
         curves=curves,
         tests=_tests(results, {curve.name for curve in curves}),
         planned=planned,
-        marks=marks if limit is None else [],
+        marks=marks,
         targets=_targets(results, limit),
         fracture=any(entry.fracture for entry in results.study.limits.values()),
     )
 
 
-def _number(x: float | None) -> float:
-    return np.nan if x is None else x
-
-
 def _most_exceeded(results: Results, subjects: Sequence[str] | dict[str, None]) -> list[str]:
     """Of too many curves for a chart those that are exceeded most often, in their order."""
-    answers, often = table_of(results), dict[str, float]()
-    for subject in subjects:
+    answers, often = table_of(results), dict.fromkeys(subjects, 0.0)
+    for subject in often:
         row = answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
-        often[subject] = row.value or 0.0 if row is not None else 0.0
+        if row is not None:
+            often[subject] = row.value or 0.0
     kept = sorted(often, key=lambda subject: -often[subject])[:MOST_CURVES]
     return [subject for subject in often if subject in kept]
 
@@ -155,8 +153,8 @@ def _most_exceeded(results: Results, subjects: Sequence[str] | dict[str, None]) 
 def _joint_curve(results: Results) -> Curve | None:
     for decision in results.decisions:
         if decision.aim == "survive" and decision.curve:
-            x = np.array([point.at for point in decision.curve])
-            p = np.array([_number(point.value) for point in decision.curve])
+            points = [(point.at, point.value) for point in decision.curve]
+            x, p = np.array(points, dtype=float).T
             return Curve(name="all failure modes", x=x, p=p, kind="joint")
     return None
 
@@ -201,13 +199,15 @@ def _tests(results: Results, shown: set[str]) -> Tests | None:
             low, high = 1.0 - high, 1.0 - low
         points = np.array(results.study.limits[tested[0]].test_points or np.empty((2, 0)))
         places, shares = points[:2]
-        stopped = points[2] > 0.0 if len(points) > 2 else np.zeros(len(places), dtype=bool)
-        known = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
+        stopped = np.zeros(len(places), dtype=bool)
+        if len(points) > 2:
+            stopped = points[2] > 0.0
+        drawn = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
         return Tests(
             curve=tested[0],
-            x=x[known],
-            low=low[known],
-            high=high[known],
+            x=x[drawn],
+            low=low[drawn],
+            high=high[drawn],
             places=places,
             shares=shares,
             stopped=stopped,
@@ -230,8 +230,8 @@ def density_of(results: Results, quantity: str) -> Density | None:
     """The density of a quantity, with the strengths that it is compared with; None without one."""
     entry = results.study.quantities.get(quantity)
     if entry is None:
-        known = ", ".join(results.study.quantities)
-        raise UsageError(f"the run does not contain the quantity {quantity!r} (known: {known})")
+        names = ", ".join(results.study.quantities)
+        raise UsageError(f"the run does not contain the quantity {quantity!r} (known: {names})")
     if not entry.density or None in entry.range:
         return None
     middle = entry.range[1] or 1.0
@@ -263,7 +263,7 @@ def _onset(results: Results, quantity: str, unit: str, factor: float) -> tuple[f
         return None
     places, heights = np.array(entry.density, dtype=float)
     above = places >= entry.onset
-    share = float(np.trapezoid(heights[above], places[above])) if above.any() else 0.0
+    share = float(np.trapezoid(heights[above], places[above]))
     for check in results.checks:
         if check.name == "dented":
             share = check.share
@@ -288,13 +288,7 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
     for quantity in quantities:
         orders = []
         for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
-            rows = [answers.get(quantity, kind, name) for name in inputs]
-            ends = [
-                (np.nan,) * 3
-                if row is None
-                else [_number(x) for x in (row.value, row.low, row.high)]
-                for row in rows
-            ]
+            ends = [_interval(answers.get(quantity, kind, name)) for name in inputs]
             orders.append(np.array(ends, dtype=float).reshape(-1, 3).T)
         if inputs and np.isfinite(orders[1][0]).any():
             name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
@@ -302,8 +296,17 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
     return columns
 
 
+def _interval(row: Answer | None) -> Sequence[float | None]:
+    """Value and ends of an index; None where there is no number."""
+    if row is None:
+        return (None,) * 3
+    return row.value, row.low, row.high
+
+
 def _brief(text: str) -> str:
-    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 1].rstrip()}…"
+    if len(text) <= MOST_LETTERS:
+        return text
+    return f"{text[: MOST_LETTERS - 1].rstrip()}…"
 
 
 def convergence_of(results: Results) -> tuple[Array, Array] | None:
@@ -377,17 +380,18 @@ def density_picture(results: Results, quantity: str) -> Picture | None:
 
     entry = results.study.quantities[quantity]
     unit = display_unit(quantity, entry.range[1] or 1.0)[0]
-    title = title_of(quantity, entry)
     shares = zip(("5 %", "50 %", "95 %"), entry.range, strict=True)
     ends = "; ".join(f"{share} at {value(end, quantity)}" for share, end in shares)
-    title = f"{title} [{unit}]" if unit else title
+    title = with_unit(title_of(quantity, entry), unit)
     return Picture(title=title, text=f"Density: {ends}", svg=picture_svg(draw, 370.0, 190.0))
 
 
 def title_of(name: str, entry: QuantityEntry) -> str:
     """A quantity as a heading: a name of the user's stays as it is."""
     text = short(entry.meaning)
-    return text if text == name else capital(text)
+    if text == name:
+        return text
+    return capital(text)
 
 
 def sobol_picture(results: Results, quantities: Sequence[str]) -> Picture | None:

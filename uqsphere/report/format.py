@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final, Protocol
 
 from uqsphere.quantities import (
@@ -17,11 +18,20 @@ from uqsphere.quantities import (
     lookup,
 )
 from uqsphere.results.answers import Answers
-from uqsphere.results.types import Answer, Doubt, InputEntry, Kind, LimitEntry, Range, Results
+from uqsphere.results.types import (
+    Answer,
+    Doubt,
+    InputEntry,
+    Kind,
+    LimitEntry,
+    PaperRow,
+    Range,
+    Results,
+)
 from uqsphere.units import UNITS
 
 DASH: Final = "–"
-_UNITS: Final = sorted({unit for units in UNITS.values() for unit in units if unit}, key=len)
+_UNITS: Final = sorted({*chain(*UNITS.values())} - {""}, key=len)
 #: a number in front of its unit, with a blank that may break
 _SPLIT: Final = re.compile(
     r"(?<=\d) (?=(?:%|" + "|".join(re.escape(unit) for unit in _UNITS[::-1]) + r")(?![\w/]))"
@@ -59,7 +69,9 @@ def value(number: float | None, name: str, digits: int = 3) -> str:
     >>> value(2.5541e9, "p_max"), value(None, "p_max")
     ('2.55 GPa', '–')
     """
-    return DASH if number is None else format_value(number, name, digits)
+    if number is None:
+        return DASH
+    return format_value(number, name, digits)
 
 
 def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
@@ -72,7 +84,7 @@ def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
         return DASH
     if row.value is None:
         note = getattr(row, "note", "")
-        return f"{DASH} ({note})" if note else DASH
+        return f"{DASH} ({note})".removesuffix(" ()")
     return format_estimate(row.value, row.low, row.high, name, most)
 
 
@@ -105,9 +117,8 @@ def plain_probability(row: Estimated) -> str:
 
 def complement(p: Range) -> Range:
     """The probability of the opposite event."""
-    low = None if p.high is None else 1.0 - p.high
-    high = None if p.low is None else 1.0 - p.low
-    return Range(value=None if p.value is None else 1.0 - p.value, low=low, high=high, note=p.note)
+    value, high, low = (None if x is None else 1.0 - x for x in (p.value, p.low, p.high))
+    return Range(value=value, low=low, high=high, note=p.note)
 
 
 def meaning(name: str, inputs: Mapping[str, InputEntry] | None = None) -> str:
@@ -122,6 +133,22 @@ def meaning(name: str, inputs: Mapping[str, InputEntry] | None = None) -> str:
     if inputs and name in inputs:
         return short(inputs[name].meaning)
     return short(lookup(name).meaning)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A name with its unit in brackets, if it has one.
+
+    >>> with_unit("force", "N"), with_unit("angle", "")
+    ('force [N]', 'angle')
+    """
+    return f"{text} [{unit}]".removesuffix(" []")
+
+
+def paper_cells(row: PaperRow) -> list[str]:
+    """A number of the paper as printed and as corrected, with its unit."""
+    unit = {"1": ""}.get(row.unit, row.unit)
+    numbers = (row.printed, row.corrected)
+    return [DASH if x is None else f"{x:.4g} {unit}".rstrip() for x in numbers]
 
 
 def short(text: str) -> str:
@@ -149,7 +176,9 @@ def label(subject: str) -> str:
     ('crushing', 'ring crack*', 'all failure modes')
     """
     kind, _, name = subject.partition(".")
-    return f"{name}*" if kind == "modes" else name or subject or "all failure modes"
+    if kind == "modes":
+        return f"{name}*"
+    return name or subject or "all failure modes"
 
 
 # --- one line a limit -----------------------------------------------------------------------------
@@ -171,19 +200,33 @@ class ModeRow:
     doubts: Sequence[Doubt]
     least: bool
 
+    @property
+    def margins(self) -> list[float]:
+        """The free number at the target under each doubt that has one."""
+        return [doubt.margin for doubt in self.doubts if doubt.margin is not None]
+
+    def beta(self) -> str:
+        """The reliability index."""
+        if self.index is None or self.index.value is None:
+            return DASH
+        return f"{self.index.value:.2f}"
+
     def number(self, path: str) -> str:
         """The free number at the target by this limit: its conservative end."""
-        margins = [doubt.margin for doubt in self.doubts if doubt.margin is not None]
         if any(doubt.margin_note == "nowhere" for doubt in self.doubts):
             return "none"
-        if not margins:
-            return "whole range" if self.doubts else DASH
-        worst = max(margins) if self.least else min(margins)
+        if not self.doubts:
+            return DASH
+        if not self.margins:
+            return "whole range"
+        worst = min(self.margins)
+        if self.least:
+            worst = max(self.margins)
         return format_conservative(worst, path, least=self.least)
 
     def span(self, path: str) -> str:
         """The range of the free number at the target over what is open."""
-        margins = [doubt.margin for doubt in self.doubts if doubt.margin is not None]
+        margins = self.margins
         if len(set(margins)) < 2:
             return DASH
         return f"{value(min(margins), path)} to {value(max(margins), path)}"
@@ -192,19 +235,19 @@ class ModeRow:
 def mode_rows(results: Results) -> list[ModeRow]:
     """Limits of the study, and failure modes beside them."""
     answers, rows = table_of(results), list[ModeRow]()
-    doubts = [doubt for decision in results.decisions for doubt in decision.doubts]
+    doubts = list(chain.from_iterable(decision.doubts for decision in results.decisions))
     entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
     entries |= {f"modes.{name}": entry for name, entry in results.study.modes.items()}
     for subject, entry in entries.items():
         margins = [row for row in answers.where(subject, Kind.MARGIN) if isinstance(row.at, float)]
-        best = [row for row in margins if abs(float(row.at) - entry.allowable) <= 1e-9]
+        best = (row for row in margins if abs(float(row.at) - entry.allowable) <= 1e-9)
         rows.append(
             ModeRow(
                 subject=subject,
                 entry=entry,
                 exceedance=answers.get(subject, Kind.EXCEEDANCE_PROBABILITY),
                 index=answers.get(subject, Kind.RELIABILITY_INDEX),
-                best=best[0] if best else None,
+                best=next(best, None),
                 doubts=[doubt for doubt in doubts if doubt.subject == subject],
                 least=_is_least(results, entry),
             )

@@ -14,6 +14,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit, format_probability
+from uqsphere.report.format import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,8 +126,7 @@ def draw_fragility(axes: Axes, chart: Chart) -> None:
     _label_edge(axes, above, "above")
     rows = _label_edge(axes, below, "below")
     _right(axes, right)
-    label = f"{chart.meaning} [{unit}]" if unit else chart.meaning
-    axes.set_xlabel(label, labelpad=6.0 + LINE * rows)
+    axes.set_xlabel(with_unit(chart.meaning, unit), labelpad=6.0 + LINE * rows)
 
 
 def plain_logarithms(axis: object, ratio: float) -> None:
@@ -135,8 +135,10 @@ def plain_logarithms(axis: object, ratio: float) -> None:
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-    locator: object = LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 2e3 else (1.0,))
-    if ratio < 5.0:
+    locator: object = LogLocator(subs=(1.0, 2.0, 5.0))
+    if ratio >= 2e3:
+        locator = LogLocator()
+    elif ratio < 5.0:
         locator = MaxNLocator(4)
     axis.set_major_locator(locator)  # type: ignore[attr-defined]
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))  # type: ignore[attr-defined]
@@ -168,10 +170,12 @@ def _colours(chart: Chart) -> dict[str, str]:
     for curve in chart.curves:
         if curve.kind == "joint":
             colours[curve.name] = INK
-        elif curve.kind == "assumed":
-            colours[curve.name] = RED if curve.governs else GREY
-        else:
+        elif curve.kind == "limit":
             colours[curve.name] = hues[len(colours) % len(hues)]
+        elif curve.governs:
+            colours[curve.name] = RED
+        else:
+            colours[curve.name] = GREY
     return colours
 
 
@@ -215,8 +219,8 @@ def _scores(curve: Curve, x: Array, *, logarithmic: bool) -> Array:
     from scipy.interpolate import PchipInterpolator
     from scipy.special import ndtri
 
-    known = np.isfinite(curve.p)
-    places, y = curve.x[known], ndtri(np.clip(curve.p[known], 1e-15, 1.0 - 1e-15))
+    finite = np.isfinite(curve.p)
+    places, y = curve.x[finite], ndtri(np.clip(curve.p[finite], 1e-15, 1.0 - 1e-15))
     if logarithmic:
         places, x = np.log(places), np.log(x)
     if len(places) < 2:
@@ -249,7 +253,9 @@ def _draw_marks(axes: Axes, chart: Chart, factor: float) -> list[_Label]:
     bottom, ends = axes.get_ylim()[0], axes.get_xlim()
     for mark in chart.marks:
         at, height = mark.value * factor, float(ndtri(mark.probability))
-        allowed = (at, ends[1]) if mark.least else (ends[0], at)
+        allowed = (ends[0], at)
+        if mark.least:
+            allowed = (at, ends[1])
         axes.hlines(bottom, *allowed, color=RED, linewidth=6, clip_on=False)
         axes.vlines(at, bottom, height, color=RED, linewidth=1.4, zorder=5)
         axes.plot(at, height, "D", mfc=RED, mec=RED, ms=8, zorder=6)
@@ -263,33 +269,36 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    up = edge == "above"
-    # under the axis the ticks have their numbers first
-    down = ScaledTranslation(0.0, 0.0 if up else -19.0 / 72.0, axes.figure.dpi_scale_trans)
+    frame, ticks, sign = 1.0, 0.0, 1.0
+    if edge == "below":  # the ticks have their numbers first
+        frame, ticks, sign = 0.0, -19.0 / 72.0, -1.0
+    down = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
     edge_transform = axes.get_xaxis_transform() + down
     ends: list[float] = []
-    for label in sorted(labels, key=lambda one: one.at):
+    for label in sorted(labels, key=lambda label: label.at):
         place = float(axes.transData.transform((label.at, 0.0))[0])
         width = LETTER * len(label.text)
         # left of the leader; right of it where there is no room
-        left = place - width > 4.0
-        start, stop = (place - width - 4.0, place) if left else (place, place + width + 4.0)
+        start, stop, side, gap = place - width - 4.0, place, "right", -3.0
+        if start <= 0.0:
+            start, stop, side, gap = place, place + width + 4.0, "left", 3.0
         row = next((k for k, reached in enumerate(ends) if start > reached + 6.0), len(ends))
         if row == len(ends):
             ends.append(stop)
         # a leader crosses the rows between its text and the frame
-        for k in range(row + 1):
-            ends[k] = max(ends[k], stop if k == row else place + 3.0)
-        height = (9.0 + LINE * row) * (1.0 if up else -1.0)
-        edge_place = (label.at, 1.0 if up else 0.0)
+        for k in range(row):
+            ends[k] = max(ends[k], place + 3.0)
+        ends[row] = max(ends[row], stop)
+        height = (9.0 + LINE * row) * sign
+        edge_place = (label.at, frame)
         axes.annotate(
             label.text,
             edge_place,
-            (-3.0 if left else 3.0, height),
+            (gap, height),
             edge_transform,
             "offset points",
             color=label.colour,
-            ha="right" if left else "left",
+            ha=side,
             va="center",
             annotation_clip=False,
         )
@@ -297,7 +306,7 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         axes.annotate(
             "",
             edge_place,
-            (0.0, height + (5.0 if up else -5.0)),
+            (0.0, height + 5.0 * sign),
             edge_transform,
             "offset points",
             annotation_clip=False,
@@ -312,7 +321,7 @@ def _right(axes: Axes, labels: Sequence[_Label]) -> None:
     bottom, top = axes.get_ylim()
     step = LINE * (top - bottom) / extent.height
     least = -np.inf
-    for label in sorted(labels, key=lambda one: one.at):
+    for label in sorted(labels, key=lambda label: label.at):
         least = max(label.at, least + step)
         axes.annotate(
             label.text,

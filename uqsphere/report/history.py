@@ -5,7 +5,7 @@ figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -50,35 +50,38 @@ def history(
     scene = scene_of(
         study, {name: np.array([float(value)]) for name, value in (values or {}).items()}, 1
     )
-    if status := int(scene.status[0]):
+    status = int(scene.status[0])
+    if status:
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
-    fidelity = study.model.fidelity if study.model.fidelity in ("massless", "linear") else "full"
+    fidelity = study.model.fidelity
+    if fidelity not in ("massless", "linear"):
+        fidelity = "full"
     announce_compilation()
     try:
-        found = trace(
+        course = trace(
             scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points
         )
         if RIGS[study.rig].by_wave:
             places = tuple(
                 (gauge.bar, gauge.position) for gauge in study.gauges
-            ) or default_positions(found.motion)
+            ) or default_positions(course.motion)
             signals = [
-                gauge_record(found.motion, bar, place, points=len(found.time))
+                gauge_record(course.motion, bar, place, points=len(course.time))
                 for bar, place in places
             ]
         else:
-            ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(found.motion)]
+            ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(course.motion)]
             signals = [
-                rod_record(found.motion, place, found.time)
+                rod_record(course.motion, place, course.time)
                 for place in ahead
                 if 0.0 < place < math.inf
             ]
-        return replace(found, gauges=tuple(signals))
+        return replace(course, gauges=tuple(signals))
     except ValueError as error:
         raise UsageError(str(error)) from None
 
 
-def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
+def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
     """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
     bars.
     """
@@ -86,62 +89,53 @@ def history_rows(study: Study, found: History) -> list[tuple[str, str]]:
     from uqsphere.mechanics.history import equilibrium
     from uqsphere.mechanics.outputs import OUTPUTS, absent_in
 
-    rows = [("mu, dimensionless sphere mass M/(Z t_c)", f"{found.mass_number:.4g}")]
-    if RIGS[study.rig].by_wave and math.isfinite(found.pulse_number):
-        rows.append(("theta, dimensionless pulse duration t_i/t_c", f"{found.pulse_number:.4g}"))
+    rows = [("mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}")]
+    if RIGS[study.rig].by_wave and math.isfinite(course.pulse_number):
+        rows.append(("theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"))
     scene = scene_of(study, {}, 1)
     names = [name for name in OUTPUTS if not absent_in(scene, name)]
     answers = evaluate_scene(study, (), np.zeros((1, 0)), names)
     for name, number, late in zip(names, answers.values[0], answers.censored[0], strict=True):
         if np.isfinite(number):
-            rows.append(
-                (
-                    lookup(name).meaning,
-                    f"{'more than ' if late else ''}{format_value(float(number), name, 5)}",
-                )
-            )
-    for change in found.changes[:6]:
+            text = format_value(float(number), name, 5)
+            if late:
+                text = f"more than {text}"
+            rows.append((lookup(name).meaning, text))
+    for change in course.changes[:6]:
         event = "lost" if change.kind == "lost" else "re-established"
         rows.append((f"contact {event} at face {change.face}", _when(change.time)))
-    if len(found.changes) > 6:
-        rows.append(("further changes of contact", str(len(found.changes) - 6)))
-    if found.later_peak is not None:
-        pressure = format_value(found.later_peak.pressure, "p_max", 5)
+    if len(course.changes) > 6:
+        rows.append(("further changes of contact", str(len(course.changes) - 6)))
+    if course.later_peak is not None:
+        pressure = format_value(course.later_peak.pressure, "p_max", 5)
         rows.append(
             (
                 "largest contact pressure after the first loss of contact",
-                f"{pressure} at {_when(found.later_peak.time)}",
+                f"{pressure} at {_when(course.later_peak.time)}",
             )
         )
     if RIGS[study.rig].by_wave:
-        balanced = equilibrium(found)
-        rows.append(
-            (
-                "time to force equilibrium (forces within 5 % of their mean)",
-                "always" if balanced == 0.0 else _when(balanced),
-            )
-        )
+        balanced = equilibrium(course)
+        text = _when(balanced)
+        if balanced == 0.0:
+            text = "always"
+        rows.append(("time to force equilibrium (forces within 5 % of their mean)", text))
         for bar in BARS:
-            tension = first_tension(found.motion, bar)
-            text = (
-                "none"
-                if tension is None
-                else f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
-            )
+            tension = first_tension(course.motion, bar)
+            text = "none"
+            if tension is not None:
+                text = f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
             rows.append((f"first tension in the {bar} bar", text))
-        rows += [
-            (
-                f"waves overlap at the gauge {record.name}",
-                f"{one.first} and {one.second}, {_when(one.begin)} to {_when(one.end)}",
-            )
-            for record in found.gauges
-            for one in record.overlaps[:2]
-        ]
+        for record in course.gauges:
+            for waves in record.overlaps[:2]:
+                text = f"{waves.first} and {waves.second}, {_when(waves.begin)} to "
+                text += _when(waves.end)
+                rows.append((f"waves overlap at the gauge {record.name}", text))
     return [
         *rows,
         *(_paper_text(row) for row in paper_lines(study)),
-        ("end of the evaluation window", _when(found.record_end)),
-        ("end of the time series", _when(found.horizon)),
+        ("end of the evaluation window", _when(course.record_end)),
+        ("end of the time series", _when(course.horizon)),
     ]
 
 
@@ -155,69 +149,58 @@ def _paper_text(row: PaperLine) -> tuple[str, str]:
 
 
 def _when(time: float | None) -> str:
-    return "never" if time is None else f"{1e6 * time:.5g} us"
+    if time is None:
+        return "never"
+    return f"{1e6 * time:.5g} us"
 
 
-def write_history(study: Study, found: History, folder: Path) -> list[str]:
+def write_history(study: Study, course: History, folder: Path) -> list[str]:
     """Write history.csv, gauges.csv and the figures; returns the names of the files."""
     import pandas as pd
 
-    files: dict[str, str | bytes] = {"history.csv": found.to_frame().to_csv(index=False)}
-    if found.gauges:
+    files: dict[str, str | bytes] = {"history.csv": course.to_frame().to_csv(index=False)}
+    draw: dict[str, Callable[..., None]] = {
+        "forces": partial(_draw_faces, what="force", unit="kN", factor=1e-3),
+        "pressures": partial(_draw_faces, what="pressure", unit="GPa", factor=1e-9),
+    }
+    if course.gauges:
+        draw["gauges"] = _draw_gauges
         parts = [
             pd.DataFrame({"gauge": record.name, "time [s]": record.time, "strain": record.strain})
-            for record in found.gauges
+            for record in course.gauges
         ]
         files["gauges.csv"] = pd.concat(parts).to_csv(index=False)
-    draw = {"forces": _draw_forces, "pressures": _draw_pressures} | (
-        {"gauges": _draw_gauges} if found.gauges else {}
-    )
-    draw |= {"xt": _draw_xt} if RIGS[study.rig].by_wave else {}
-    for name, one in draw.items():
-        files[f"figures/{name}.svg"] = svg(partial(one, found=found))
+    if RIGS[study.rig].by_wave:
+        draw["xt"] = _draw_xt
+    for name, figure in draw.items():
+        files[f"figures/{name}.svg"] = svg(partial(figure, course=course))
     write_files(folder, files)
     return list(files)
 
 
-def _draw_forces(axes: Axes, found: History) -> None:
+def _draw_faces(axes: Axes, course: History, what: str, unit: str, factor: float) -> None:
+    """Force or pressure of both contacts over time."""
     for k, face in enumerate("ab"):
         axes.plot(
-            1e6 * found.time,
-            1e-3 * getattr(found, f"force_{face}"),
+            1e6 * course.time,
+            factor * getattr(course, f"{what}_{face}"),
             color=COLOURS[k],
             lw=1.2,
             label=f"face {face.upper()}",
         )
-    _mark_record(axes, found)
-    axes.set(xlabel="time [us]", ylabel="contact force [kN]")
-
-
-def _draw_pressures(axes: Axes, found: History) -> None:
-    for k, face in enumerate("ab"):
-        axes.plot(
-            1e6 * found.time,
-            1e-9 * getattr(found, f"pressure_{face}"),
-            color=COLOURS[k],
-            lw=1.2,
-            label=f"face {face.upper()}",
-        )
-    _mark_record(axes, found)
-    axes.set(xlabel="time [us]", ylabel="contact pressure [GPa]")
-
-
-def _mark_record(axes: Axes, found: History) -> None:
     axes.axvline(
-        1e6 * found.record_end,
+        1e6 * course.record_end,
         color="#555555",
         lw=0.8,
         ls=":",
         label="end of the evaluation window",
     )
     axes.legend(fontsize=8)
+    axes.set(xlabel="time [us]", ylabel=f"contact {what} [{unit}]")
 
 
-def _draw_gauges(axes: Axes, found: History) -> None:
-    for k, record in enumerate(found.gauges):
+def _draw_gauges(axes: Axes, course: History) -> None:
+    for k, record in enumerate(course.gauges):
         axes.plot(
             1e6 * record.time,
             1e6 * record.strain,
@@ -229,10 +212,10 @@ def _draw_gauges(axes: Axes, found: History) -> None:
     axes.legend(fontsize=8)
 
 
-def _draw_xt(axes: Axes, found: History) -> None:
+def _draw_xt(axes: Axes, course: History) -> None:
     from uqsphere.mechanics.history import view_field
 
-    view = view_field(found, places=150, times=150)
+    view = view_field(course, places=150, times=150)
     largest = float(np.abs(view.stress).max()) or 1.0
     picture = axes.imshow(
         1e-6 * view.stress,
@@ -244,9 +227,10 @@ def _draw_xt(axes: Axes, found: History) -> None:
         extent=(-view.reach[0], view.reach[1], 1e6 * view.begin, 1e6 * view.last),
     )
     axes.figure.colorbar(picture, ax=axes, label="stress [MPa], tension positive")
-    for one in view.tensions:
-        axes.plot(
-            -one.position if one.bar == "incident" else one.position, 1e6 * one.time, "k^", ms=5
-        )
+    for tension in view.tensions:
+        place = tension.position
+        if tension.bar == "incident":
+            place = -place
+        axes.plot(place, 1e6 * tension.time, "k^", ms=5)
     axes.grid(visible=False)
     axes.set(xlabel="place [m], the sphere at 0", ylabel="time [us]")
