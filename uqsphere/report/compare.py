@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.report.format import DASH, label, meaning, value
-from uqsphere.report.sentences import DecisionText, decision_text, plain_name
+from uqsphere.report.sentences import decision_text, plain_name
 from uqsphere.results import Run
 from uqsphere.results.types import InputEntry, Kind
 
@@ -86,8 +87,10 @@ def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:
         scale = 1.0
     widths = [row[f"high_{number}"] - row[f"low_{number}"] for number in (0, k)]
     half = 0.5 * math.hypot(*(width for width in widths if math.isfinite(width)))
-    difference = after - before
-    return (difference / scale if scale > 0.0 else 0.0), abs(difference) > half
+    change, outside = after - before, abs(after - before) > half
+    if scale > 0.0:
+        return change / scale, outside
+    return 0.0, outside
 
 
 def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -> str:
@@ -117,16 +120,15 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
 def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
     """For each aim, the number to use, the verdict and what governs, run by run."""
     lines = []
-    aims = dict.fromkeys(one.aim for run in runs for one in run.results.decisions)
-    for aim in aims:
+    for aim in dict.fromkeys(chain.from_iterable(run.decisions for run in runs)):
         lines += ["", f"to {aim}:"]
         for name, run in zip(names, runs, strict=True):
-            chosen = [one for one in run.results.decisions if one.aim == aim]
-            if not chosen:
+            decision = run.decisions.get(aim)
+            if decision is None:
                 lines.append(f"  {name}: no limit")
                 continue
-            text: DecisionText = decision_text(run.results, chosen[0])
-            governing = plain_name(chosen[0].governing)
+            text = decision_text(run.results, decision)
+            governing = plain_name(decision.governing)
             lines.append(f"  {name}: {text.use}; {text.verdict}; {governing} governs")
             lines.append(f"    {text.broken}")
     return lines
@@ -150,7 +152,9 @@ def _input(entry: InputEntry | None, path: str) -> str:
     if entry is None:
         return DASH
     mean = value(entry.mean, path, 4)
-    return mean if not entry.sd else f"{mean} ± {value(entry.sd, path)}"
+    if not entry.sd:
+        return mean
+    return f"{mean} ± {value(entry.sd, path)}"
 
 
 def _answer(row: Any, runs: Sequence[Run], names: Sequence[str]) -> str:
@@ -158,7 +162,7 @@ def _answer(row: Any, runs: Sequence[Run], names: Sequence[str]) -> str:
     if subject == row["subject"]:
         subject = meaning(subject)
     kind = str(row["answer"]).replace("_", " ")
-    at = f" {row['at']}" if row["at"] else ""
+    at = f" {row['at']}".rstrip()
     texts = " -> ".join(_number(row, name, runs) for name in names)
     return f"{subject}, {kind}{at}: {texts} ({100.0 * row['change']:+.3g} %)"
 
@@ -175,4 +179,6 @@ def _number(row: Any, name: str, runs: Sequence[Run]) -> str:
         quantity = row["subject"]
     elif row["answer"] == Kind.MARGIN and free is not None:
         quantity = free.path
-    return format_value(number, quantity) if quantity else f"{number:.4g}"
+    if quantity:
+        return format_value(number, quantity)
+    return f"{number:.4g}"

@@ -5,6 +5,8 @@ The page computes nothing: every number is in the results.
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,13 +20,13 @@ from uqsphere.report.format import (
     DASH,
     ModeRow,
     capital,
-    complement,
     estimate,
     index,
     keep_units,
     label,
     meaning,
     mode_rows,
+    paper_cells,
     probability,
     short,
     table_of,
@@ -34,6 +36,7 @@ from uqsphere.report.sentences import (
     METHODS,
     NO_LIMIT,
     STOPPED,
+    as_event,
     check_text,
     decision_texts,
     doubt_text,
@@ -42,7 +45,7 @@ from uqsphere.report.sentences import (
     shortfall_text,
 )
 from uqsphere.results.folder import read_results, write_files
-from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Range, Results
+from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Results
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -148,7 +151,7 @@ def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]
         accuracy=accuracy,
         stopped=STOPPED[accuracy.stopped],
         reached=_reached(results),
-        shortfalls=[shortfall_text(one) for one in accuracy.inaccurate[:MOST_SHORTFALLS]],
+        shortfalls=list(map(shortfall_text, accuracy.inaccurate[:MOST_SHORTFALLS])),
         inputs=_random_inputs(results),
         fixed=_fixed_inputs(results),
         dependence=_dependence(results),
@@ -190,10 +193,10 @@ def _inline(picture: Picture, name: str, screen: str = "") -> Markup:
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', picture.svg)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
     text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
-    kind = f' class="{screen}"' if screen else ""
-    return Markup(
-        text.replace("<svg ", f'<svg{kind} role="img" aria-label="{escape(picture.text)}" ', 1)
-    )
+    head = f'<svg role="img" aria-label="{escape(picture.text)}" '
+    if screen:
+        head = head.replace("<svg", f'<svg class="{screen}"', 1)
+    return Markup(text.replace("<svg ", head, 1))
 
 
 # --- pictures -------------------------------------------------------------------------------------
@@ -210,7 +213,7 @@ def _pictures(results: Results) -> dict[str, Picture]:
     }
     drawn["sobol"] = figures.sobol_picture(results, quantities[:FIRST])
     drawn["convergence"] = figures.convergence_picture(results)
-    return pictures | {name: one for name, one in drawn.items() if one is not None}
+    return pictures | {name: picture for name, picture in drawn.items() if picture is not None}
 
 
 def _first(results: Results, pictures: dict[str, Picture]) -> list[str]:
@@ -227,12 +230,16 @@ def _certificate(results: Results, decision: Decision) -> Table | None:
     free = results.study.free
     if free is None or not decision.doubts:
         return None
-    least = decision.use is not None and decision.use.safe_end == "smallest"
+    sign = 1.0
+    if decision.use is not None and decision.use.safe_end == "smallest":
+        sign = -1.0
 
     def order(doubt: Doubt) -> float:
-        if doubt.margin is None:
-            return float("inf") if doubt.margin_note == "everywhere" else -float("inf")
-        return -doubt.margin if least else doubt.margin
+        if doubt.margin is not None:
+            return sign * doubt.margin
+        if doubt.margin_note == "everywhere":
+            return math.inf
+        return -math.inf
 
     notes = {"everywhere": "whole range", "nowhere": "none", "": DASH}
     rows, marked = list[Sequence[str]](), list[int]()
@@ -242,8 +249,10 @@ def _certificate(results: Results, decision: Decision) -> Table | None:
             margin = value(doubt.margin, free.path)
         if doubt.governs:
             marked.append(len(rows))
-        ends = [_event(decision, p) for p in (doubt.at_number, doubt.at_plan)]
-        rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *ends))
+        events = (as_event(decision, p) for p in (doubt.at_number, doubt.at_plan))
+        rows.append(
+            (f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *map(probability, events))
+        )
     name = exceedance_name(results).lower()
     return Table(
         caption=f"To {decision.aim}",
@@ -257,10 +266,6 @@ def _certificate(results: Results, decision: Decision) -> Table | None:
         marked=marked,
         note="bold: governs; * strength assumed, from the library",
     )
-
-
-def _event(decision: Decision, p: Range) -> str:
-    return probability(complement(p) if decision.aim == "break" else p)
 
 
 def _limits(results: Results) -> Table | None:
@@ -277,7 +282,7 @@ def _limits(results: Results) -> Table | None:
         cells = [
             f"{label(row.subject)}: {short(_meaning(row))}",
             probability(row.exceedance),
-            DASH if row.index is None or row.index.value is None else f"{row.index.value:.2f}",
+            row.beta(),
         ]
         if free is not None:
             best = DASH
@@ -306,8 +311,9 @@ def _strength_source(row: ModeRow) -> str:
     entry = row.entry
     source = entry.source
     if entry.assumed:
-        checked = "" if entry.source_checked else ", source not checked"
-        source = f"library, not this rock{checked}"
+        source = "library, not this rock"
+        if not entry.source_checked:
+            source += ", source not checked"
     elif entry.tests:
         source = f"{entry.tests} tests"
     more = [text for text in (entry.platens, entry.size_law) if text]
@@ -363,8 +369,10 @@ def _indices(results: Results) -> Table | None:
     columns = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
     for name in columns:
         for row in answers.where(name, Kind.SOBOL_TOTAL):
-            total = -1.0 if row.value is None else row.value
-            largest[str(row.at)] = max(largest.get(str(row.at), -1.0), total)
+            at = str(row.at)
+            largest[at] = max(largest.get(at, -1.0), -1.0)
+            if row.value is not None:
+                largest[at] = max(largest[at], row.value)
     if not columns:
         return None
     ranked = sorted(largest, key=lambda at: -largest[at])
@@ -372,17 +380,15 @@ def _indices(results: Results) -> Table | None:
     for at in ranked[:MOST_ROWS]:
         cells = [
             index(answers.get(name, kind, at))
-            for name in columns
-            for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
+            for name, kind in itertools.product(columns, (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL))
         ]
         body.append((meaning(at, results.inputs), *cells))
     methods = {METHODS[results.study.quantities[name].method_of_indices] for name in columns}
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
-    heads = [
-        f"{short(results.study.quantities[name].meaning)}, {s}" for name in columns for s in "ST"
-    ]
+    names = [short(results.study.quantities[name].meaning) for name in columns]
+    heads = map(", ".join, itertools.product(names, "ST"))
     return Table(
         caption=f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
         head=("input", *heads),
@@ -446,7 +452,9 @@ def _drivers(results: Results) -> list[Table]:
         if any(moved.values()):
             modes.append(mode)
             for name, change in moved.items():
-                key = "" if name.endswith(".strength") else name
+                key = name
+                if name.endswith(".strength"):
+                    key = ""
                 changes.setdefault(key, {})[mode.subject] = 100.0 * change
     if not changes:
         return []
@@ -454,10 +462,11 @@ def _drivers(results: Results) -> list[Table]:
     drivers, points = [], []
     pointed = [mode for mode in modes if answers.where(mode.subject, Kind.DESIGN_POINT)]
     for name in ranked:
-        head = meaning(name, inputs) if name else "strength"
-        moved = changes[name]
-        cells = [f"{moved[mode.subject]:+.2g}" if mode.subject in moved else DASH for mode in modes]
-        drivers.append((head, *cells))
+        head = "strength"
+        if name:
+            head = meaning(name, inputs)
+        texts = {subject: f"{change:+.2g}" for subject, change in changes[name].items()}
+        drivers.append((head, *(texts.get(mode.subject, DASH) for mode in modes)))
         points.append((head, *(_design_point(results, mode, name) for mode in pointed)))
     tables = [
         Table(
@@ -511,13 +520,7 @@ def _paper(results: Results) -> Table | None:
     """The paper's numbers as printed, beside the corrected ones."""
     if not results.paper:
         return None
-    rows = []
-    for row in results.paper:
-        numbers = [
-            DASH if x is None else f"{x:.4g} {row.unit if row.unit != '1' else ''}".strip()
-            for x in (row.printed, row.corrected)
-        ]
-        rows.append((row.name, *numbers, row.note))
+    rows = [(row.name, *paper_cells(row), row.note) for row in results.paper]
     return Table(
         caption="The paper’s formulas, as printed and corrected",
         head=("formula", "as printed", "corrected", "what is wrong as printed"),
@@ -526,10 +529,12 @@ def _paper(results: Results) -> Table | None:
 
 
 def _reached(results: Results) -> Table:
-    rows = [
-        (f"{row.runs:,}", DASH if row.error is None else f"{row.error:.2g}")
-        for row in results.accuracy.reached
-    ]
+    rows = []
+    for row in results.accuracy.reached:
+        error = DASH
+        if row.error is not None:
+            error = f"{row.error:.2g}"
+        rows.append((f"{row.runs:,}", error))
     return Table(
         caption="Convergence: largest error / tolerance",
         head=("model runs", "error / tolerance"),
@@ -539,10 +544,11 @@ def _reached(results: Results) -> Table:
 
 def _dependence(results: Results) -> list[str]:
     """What depends on what, and how strongly."""
-    return [
-        f"{capital(' and '.join(meaning(name, results.inputs) for name in tie.of))}: {tie.text}"
-        for tie in results.study.dependence
-    ]
+    texts = []
+    for tie in results.study.dependence:
+        names = " and ".join(meaning(name, results.inputs) for name in tie.of)
+        texts.append(f"{capital(names)}: {tie.text}")
+    return texts
 
 
 def _random_inputs(results: Results) -> Table | None:
@@ -571,7 +577,9 @@ def _fixed_inputs(results: Results) -> Table | None:
         if entry.fixed:
             row = (meaning(name, results.inputs), _plain(entry, name))
             by_source.setdefault(_source(entry), []).append(row)
-    rows = [(*row, source) for source, group in by_source.items() for row in group]
+    rows = []
+    for source, group in by_source.items():
+        rows += [(*row, source) for row in group]
     if not rows:
         return None
     return Table(caption="Fixed inputs", head=("input", "value", "source"), rows=rows[:MOST_INPUTS])
@@ -584,4 +592,6 @@ def _plain(entry: InputEntry, name: str) -> str:
 
 
 def _source(entry: InputEntry) -> str:
-    return entry.source if entry.source_checked else f"{entry.source} (source not checked)"
+    if entry.source_checked:
+        return entry.source
+    return f"{entry.source} (source not checked)"

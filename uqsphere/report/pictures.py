@@ -94,15 +94,17 @@ def _mark_onset(
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
         text = f"{text} (off the scale)"
-    right = place > 0.5 * (low + high)
+    side, gap = "left", 6.0
+    if place > 0.5 * (low + high):
+        side, gap = "right", -6.0
     axes.annotate(
         text,
         (float(np.clip(place, low, high)), 1.0),
-        (-6.0 if right else 6.0, -4.0),
+        (gap, -4.0),
         ("data", "axes fraction"),
         "offset points",
         color=RED,
-        ha="right" if right else "left",
+        ha=side,
         va="top",
     )
     return low, high
@@ -126,7 +128,10 @@ def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
         )  # fmt: skip
     axes.set(xlim=(-0.06, 1.06), ylim=(-0.6, count - 0.4))
     axes.set_xticks((0.0, 0.5, 1.0), ("0", "0.5", "1"))
-    axes.set_yticks(range(count), list(indices.inputs)[::-1] if names else [""] * count)
+    texts = [""] * count
+    if names:
+        texts = list(indices.inputs)[::-1]
+    axes.set_yticks(range(count), texts)
     axes.tick_params(axis="y", length=0, pad=8)
     axes.set_title(indices.name, fontsize="medium")
     axes.spines["left"].set_visible(False)

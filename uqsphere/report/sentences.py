@@ -12,6 +12,7 @@ from typing import Final
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_conservative, format_probability, round_conservative
 from uqsphere.report.format import (
+    DASH,
     capital,
     complement,
     meaning,
@@ -101,12 +102,15 @@ def decision_text(results: Results, decision: Decision) -> DecisionText:
 
 def _open(results: Results, decision: Decision) -> list[str]:
     """Why a verdict is not established, and checks that fail."""
-    synthetic = [one for one in decision.caveats if one.code == "synthetic tests"]
-    texts = [caveat_text(one) for one in decision.caveats if one.code != "synthetic tests"]
+    texts, synthetic = [], []
+    for caveat in decision.caveats:
+        if caveat.code == "synthetic tests":
+            synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
+        else:
+            texts.append(caveat_text(caveat))
     if synthetic:
-        names = [plain_name(one.subject).removesuffix(".strength") for one in synthetic]
-        texts.append(f"the tests of {listed(names)} are synthetic, not measured")
-    told = {one.subject for one in decision.caveats}
+        texts.append(f"the tests of {listed(synthetic)} are synthetic, not measured")
+    told = {caveat.subject for caveat in decision.caveats}
     for check in results.checks:
         if check.grade == "failure" and check.name not in told:
             texts.append(f"check failed: {check.text}")
@@ -158,16 +162,15 @@ class _Writer:
             return "No target is set."
         if self.free is None:
             return f"{self.target()}. Add [margins] for a number to use."
+        used = ""
         if decision.use is None:
-            parts.append(self.why_none())
-        parts.append(self.plan())
-        if decision.use is not None:
-            parts.append(self.governs())
-        own = decision.own
-        used = None if decision.use is None else self.number(decision.use.value)
-        if own is not None and self.number(own) != used:
-            parts.append(f"By your own limits: {self.allowed(own)}.")
-        return " ".join(part for part in parts if part)
+            parts += [self.why_none(), self.plan()]
+        else:
+            used = self.number(decision.use.value)
+            parts += [self.plan(), self.governs()]
+        if decision.own is not None and self.number(decision.own) != used:
+            parts.append(f"By your own limits: {self.allowed(decision.own)}.")
+        return " ".join(filter(None, parts))
 
     def plan(self) -> str:
         """The planned value, and how it stands to the number to use."""
@@ -179,7 +182,9 @@ class _Writer:
         if use is None or use.value <= 0.0 or planned <= 0.0:
             return f"{text}."
         rounded = round_conservative(use.value, use.path, least=self.least)
-        factor = planned / rounded if self.least else rounded / planned
+        factor = rounded / planned
+        if self.least:
+            factor = planned / rounded
         if factor < 1.0:
             return f"{text}, no margin."
         return f"{text}, safety factor {factor:.3g}."
@@ -212,14 +217,13 @@ class _Writer:
 
     def event(self, p: Range) -> str:
         """A failure probability as the probability of fracture."""
-        if self.decision.aim == "break":
-            p = complement(p)
-        return f"{self.event_name()} {plain_probability(p)}"
+        return f"{self.event_name()} {plain_probability(as_event(self.decision, p))}"
 
     def event_name(self) -> str:
         limits = self.results.study.limits
-        fracture = any(limits[name].fracture for name in self.decision.limits if name in limits)
-        return "fracture probability" if fracture else "probability of exceedance"
+        if any(limits[name].fracture for name in self.decision.limits if name in limits):
+            return "fracture probability"
+        return "probability of exceedance"
 
     def governing_range(self) -> Range:
         return self.decision.all_modes or self.decision.probability
@@ -227,15 +231,16 @@ class _Writer:
     def at_the_plan(self) -> str:
         """The probability at the plan, by all modes and by the study's limits, and the target."""
         decision = self.decision
-        where = "" if self.free is None or self.free.planned is None else " at the planned value"
-        text = capital(self.event_name()) + where
-        own = _as_event(decision, decision.probability)
+        text = capital(self.event_name())
+        if self.free is not None and self.free.planned is not None:
+            text += " at the planned value"
+        by_study = as_event(decision, decision.probability)
         if decision.all_modes is not None:
-            joint = _as_event(decision, decision.all_modes)
+            joint = as_event(decision, decision.all_modes)
             text += f": {plain_probability(joint)} with all failure modes, "
-            text += f"{plain_probability(own)} by your own limits"
+            text += f"{plain_probability(by_study)} by your own limits"
         else:
-            text += f": {probability(own)}"
+            text += f": {probability(by_study)}"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self.target()}."
@@ -281,8 +286,11 @@ _REMEDIES: Final = {
 }
 
 
-def _as_event(decision: Decision, p: Range) -> Range:
-    return complement(p) if decision.aim == "break" else p
+def as_event(decision: Decision, p: Range) -> Range:
+    """A failure probability as that of exceedance: where the aim is to break, the complement."""
+    if decision.aim == "break":
+        return complement(p)
+    return p
 
 
 def plain_name(subject: str) -> str:
@@ -300,9 +308,11 @@ def plain_name(subject: str) -> str:
 def _strength_name(results: Results, subject: str) -> str:
     """The property that a strength of the library is: "fracture toughness"."""
     name = plain_name(subject)
-    entry = results.study.modes.get(name)
+    names, entry = {name}, results.study.modes.get(name)
+    if entry is not None:
+        names.add(entry.mode)
     for mode in FAILURE_MODES.values():
-        if mode.name in (name, entry.mode if entry else ""):
+        if mode.name in names:
             return f"{mode.strength.replace('_', ' ')} ({name})"
     return f"strength ({name})"
 
@@ -330,15 +340,19 @@ def doubt_text(doubt: Doubt) -> str:
         "contact law": "contacts that yield",
         "carrier": f"strength transferred by {_carrier(doubt)}",
         "tie": "strength independent of the inputs",
-        "assumed strength": "library strength" + (f", {doubt.option}" if doubt.option else ""),
+        "assumed strength": f"library strength, {doubt.option}".removesuffix(", "),
     }
-    return heads[doubt.code] if doubt.counts else f"{heads[doubt.code]} (damage, not counted)"
+    if doubt.counts:
+        return heads[doubt.code]
+    return f"{heads[doubt.code]} (damage, not counted)"
 
 
 def _family(option: str) -> str:
     """A distribution by its name: "Weibull", "lognormal"."""
     text = option.replace("_", " ")
-    return text.capitalize() if text in ("weibull", "gumbel", "frechet", "rayleigh") else text
+    if text in ("weibull", "gumbel", "frechet", "rayleigh"):
+        return text.capitalize()
+    return text
 
 
 def _carrier(doubt: Doubt) -> str:
@@ -347,15 +361,15 @@ def _carrier(doubt: Doubt) -> str:
 
 def evidence_texts(results: Results) -> list[str]:
     """What the study's crushing tests say of strengths of the library."""
-    refuted = [one for one in results.evidence if one.refuted]
-    raised = [one for one in results.evidence if not one.refuted and one.raised > 1.0]
+    refuted = [entry for entry in results.evidence if entry.refuted]
+    raised = [entry for entry in results.evidence if not entry.refuted and entry.raised > 1.0]
     texts = []
     if refuted:
-        names = listed([one.mode for one in refuted])
+        names = listed([entry.mode for entry in refuted])
         tests = f"your {refuted[0].tests} tests"
         texts.append(f"Left out, because {tests} refute the library's strength: {names}.")
     if raised:
-        factors = listed([f"{one.mode} (weak end times {one.raised:.2g})" for one in raised])
+        factors = listed([f"{entry.mode} (weak end times {entry.raised:.2g})" for entry in raised])
         texts.append(f"Library strengths raised to what your tests allow: {factors}.")
     return texts
 
@@ -373,20 +387,23 @@ def caveat_text(caveat: Caveat) -> str:
 
 def check_text(check: CheckEntry) -> str:
     """A check, with its effect."""
-    return f"{check.text} – {check.effect}" if check.effect else check.text
+    return f"{check.text} – {check.effect}".removesuffix(" – ")
 
 
 def shortfall_text(shortfall: Shortfall) -> str:
     """An answer that is less accurate than required."""
     what = f"{meaning(shortfall.subject)}, {shortfall.answer.replace('_', ' ')}"
-    reached = "–" if shortfall.reached is None else f"{shortfall.reached:.2g}"
+    reached = DASH
+    if shortfall.reached is not None:
+        reached = f"{shortfall.reached:.2g}"
     return f"{what}: half-width {reached}, required {shortfall.required:.2g}"
 
 
 def chart_title(results: Results) -> str:
     """What the fragility chart shows."""
-    fracture = any(entry.fracture for entry in results.study.limits.values())
-    return "Probability of fracture" if fracture else "Probability of exceedance"
+    if any(entry.fracture for entry in results.study.limits.values()):
+        return "Probability of fracture"
+    return "Probability of exceedance"
 
 
 def exceedance_name(results: Results) -> str:

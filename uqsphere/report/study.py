@@ -27,9 +27,9 @@ def described(study: Study) -> str:
     if study.dependence:
         parts.append("")
     for tie in study.dependence:
-        kind, value = (
-            ("Spearman", tie.spearman) if tie.kendall is None else ("Kendall", tie.kendall)
-        )
+        kind, value = "Spearman", tie.spearman
+        if tie.kendall is not None:
+            kind, value = "Kendall", tie.kendall
         parts.append(f"dependence: {', '.join(tie.of)}: {kind}'s rank correlation {value:g}")
     return "\n".join(parts)
 
@@ -52,11 +52,15 @@ def _source(study: Study, name: str) -> str:
     source = study.sources.get(name)
     if source is None:
         return "study"
-    return source.source if source.seen else f"{source.source} (source not checked)"
+    if source.seen:
+        return source.source
+    return f"{source.source} (source not checked)"
 
 
 def _or_dash(value: float | None, name: str, digits: int = 4) -> str:
-    return "-" if value is None else format_value(value, name, digits)
+    if value is None:
+        return "-"
+    return format_value(value, name, digits)
 
 
 def _range(law: Law, name: str) -> str:
@@ -70,7 +74,9 @@ def _strengths(study: Study) -> str:
     for limit in study.limits:
         law, name, demand = limit.strength, limit.quantity, short(lookup(limit.quantity).meaning)
         if isinstance(law, Law):
-            tests = str(count_tests(law)) if is_fitted(law) else "-"
+            tests = "-"
+            if is_fitted(law):
+                tests = str(count_tests(law))
             middle, shape = _or_dash(law.mean(), name), _shape(law)
             rows.append(
                 (limit.name, tests, _tested(limit, law), shape, middle, _range(law, name), demand)
@@ -149,7 +155,7 @@ def _seconds_per_run(study: Study) -> float:
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows as columns of text, the first row underlined; the last column is not padded."""
-    widths = [max(len(str(row[k])) for row in rows) for k in range(len(rows[0]))]
+    widths = [max(map(len, map(str, column))) for column in zip(*rows, strict=True)]
     lines = [_line(row, widths) for row in rows]
     return "\n".join([lines[0], "-" * min(len(lines[0]), 79), *lines[1:]])
 

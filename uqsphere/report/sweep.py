@@ -18,13 +18,19 @@ import numpy as np
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.report.figures import COLOURS, Picture, svg
-from uqsphere.report.format import capital, complement, plain_probability, short
+from uqsphere.report.format import capital, plain_probability, short, with_unit
 from uqsphere.report.page import Table, render
-from uqsphere.report.sentences import chart_title, decision_text, exceedance_name, plain_name
+from uqsphere.report.sentences import (
+    as_event,
+    chart_title,
+    decision_text,
+    exceedance_name,
+    plain_name,
+)
 from uqsphere.report.terminal import table
 from uqsphere.results import Run, open_run
 from uqsphere.results.folder import write_files
-from uqsphere.results.types import Decision, Range
+from uqsphere.results.types import Decision, Range, Results
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
@@ -134,8 +140,10 @@ def finished_run(sweep: Sweep, point: Point) -> Run | None:
     if not (folder / "results.json").exists():
         return None
     run = open_run(folder)
-    same = run.results.study.hash == point.study.hash
-    return run if same and run.results.accuracy.stopped != "interrupted" else None
+    results = run.results
+    if results.study.hash != point.study.hash or results.accuracy.stopped == "interrupted":
+        return None
+    return run
 
 
 def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
@@ -161,8 +169,10 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     return sweep.folder / "report.html"
 
 
-def _free_name(results: Any) -> str:
-    return "number" if results.study.free is None else str(results.study.free.meaning)
+def _free_name(results: Results) -> str:
+    if results.study.free is None:
+        return "number"
+    return results.study.free.meaning
 
 
 def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
@@ -180,14 +190,16 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
             continue
         results = runs[point.name].results
         for decision in results.decisions:
-            use, p = decision.use, _fracture(decision)
+            p = _fracture(decision)
+            use: dict[str, float | None] = dict.fromkeys(("use", "use_low", "use_high"))
+            if decision.use is not None:
+                best = decision.use.best
+                use = {"use": decision.use.value, "use_low": best.low, "use_high": best.high}
             rows.append(
                 {
                     **point.values,
+                    **use,
                     "aim": decision.aim,
-                    "use": None if use is None else use.value,
-                    "use_low": None if use is None else use.best.low,
-                    "use_high": None if use is None else use.best.high,
                     "probability": p.value,
                     "low": p.low,
                     "high": p.high,
@@ -204,15 +216,17 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
 
 def _fracture(decision: Decision) -> Range:
     """Probability of the event at the plan, by all failure modes."""
-    p = decision.all_modes or decision.probability
-    return complement(p) if decision.aim == "break" else p
+    return as_event(decision, decision.all_modes or decision.probability)
 
 
 def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> Table:
     rows = []
     for point in sweep.points:
-        for decision in runs[point.name].results.decisions if point.name in runs else ():
-            text = decision_text(runs[point.name].results, decision)
+        if point.name not in runs:
+            continue
+        results = runs[point.name].results
+        for decision in results.decisions:
+            text = decision_text(results, decision)
             rows.append(
                 (
                     *point.values.values(),
@@ -242,9 +256,12 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
     axes.remove()
     left, right = figure.subplots(1, 2)
     free = sweep.points[0].study.margins
-    path = free.solve if free is not None else ""
-    largest = float(frame["use"].astype(float).max())
-    unit, factor = display_unit(path, largest) if path else ("", 1.0)
+    name, unit, factor = "number", "", 1.0
+    if free is not None:
+        largest = float(frame["use"].astype(float).max())
+        name = lookup(free.solve).meaning
+        unit, factor = display_unit(free.solve, largest)
+    left.set_ylabel(with_unit(f"{name} to use", unit))
     groups = dict.fromkeys(tuple(row) for row in frame[_series(sweep)].to_numpy().tolist())
     for k, group in enumerate(groups):
         chosen = frame[(frame[_series(sweep)] == list(group)).all(axis=1)]
@@ -256,8 +273,6 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
         right.plot(x, 100.0 * chosen["probability"].astype(float), "o-", color=colour, label=name)
     for axis in (left, right):
         _key_axis(axis, sweep)
-    label = lookup(path).meaning if path else "number"
-    left.set_ylabel(f"{label} to use [{unit}]" if unit else f"{label} to use")
     right.set_ylabel("probability at the plan [%]")
     if len(groups) > 1:
         left.legend(fontsize="small")
@@ -266,7 +281,10 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
 def _series(sweep: Sweep) -> list[str]:
     """Columns that tell the curves of the chart apart."""
     aims = {limit.aim for point in sweep.points for limit in point.study.limits}
-    return [*sweep.keys[1:], *(["aim"] if len(aims) > 1 or len(sweep.keys) == 1 else [])]
+    columns = list(sweep.keys[1:])
+    if len(aims) > 1 or not columns:
+        columns.append("aim")
+    return columns
 
 
 def _place(sweep: Sweep, name: str) -> float:
@@ -274,21 +292,22 @@ def _place(sweep: Sweep, name: str) -> float:
     key, points = sweep.keys[0], {point.name: point for point in sweep.points}
     number = points[name].number(key)
     if number is None:
-        return float(
-            list(dict.fromkeys(p.values[key] for p in sweep.points)).index(points[name].values[key])
-        )
+        return float(_key_texts(sweep).index(points[name].values[key]))
     return number * display_unit(path_of(key))[1]
+
+
+def _key_texts(sweep: Sweep) -> list[str]:
+    """The values of the first key as they were written."""
+    return list(dict.fromkeys(point.values[sweep.keys[0]] for point in sweep.points))
 
 
 def _key_axis(axes: Axes, sweep: Sweep) -> None:
     key = sweep.keys[0]
-    values = list(dict.fromkeys(point.values[key] for point in sweep.points))
     if sweep.points[0].number(key) is None:
+        values = _key_texts(sweep)
         axes.set_xticks(np.arange(len(values)), values)
         axes.set_xlabel(key)
         return
     path = path_of(key)
     axes.set_xticks(sorted({_place(sweep, point.name) for point in sweep.points}))
-    unit = display_unit(path)[0]
-    name = short(lookup(path).meaning)
-    axes.set_xlabel(f"{name} [{unit}]" if unit else name)
+    axes.set_xlabel(with_unit(short(lookup(path).meaning), display_unit(path)[0]))

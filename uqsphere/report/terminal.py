@@ -11,6 +11,7 @@ from uqsphere.report.format import (
     label,
     meaning,
     mode_rows,
+    paper_cells,
     probability,
     short,
     table_of,
@@ -41,9 +42,9 @@ def summary(results: Results, width: int = 79) -> str:
     lines += _indices(results, width)
     accuracy = results.accuracy
     tail = f"{accuracy.runs:,} model runs, {accuracy.seconds:.3g} s; {STOPPED[accuracy.stopped]}"
-    error = accuracy.reached[-1].error if accuracy.reached else None
-    if error is not None:
-        tail += f" (largest error / tolerance {error:.2g})"
+    for reached in accuracy.reached[-1:]:
+        if reached.error is not None:
+            tail += f" (largest error / tolerance {reached.error:.2g})"
     lines += ["", *textwrap.wrap(tail, width)]
     if len(lines) > LINES:
         lines = [*lines[: LINES - 1], "... the rest is in the report"]
@@ -53,12 +54,9 @@ def summary(results: Results, width: int = 79) -> str:
 def _modes(results: Results, width: int) -> list[str]:
     free, rows = results.study.free, []
     for row in mode_rows(results):
-        cells = [label(row.subject), probability(row.exceedance)]
-        cells.append(
-            DASH if row.index is None or row.index.value is None else f"{row.index.value:.2f}"
-        )
+        cells = [label(row.subject), probability(row.exceedance), row.beta()]
         if free is not None:
-            best = None if row.best is None else row.best.value
+            best = getattr(row.best, "value", None)
             cells += [row.number(free.path), value(best, free.path)]
         rows.append(cells)
     if not rows:
@@ -76,7 +74,9 @@ def _quantities(results: Results, width: int) -> list[str]:
     answers, rows = table_of(results), []
     for name, entry in results.study.quantities.items():
         low, _, high = entry.range
-        ends = DASH if low is None else f"{value(low, name)} to {value(high, name)}"
+        ends = DASH
+        if low is not None:
+            ends = f"{value(low, name)} to {value(high, name)}"
         rows.append((short(entry.meaning), estimate(answers.get(name, Kind.MEAN), name), ends))
     return ["", *table(("quantity", "mean", "5-95 % range"), rows[:ROWS], width)]
 
@@ -94,30 +94,27 @@ def _indices(results: Results, width: int) -> list[str]:
         cells = [meaning(str(row.at), results.inputs)]
         for name in names:
             total = answers.get(name, Kind.SOBOL_TOTAL, row.at)
-            known = total is not None and total.value is not None
-            cells.append(f"{total.value:.3f}" if known and total is not None else DASH)
+            cells.append(DASH)
+            if total is not None and total.value is not None:
+                cells[-1] = f"{total.value:.3f}"
         if set(cells[1:]) != {DASH}:
             rows.append(cells)
-    return ["", *table(("Sobol' index, total", *names), rows[:ROWS], width)] if rows else []
+    if not rows:
+        return []
+    return ["", *table(("Sobol' index, total", *names), rows[:ROWS], width)]
 
 
 def _paper(results: Results, width: int) -> list[str]:
-    rows = []
-    for row in results.paper:
-        unit = "" if row.unit == "1" else row.unit
-        texts = [
-            DASH if x is None else f"{x:.4g} {unit}".rstrip() for x in (row.printed, row.corrected)
-        ]
-        rows.append((row.name, *texts))
-    return (
-        ["", *table(("formula of the paper", "printed", "corrected"), rows, width)] if rows else []
-    )
+    rows = [(row.name, *paper_cells(row)) for row in results.paper]
+    if not rows:
+        return []
+    return ["", *table(("formula of the paper", "printed", "corrected"), rows, width)]
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[str]:
     """Columns side by side; the first one gives way where the terminal is narrow."""
     cells = [head, *rows]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
     widths[0] = max(min(widths[0], room), 8)
     lines = []
