@@ -102,9 +102,9 @@ def _by_scipy(scene: Scene, tolerance: float) -> Array:
                 atol=0.01 * tolerance,
             )
             state = solution.y[:, -1]
-            peak = max(
-                [peak, *state[:2], *(float(y[k]) for k in (0, 1) for y in solution.y_events[k])]
-            )
+            peak = max(peak, *state[:2])
+            for k in (0, 1):
+                peak = max([peak, *(float(y[k]) for y in solution.y_events[k])])
         return peak
 
     scales = scene.scales
@@ -224,10 +224,11 @@ def bench_study(study: Study, *, rows: int = 256) -> pd.DataFrame:
     drawn = design.judged.sample(max(rows, 2))
     inputs = [name for name in design.inputs if name in drawn.columns]
     scene = scene_at(design.judged, inputs, drawn[inputs].to_numpy())
-    alone = [(name,) for name in design.columns]
+    groups: dict[str, Sequence[str]] = {name: (name,) for name in design.columns}
+    if len(groups) > 1:
+        groups["all together"] = design.columns
     entries = []
-    for names in [*alone, design.columns] if len(alone) > 1 else alone:
-        label = names[0] if len(names) == 1 else "all together"
+    for label, names in groups.items():
         entries += _timed(scene, study.model.fidelity, names, label)
     return pd.DataFrame(entries)
 
@@ -245,11 +246,13 @@ def _timed(
         seconds = math.inf
         for _ in range(_REPEATS):
             began = time.process_time()
-            found = solved(tolerance)
+            answers = solved(tolerance)
             seconds = min(seconds, time.process_time() - began)
-        errors = np.stack([_difference(found.values[k], reference.values[k]) for k in names])
+        errors = np.stack([_difference(answers.values[k], reference.values[k]) for k in names])
         answered = np.isfinite(errors).all(axis=0)
-        kept = errors[:, answered] if answered.any() else np.full((1, 1), np.nan)
+        kept = errors[:, answered]
+        if not kept.size:
+            kept = np.full((1, 1), np.nan)
         entries.append(
             {
                 "quantity": label,
@@ -282,5 +285,6 @@ def bench_study_text(path: Path, *, rows: int = 256) -> str:
 
 
 def _versions() -> str:
-    known = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
-    return f"Python {platform.python_version()}, {known}"
+    names = ("numpy", "scipy", "numba")
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in names)
+    return f"Python {platform.python_version()}, {versions}"

@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -327,8 +328,7 @@ def _count(text: str) -> int:
 
 def _loaded(options: argparse.Namespace) -> Any:
     """The study of a command; its warnings go to stderr."""
-    text = _standard_input() if str(options.file) == "-" else None
-    study = _study(options, text)
+    study = _study(options, _standard_input(options))
     _warn(study.warnings)
     return study
 
@@ -348,7 +348,10 @@ def _warn(warnings: Sequence[str]) -> None:
         print(f"warning: {warning}", file=sys.stderr)
 
 
-def _standard_input() -> str:
+def _standard_input(options: argparse.Namespace) -> str | None:
+    """The study on standard input; None for one in a file."""
+    if str(options.file) != "-":
+        return None
     try:
         return sys.stdin.read()
     except UnicodeDecodeError:
@@ -421,8 +424,8 @@ def _new(options: argparse.Namespace) -> None:
         return
     if options.template not in shipped:
         hint = suggestion(options.template, shipped)
-        known = ", ".join(shipped)
-        raise UsageError(f"unknown template {options.template!r}{hint} (known: {known})")
+        names = ", ".join(shipped)
+        raise UsageError(f"unknown template {options.template!r}{hint} (known: {names})")
     source = shipped[options.template]
     target = options.output or Path(source.name)
     if not target.parent.is_dir():
@@ -491,12 +494,10 @@ def _run(options: argparse.Namespace) -> int:
         print(f"report: {folder / 'report.html'}")
     if finished.results.accuracy.stopped == "interrupted":
         return INTERRUPTED
-    open_targets = [
-        decision
-        for decision in finished.results.decisions
-        if decision.target is not None and decision.verdict != "met"
-    ]
-    return NOT_MET if open_targets else 0
+    for decision in finished.results.decisions:
+        if decision.target is not None and decision.verdict != "met":
+            return NOT_MET
+    return 0
 
 
 def _sweep(options: argparse.Namespace) -> int:
@@ -504,10 +505,10 @@ def _sweep(options: argparse.Namespace) -> int:
     from uqsphere.propagation.progress import watched
     from uqsphere.report.sweep import finished_run, plan_sweep, sweep_text, write_sweep
 
-    text = _standard_input() if str(options.file) == "-" else None
+    text = _standard_input(options)
     seconds, folder = _budget(options), _folder(options, "sweep")
     sweep = plan_sweep(options.over, folder, lambda values: _study(options, text, values))
-    _warn(list(dict.fromkeys(text for point in sweep.points for text in point.study.warnings)))
+    _warn(list(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points))))
     runs: dict[str, Any] = {}
     with _interruptible() as stop:
         for number, point in enumerate(sweep.points, 1):
@@ -533,7 +534,9 @@ def _sweep(options: argparse.Namespace) -> int:
     if runs:
         print(sweep_text(sweep, runs, _width()))
         print(f"report: {page}")
-    return 0 if len(runs) == len(sweep.points) else INTERRUPTED
+    if len(runs) < len(sweep.points):
+        return INTERRUPTED
+    return 0
 
 
 def _report(options: argparse.Namespace) -> None:
@@ -576,7 +579,9 @@ def _differ_by_rounding(before: Sequence[Any], after: Sequence[Any]) -> bool:
         return False
     for row, again in zip(before, after, strict=True):
         ends = [abs(end) for end in (row.value, row.low, row.high) if end is not None]
-        slack = 1e-9 * max([*ends, 1e-6 if row.unit == "1" else 0.0])
+        if row.unit == "1":
+            ends.append(1e-6)
+        slack = 1e-9 * max(ends, default=0.0)
         for key in type(row).model_fields:
             first, second = getattr(row, key), getattr(again, key)
             if isinstance(first, float) and isinstance(second, float):

@@ -370,7 +370,7 @@ def _indices(results: Results) -> Table | None:
     for name in columns:
         for row in answers.where(name, Kind.SOBOL_TOTAL):
             at = str(row.at)
-            largest[at] = max(largest.get(at, -1.0), -1.0)
+            largest.setdefault(at, -1.0)
             if row.value is not None:
                 largest[at] = max(largest[at], row.value)
     if not columns:

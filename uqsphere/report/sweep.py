@@ -280,9 +280,9 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
 
 def _series(sweep: Sweep) -> list[str]:
     """Columns that tell the curves of the chart apart."""
-    aims = {limit.aim for point in sweep.points for limit in point.study.limits}
+    limits = itertools.chain.from_iterable(point.study.limits for point in sweep.points)
     columns = list(sweep.keys[1:])
-    if len(aims) > 1 or not columns:
+    if len({limit.aim for limit in limits}) > 1 or not columns:
         columns.append("aim")
     return columns
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Required, TypedDict, Unpack
 
 from uqsphere.results.types import Answer, Kind
 from uqsphere.uq import Estimate
@@ -16,6 +16,15 @@ if TYPE_CHECKING:
 
 #: columns of answers.csv and of `Run.answers`
 COLUMNS: Final = tuple(Answer.model_fields)
+
+
+class Origin(TypedDict, total=False):
+    """Unit of an answer and where it comes from."""
+
+    unit: Required[str]
+    method: str
+    runs: int
+    note: str
 
 
 @dataclass(kw_only=True)
@@ -52,7 +61,7 @@ class Answers:
             Answer(
                 subject=subject,
                 answer=Kind(answer),
-                at=at if isinstance(at, str) else float(at),
+                at=_place(at),
                 value=estimate.value,
                 low=estimate.low,
                 high=estimate.high,
@@ -74,29 +83,20 @@ class Answers:
         value: float | None,
         low: float | None = None,
         high: float | None = None,
-        std_error: float | None = None,
-        *,
-        unit: str,
-        method: str = "",
-        runs: int = 0,
-        note: str = "",
+        **origin: Unpack[Origin],
     ) -> None:
         """A row of plain numbers; what is not finite is left empty."""
         self.rows.append(
             Answer(
                 subject=subject,
                 answer=Kind(answer),
-                at=at if isinstance(at, str) else float(at),
+                at=_place(at),
                 value=value,
                 low=low,
                 high=high,
                 low_unseen=low,
                 high_unseen=high,
-                std_error=std_error,
-                unit=unit,
-                method=method,
-                runs=runs,
-                note=note,
+                **origin,
             )
         )
 
@@ -114,6 +114,12 @@ class Answers:
     def frame(self) -> pd.DataFrame:
         """The table as pandas has it; empty numbers are nan."""
         return frame_of(self.rows)
+
+
+def _place(at: float | str) -> float | str:
+    if isinstance(at, str):
+        return at
+    return float(at)
 
 
 def frame_of(rows: Sequence[Answer]) -> pd.DataFrame:

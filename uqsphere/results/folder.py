@@ -111,9 +111,8 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=folder, prefix=PART))
         for number, (name, content) in enumerate(contents.items()):
-            link = next(
-                (one for one in (folder / name).parents if one != folder and one.is_symlink()), None
-            )
+            parents = (folder / name).parents
+            link = next((path for path in parents if path != folder and path.is_symlink()), None)
             if link is not None and folder in link.parents:
                 raise FolderError(f"{as_text(link)} is a link, which is not followed. Remove it")
             (part / f"{number}").write_bytes(content)
@@ -157,10 +156,12 @@ def read_checked(folder: Path, name: str) -> bytes:
 
 def _sums(folder: Path) -> dict[str, str]:
     """Checksums by file; none where there is no such list."""
+    sums: dict[str, str] = {}
     with contextlib.suppress(OSError, ValueError):
-        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
-        return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
-    return {}
+        for line in (folder / SUMS).read_text(encoding="utf-8").splitlines():
+            digest, _, name = line.partition("  ")
+            sums[name] = digest
+    return sums
 
 
 def clear(folder: Path) -> None:

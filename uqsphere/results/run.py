@@ -96,9 +96,9 @@ class Run:
             parts["method"] = rows["method"]
         import pandas as pd
 
-        found = pd.DataFrame(parts)
-        found.index.name = "input"
-        return found[[*(name for name in found.columns if name != "method"), "method"]]
+        indices = pd.DataFrame(parts)
+        indices.index.name = "input"
+        return indices[[*indices.columns.drop("method"), "method"]]
 
     def quantiles(self, quantity: str) -> pd.DataFrame:
         """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in
@@ -191,16 +191,16 @@ class Run:
         for subject in (limit, f"limits.{limit}", f"modes.{limit}"):
             if subject in subjects:
                 return subject
-        known = [re.sub(r"^(limits|modes)\.", "", s) for s in subjects if "." in s]
+        names = [re.sub(r"^(limits|modes)\.", "", s) for s in subjects if "." in s]
         raise UsageError(
-            f"no limit or failure mode {limit!r} (known: {', '.join(known) or 'none'})"
+            f"no limit or failure mode {limit!r} (known: {', '.join(names) or 'none'})"
         )
 
     def _of(self, subject: str) -> pd.DataFrame:
         table = self.answers[self.answers["subject"] == subject]
         if table.empty:
-            known = ", ".join(self.results.study.quantities)
-            raise UsageError(f"the run has no answer on {subject!r} (quantities: {known})")
+            names = ", ".join(self.results.study.quantities)
+            raise UsageError(f"the run has no answer on {subject!r} (quantities: {names})")
         return table
 
     def _one(self, limit: str, answer: str, at: float | str) -> pd.Series:
