@@ -178,7 +178,9 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
     except ValueError as error:  # a fault of syntax, or a number that Python does not read
         message, *rest = re.split(r" \(at | for integer", str(error))
         where = re.match(r"line (\d+)", rest[-1])
-        line = int(where[1]) if where else text.rstrip("\n").count("\n") + 1
+        line = text.rstrip("\n").count("\n") + 1
+        if where:
+            line = int(where[1])
         message = f"this is not valid TOML: {message[:160]}{_hint(message, text, line)}"
     raise StudyError(str(path), [Problem(line=line, path="", message=message)])
 
@@ -222,7 +224,9 @@ def lines_of(text: str) -> dict[Place, int]:
             continue
         parts: Place = _parts(key[2])
         if header:
-            table = (*parts, seen[parts]) if key[1] == "[[" else parts
+            table = parts
+            if key[1] == "[[":
+                table = (*parts, seen[parts])
             seen[parts] += 1
             lines[table] = number
         else:

@@ -41,7 +41,8 @@ class ModelFile:
         module = ModuleType(f"uqsphere_black_box_{self.path.stem}")
         module.__file__ = str(self.path)
         sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
-        if (folder := str(self.path.parent)) not in sys.path:
+        folder = str(self.path.parent)
+        if folder not in sys.path:
             sys.path.append(folder)  # what stands beside it can be imported, as in a script
         try:
             exec(compile(self.source, str(self.path), "exec"), module.__dict__)
@@ -102,12 +103,11 @@ def describe_error(error: BaseException) -> str:
     3)".
     """
     others = (str(Path(__file__).parent), sys.prefix, sys.base_prefix, "<")
-    places = [
-        f" ({Path(frame.filename).name}, line {frame.lineno})"
-        for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith(others)
-    ]
-    return f"{type(error).__name__}: {as_text(error)}{places[-1] if places else ''}"
+    place = ""
+    for frame in traceback.extract_tb(error.__traceback__):
+        if not frame.filename.startswith(others):
+            place = f" ({Path(frame.filename).name}, line {frame.lineno})"
+    return f"{type(error).__name__}: {as_text(error)}{place}"
 
 
 def call_black_box(
@@ -151,14 +151,17 @@ def _answers(returned: Any, count: int, outputs: Sequence[str]) -> Array:
         elif len(outputs) == 1:
             returned = {outputs[0]: returned}
         else:
-            form = f" of shape {shape}" if shape else ""
+            form = type(returned).__name__
+            if shape:
+                form += f" of shape {shape}"
             raise ModelError(
                 f"the model must return a dict with {', '.join(map(repr, outputs))}, or an array "
-                f"of shape ({count}, {len(outputs)}), not {type(returned).__name__}{form}"
+                f"of shape ({count}, {len(outputs)}), not {form}"
             )
-    if missing := [name for name in outputs if name not in returned]:
-        keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
-        raise ModelError(f"the model returned {keys}, but no {missing[0]!r}")
+    for name in outputs:
+        if name not in returned:
+            keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
+            raise ModelError(f"the model returned {keys}, but no {name!r}")
     columns = [_column(by_index(returned[name], count), name, count) for name in outputs]
     return np.stack(columns, axis=1)
 
@@ -199,15 +202,18 @@ def _by_label(array: Any, outputs: Sequence[str]) -> dict[str, Any]:
 def _column(value: Any, name: str, count: int) -> Array:
     """One output as numbers (n,); what a mask hides, and None, is NaN."""
     try:
-        given = np.asanyarray(value)
-        objects = given.ravel().tolist() if given.dtype.kind == "O" else []
-        if given.dtype.kind not in "fiubO" or any(map(np.iscomplexobj, objects)):
-            kind = "complex" if objects else given.dtype
+        answers = np.asanyarray(value)
+        kind = str(answers.dtype)
+        if kind == "object" and any(map(np.iscomplexobj, answers.ravel().tolist())):
+            kind = "complex"
+        elif answers.dtype.kind in "fiubO":
+            kind = ""
+        if kind:
             raise TypeError(
                 f"its type is {kind}. Return the real part or the absolute value of complex numbers"
             )
-        mask = np.ma.getmaskarray(given)  # type: ignore[no-untyped-call]
-        column: Array = np.where(mask, np.nan, np.ma.filled(given, 0)).astype(float)
+        mask = np.ma.getmaskarray(answers)  # type: ignore[no-untyped-call]
+        column: Array = np.where(mask, np.nan, np.ma.filled(answers, 0)).astype(float)
     except BaseException as error:  # what was returned computes its content as it likes
         raise ModelError(
             f"the model's {name!r} is not an array of numbers: {describe_error(error)}"
@@ -215,9 +221,11 @@ def _column(value: Any, name: str, count: int) -> Array:
     if count == 1 and column.ndim == 0:
         return column[None]
     if column.shape != (count,):
-        hint = ". Wrap a function of one row with numpy.vectorize" if column.ndim == 0 else ""
-        raise ModelError(
+        message = (
             f"the model's {name!r} must have shape ({count},), one number for each row of its "
-            f"inputs, not {column.shape}{hint}"
+            f"inputs, not {column.shape}"
         )
+        if column.ndim == 0:
+            message += ". Wrap a function of one row with numpy.vectorize"
+        raise ModelError(message)
     return column

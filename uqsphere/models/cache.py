@@ -82,7 +82,9 @@ class Cache:
         if not isinstance(record, bytes) or len(record) != 8 * self._outputs + _CHECKSUM:
             return None
         answer, checksum = record[:-_CHECKSUM], record[-_CHECKSUM:]
-        return answer if checksum == self._checksum(key, answer) else None
+        if checksum != self._checksum(key, answer):
+            return None
+        return answer
 
     def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,

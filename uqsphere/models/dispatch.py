@@ -116,7 +116,9 @@ class Calls:
         """Hand out calls; rows that are stored are not called again."""
         model = self._model
         # one call shows what a row takes, before many are handed out
-        most = 2 * model.workers.count + 2 if model.calls else 1
+        most = 1
+        if model.calls:
+            most = 2 * model.workers.count + 2
         while len(self._running) < most:
             places = self._again.pop() if self._again else next(self._due, None)
             if places is None:
@@ -196,5 +198,7 @@ def _has_failed(future: Future[Timed]) -> bool:
 def _unusable(columns: Sequence[str], answers: Array) -> str:
     """The first of the answers (q,) to a row that is not finite, or too large."""
     j = int(np.argmin(np.abs(answers) <= LARGEST_ANSWER))
-    size = ", too large" if np.isfinite(answers[j]) else ""
-    return f"{columns[j]} = {answers[j]:g}{size}"
+    text = f"{columns[j]} = {answers[j]:g}"
+    if np.isfinite(answers[j]):
+        text += ", too large"
+    return text

@@ -109,9 +109,10 @@ class Model:
         box = box if callable(box) else read_model(str(box))
         task: Task = (box, self.inputs, self.outputs)
         self.workers = Workers(task, self.executor, study.analysis.time_limit)
-        identity = b"" if self.cache_file is None else identity_of(box)
-        if self.cache_file is not None and identity:
-            self._cache = Cache(self.cache_file, identity, self.inputs, self.outputs)
+        if self.cache_file is not None:
+            identity = identity_of(box)
+            if identity:
+                self._cache = Cache(self.cache_file, identity, self.inputs, self.outputs)
 
     def __enter__(self) -> Self:
         return self
@@ -128,21 +129,23 @@ class Model:
         """Mean seconds that a row took, without the first call where there are more; None before
         the first.
         """
-        return self._seconds / self._rows if self._rows else None
+        if self._rows == 0:
+            return None
+        return self._seconds / self._rows
 
     def check_names(self, names: Sequence[str], columns: Sequence[str]) -> None:
         """Refuse inputs and outputs that are unknown or repeated. Raises UsageError."""
-        for kind, given, allowed in (
+        for kind, requested, allowed in (
             ("input", names, self.inputs),
             ("output", columns, self.outputs),
         ):
-            for name in given:
+            for name in requested:
                 if name not in allowed:
                     raise UsageError(
                         f"unknown {kind} {as_text(name, 60)!r} (allowed: {', '.join(allowed)})"
                     )
-                if given.count(name) > 1:
-                    raise UsageError(f"the {kind} {name!r} is given {given.count(name)} times")
+                if requested.count(name) > 1:
+                    raise UsageError(f"the {kind} {name!r} is given {requested.count(name)} times")
 
     def evaluate(self, names: Sequence[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
         """Answers of n rows.
@@ -176,7 +179,7 @@ class Model:
         if together.size > 1 and not self._compared:
             self._compared = self._repeated = True
             good = np.intersect1d(together, good)
-            alone = np.unique(good[[0, -1]]) if good.size else good
+            alone = np.unique([*good[:1], *good[-1:]])
         elif not self._repeated:
             self._repeated = True
             alone = good[:1]
@@ -268,7 +271,9 @@ class Model:
         one of its own. Nothing may be running."""
         limit = self.study.analysis.time_limit
         worth = limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH
-        count = self._processes if worth else 0 if callable(self.model) else 1
+        count = 0 if callable(self.model) else 1
+        if worth:
+            count = self._processes
         if self.workers.count < count:
             try:
                 self.workers.hire(count)

@@ -58,5 +58,9 @@ def where_of(names: Sequence[str], row: Array) -> str:
     'at a = 1, b = 0.25'
     """
     shown = [f"{name} = {value:.6g}" for name, value in zip(names, row.tolist(), strict=True)]
-    more = f" and {len(shown) - _MOST_NAMED} more inputs" if len(shown) > _MOST_NAMED else ""
-    return f"at {', '.join(shown[:_MOST_NAMED])}{more}" if shown else "in the only row"
+    if not shown:
+        return "in the only row"
+    text = f"at {', '.join(shown[:_MOST_NAMED])}"
+    if len(shown) > _MOST_NAMED:
+        text += f" and {len(shown) - _MOST_NAMED} more inputs"
+    return text

@@ -36,10 +36,9 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     """
     from uqsphere.mechanics.scene import Scene
 
-    if unknown := [name for name in values if name not in INPUTS]:
-        raise UsageError(
-            f"{unknown[0]!r} is not a number of a scene (allowed: {', '.join(INPUTS)})"
-        )
+    for name in values:
+        if name not in INPUTS:
+            raise UsageError(f"{name!r} is not a number of a scene (allowed: {', '.join(INPUTS)})")
     n = (
         rows
         if rows is not None
@@ -202,7 +201,9 @@ def absent_quantity(study: Study, quantity: str) -> str:
     """Why the scene of a study has no such quantity; empty where it has it."""
     from uqsphere.mechanics.outputs import absent_in
 
-    return "" if study.black_box else absent_in(scene_of(study, {}), quantity)
+    if study.black_box:
+        return ""
+    return absent_in(scene_of(study, {}), quantity)
 
 
 def check_scene(study: Study) -> None:
@@ -213,15 +214,18 @@ def check_scene(study: Study) -> None:
 
     if study.black_box:
         return
-    if (margins := study.margins) is not None and margins.solve in INPUTS:
+    margins = study.margins
+    if margins is not None and margins.solve in INPUTS:
         for value in margins.between:
-            if code := int(scene_of(study, {margins.solve: np.array([value])}).status[0]):
+            code = int(scene_of(study, {margins.solve: np.array([value])}).status[0])
+            if code:
                 text = f"{format_value(value, margins.solve)} for {margins.solve}: {STATUS[code]}"
                 raise UsageError(f"margins.between: {text}")
     requested = {limit.quantity: f"limits.{limit.name}.quantity" for limit in study.limits}
     requested |= dict.fromkeys(study.analysis.quantities, "analysis.quantities")
     for name, place in requested.items():
-        if why := absent_quantity(study, name):
+        why = absent_quantity(study, name)
+        if why:
             raise UsageError(f"{place}: the rig {study.rig} has no {name} here: {why}. Remove it")
 
 
@@ -263,8 +267,11 @@ def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None
     no face yields.
     """
     faces = [partner.face for partner in scene_at(study, names, rows).there]
-    known = [face.hardness for face in faces if face is not None]
-    return np.maximum.reduce(known) if known and len(known) == len(faces) else None
+    hardness = [face.hardness for face in faces if face is not None]
+    if not faces or len(hardness) < len(faces):
+        return None
+    highest: Array = np.maximum.reduce(hardness)
+    return highest
 
 
 def onset_of(study: Study) -> float | None:
@@ -281,7 +288,9 @@ def onset_of(study: Study) -> float | None:
         float(law_of(scene.columns, table, rigid=scene.rigid_contact).onset[0]) for table in tables
     ]
     lowest = min(onsets, default=math.inf)
-    return lowest if math.isfinite(lowest) else None
+    if not math.isfinite(lowest):
+        return None
+    return lowest
 
 
 def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:
@@ -302,5 +311,7 @@ def fractures_of(
     from uqsphere.mechanics.fracture import first_fractures
     from uqsphere.mechanics.outputs import path_of
 
-    paths = [path for name in quantities if (path := path_of(name, study.demands)) is not None]
-    return first_fractures(scene_at(study, names, rows), shares, paths)
+    paths = [path_of(name, study.demands) for name in quantities]
+    return first_fractures(
+        scene_at(study, names, rows), shares, [path for path in paths if path is not None]
+    )

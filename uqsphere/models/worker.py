@@ -57,7 +57,9 @@ def unpack(packed: bytes) -> Task:
             f"the model cannot be used in another process ({describe_error(error)}). Give it as "
             "FILE.py:FUNCTION"
         ) from error
-    return box.load() if isinstance(box, ModelFile) else box, inputs, outputs
+    if isinstance(box, ModelFile):
+        box = box.load()
+    return box, inputs, outputs
 
 
 def serve(parent: int) -> None:

@@ -72,7 +72,9 @@ def result(future: Future[Timed]) -> Timed:
 
 def _lost(error: BaseException) -> ExecutorLost:
     text = as_text(error, 120)
-    reason = type(error).__name__ + (f": {text}" if text else "")
+    reason = type(error).__name__
+    if text:
+        reason += f": {text}"
     return ExecutorLost(
         f"the executor was lost ({reason}). Answers so far are stored; the same command with a new "
         "executor continues from there"
@@ -230,10 +232,11 @@ class Workers:
             self._executor = executor.get_executor(pure=False)
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
             raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
-        self._task, self._packed = task, b"" if executor is None else pack(task)
+        self._task, self._packed, self.count = task, b"", 0
         self._limit = limit
         self._pool: _Pool | None = None
-        self.count = 0 if executor is None else _MANY
+        if executor is not None:
+            self._packed, self.count = pack(task), _MANY
 
     def hire(self, count: int) -> None:
         """Have so many processes of this machine; nothing may be running.

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -67,12 +68,15 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
     document, rod = draft.document, draft.document.rod
     usual: tuple[str, ...] = ("p_max", "contact_duration")
+    outputs: tuple[str, ...] = ()
+    gauges = document.gauges
     if draft.box:
-        usual = draft.known
+        usual, outputs = draft.known, document.outputs.names
     elif RIGS[draft.rig].by_press:
         usual = ("p_max",)
-    gauges = () if rod.gauge is None else (Gauge.model_construct(bar="rod", position=rod.gauge),)
-    own = {
+    if rod.gauge is not None:
+        gauges = (Gauge.model_construct(bar="rod", position=rod.gauge), *gauges)
+    values = {
         name: number.value
         for name, number in draft.numbers.items()
         if not name.startswith("limits.")
@@ -83,8 +87,8 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         path=path,
         text=text,
         black_box=draft.box,
-        fixed={name: value for name, value in own.items() if not isinstance(value, Law)},
-        random={name: value for name, value in own.items() if isinstance(value, Law)},
+        fixed={name: value for name, value in values.items() if not isinstance(value, Law)},
+        random={name: value for name, value in values.items() if isinstance(value, Law)},
         made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
         options=draft.options,
         materials=draft.materials,
@@ -97,10 +101,10 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         analysis=document.analysis.model_copy(
             update={"quantities": document.analysis.quantities or usual}
         ),
-        outputs=document.outputs.names if draft.box else (),
+        outputs=outputs,
         warnings=tuple(draft.warnings),
         caveats=tuple(draft.caveats),
-        gauges=(*gauges, *document.gauges),
+        gauges=gauges,
         files=tuple(draft.files.items()),
     )
 
@@ -116,9 +120,8 @@ def _with_target(limit: Limit, draft: Draft) -> Limit:
 
 def tables(draft: Draft) -> Faults:
     """Words of every table, and numbers in the order of the file."""
-    for name, raw in (
-        inputs.items() if isinstance(inputs := draft.data.get("inputs"), Mapping) else ()
-    ):
+    inputs = draft.data.get("inputs")
+    for name, raw in inputs.items() if isinstance(inputs, Mapping) else ():
         try:
             draft.numbers[name] = number_of(raw, plain_quantity(name), draft, ("inputs", name))
         except Fault as fault:
@@ -133,7 +136,8 @@ def tables(draft: Draft) -> Faults:
         draft.known = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
         for table in [name for name in draft.data if name in SCENE]:
             for key in draft.data[table]:
-                if isinstance(number := getattr(getattr(draft.document, table), key), Number):
+                number = getattr(getattr(draft.document, table), key)
+                if isinstance(number, Number):
                     draft.numbers[numbers_of(table)[key].name] = number
         draft.plastic = law == "plastic" or (law is None and _yielding_is_known(draft))
 
@@ -145,8 +149,7 @@ def _yielding_is_known(draft: Draft) -> bool:
     model = draft.document.model
     if draft.box or model.fidelity != "full" or model.compare_with_paper:
         return False
-    given = ("sphere.onset_pressure", "contact.onset_pressure")
-    if any(name in draft.numbers for name in given):
+    if not draft.numbers.keys().isdisjoint(("sphere.onset_pressure", "contact.onset_pressure")):
         return True
     for table in SCENE:
         name = getattr(getattr(draft.document, table), "material", None)
@@ -172,15 +175,17 @@ def _rig(draft: Draft) -> Faults:
         )
         raise Fault(f"{said}; 'uqsphere new -o FILE' writes a study to start from", "sphere")
     for table in data:
-        homes = [shown(name) for name, own in RIG_TABLES.items() if table in own]
+        homes = [shown(name) for name, its_tables in RIG_TABLES.items() if table in its_tables]
         if homes and shown(rig) not in homes:
             said = (
                 f"table [{table}] is used only with rig.kind = {one_of(homes)}; this study has "
                 f"{shown(rig)}. Remove it"
             )
             yield Fault(said, table)
-    striker = ["striker"] if draft.document.pulse.shape == "measured" else []
-    for table in {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *striker, *data}:
+    needed = {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *data}
+    if draft.document.pulse.shape == "measured":
+        needed.discard("striker")
+    for table in needed:
         yield Fault(f"the table [{table}] is missing: the rig {shown(rig)} needs it", table)
 
 
@@ -212,23 +217,25 @@ def _box(draft: Draft) -> Faults:
 def _library(draft: Draft) -> Faults:
     """Numbers that a material gives and the file does not."""
     for table in SCENE:
-        if (name := getattr(getattr(draft.document, table), "material", None)) is None:
+        name = getattr(getattr(draft.document, table), "material", None)
+        if name is None:
             continue
         kinds = _KINDS.get(table, MATERIAL_KINDS)
-        known = {one: material for kind in kinds for one, material in library()[kind].items()}
-        if name not in known:
-            homes = [
-                f" ({shown(name)} is for {kind})"
-                for kind in MATERIAL_KINDS
-                if name in library()[kind]
-            ]
-            near = homes[0] if homes else suggestion(name, known)
-            said = f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(known)}{near}"
-            yield Fault(said, table, "material")
+        materials = dict(chain(*(library()[kind].items() for kind in kinds)))
+        if name not in materials:
+            near = suggestion(name, materials)
+            for kind in MATERIAL_KINDS[::-1]:
+                if name in library()[kind]:
+                    near = f" ({shown(name)} is for {kind})"
+            yield Fault(
+                f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(materials)}{near}",
+                table,
+                "material",
+            )
             continue
         if table != "insert":
             draft.materials[table] = name
-        for key, entry in known[name].properties.items():
+        for key, entry in materials[name].properties.items():
             path = getattr(numbers_of(table).get(key), "name", None)
             if (
                 path is None
@@ -238,7 +245,8 @@ def _library(draft: Draft) -> Faults:
                 continue
             draft.numbers[path] = Number(value=entry.value)
             draft.sources[path] = entry
-        if (E := known[name].properties.get("E")) is not None and E.value < 1e8:
+        E = materials[name].properties.get("E")
+        if E is not None and E.value < 1e8:
             draft.warn((table, "material"), f"{name} is not an elastic solid: {E.note}")
 
 
@@ -270,8 +278,11 @@ def _forms(draft: Draft) -> Faults:
             shape, values = PRESETS[pulse.preset]
             usual |= {f"pulse.{key}": value for key, value in values.items()}
             if "shape" in pulse.model_fields_set and pulse.shape != shape:
-                said = f'the preset "{pulse.preset}" is a {shape} pulse. Remove shape or preset'
-                yield Fault(said, "pulse", "shape")
+                yield Fault(
+                    f'the preset "{pulse.preset}" is a {shape} pulse. Remove shape or preset',
+                    "pulse",
+                    "shape",
+                )
         options |= {
             "bars.infinite": document.bars.infinite,
             "bars.rigid_contact": document.bars.rigid_contact,
@@ -293,7 +304,7 @@ def _forms(draft: Draft) -> Faults:
         options=options,
     ) | {"model": draft.rig}
     for table in (name for name in FORMS if name in draft.data):
-        kind, raw, known = kinds.get(table, ""), draft.data[table], numbers_of(table)
+        kind, raw, entries = kinds.get(table, ""), draft.data[table], numbers_of(table)
         needs, _, others = FORMS[table].get(kind, "").partition(";")
         takes, anywhere = (
             re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values()))
@@ -301,9 +312,9 @@ def _forms(draft: Draft) -> Faults:
         for key in raw:
             if key in anywhere and key not in takes:
                 homes = [
-                    shown(one)
-                    for one, text in FORMS[table].items()
-                    if one and key in re.findall(r"\w+", text)
+                    shown(form)
+                    for form, text in FORMS[table].items()
+                    if form and key in re.findall(r"\w+", text)
                 ]
                 of = f"[{table}]"
                 if kind:
@@ -312,22 +323,26 @@ def _forms(draft: Draft) -> Faults:
                     of += f", but with {one_of(homes)}"
                 yield Fault(f"{key} is not a key of {of}. Remove it", table, key)
         for keys in forms.needs_of(needs):
-            given = [
-                key for key in keys if key in raw or (key in known and known[key].name in numbers)
+            there = [
+                key
+                for key in keys
+                if key in raw or (key in entries and entries[key].name in numbers)
             ]
-            if len(given) == 2:
+            if len(there) == 2:
                 yield Fault(f"give only one of {one_of(keys)}", table, keys[1])
-            if not given:
+            if not there:
+                missing = f"{one_of(keys)} is missing"
+                if keys[0] in entries:
+                    missing += f" ({entries[keys[0]].meaning})"
+                units = [getattr(entries.get(key), "display", "") for key in keys]
                 ways = [
-                    f'{key} = "{f"… {known[key].display}".rstrip() if key in known else "…"}"'
-                    for key in keys
+                    f'{key} = "{f"… {u}".rstrip()}"' for key, u in zip(keys, units, strict=True)
                 ]
-                ways += ['material = "…" to take it from'] * (keys[0] in ("E", "nu", "density"))
-                ways += ["infinite = true"] * keys[0].endswith("ing_length")
-                meaning = f" ({known[keys[0]].meaning})" if keys[0] in known else ""
-                yield Fault(
-                    f"{one_of(keys)} is missing{meaning}: add {' or '.join(ways)}", table, keys[0]
-                )
+                if keys[0] in ("E", "nu", "density"):
+                    ways.append('material = "…" to take it from')
+                if keys[0].endswith("ing_length"):
+                    ways.append("infinite = true")
+                yield Fault(f"{missing}: add {' or '.join(ways)}", table, keys[0])
 
 
 # --- 4: what contradicts, random numbers at their nominal means -----------------------------------
@@ -360,12 +375,14 @@ def _model(draft: Draft) -> Faults:
         )
     if rig.by_impact:
         draft.warn((), _NO_SPHERE)
-    if draft.mean("platens.displacement") >= (radius := draft.mean("sphere.radius")):
-        said = (
+    radius = draft.mean("sphere.radius")
+    if draft.mean("platens.displacement") >= radius:
+        yield Fault(
             f"displacement must be below the sphere radius ({1e3 * radius:.4g} mm), for example "
-            '"0.1 mm"'
+            '"0.1 mm"',
+            "platens",
+            "displacement",
         )
-        yield Fault(said, "platens", "displacement")
     if "insert" in draft.data and draft.document.bars.rigid_contact:
         yield Fault(
             "rigid_contact = true leaves out inserts too. Remove one of them", "insert", "E"
@@ -376,9 +393,10 @@ def _scene(draft: Draft) -> Faults:
     """Whether the numbers make faces that yield, and a pulse that is over before it comes back."""
     document, numbers, options = draft.document, draft.numbers, draft.options
     shape, horizon = str(options.get("pulse.shape", "rectangular")), document.model.horizon
-    own = [key for key in LAW if f"contact.{key}" in numbers]
+    of_contact = any(f"contact.{key}" in numbers for key in LAW)
     at_onset = draft.mean("contact.pile_up") == 1.0 and "contact.hardness" not in numbers
-    options |= {"contact.hardness": "onset"} if at_onset else {}
+    if at_onset:
+        options["contact.hardness"] = "onset"
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
     if shape == "measured":
         with within("pulse"):
@@ -402,8 +420,8 @@ def _scene(draft: Draft) -> Faults:
     try:
         draft.scene = scene = scene_now()
         faces = _yielding_faces(scene)
-        known = faces and all(face.valid[0] for face in faces.values())
-        if draft.plastic and not draft.law_given and not known:
+        valid = faces and all(face.valid[0] for face in faces.values())
+        if draft.plastic and not draft.law_given and not valid:
             draft.plastic, faces = False, {}
             options.pop("contact.law", None)
             draft.scene = scene = scene_now()
@@ -412,7 +430,7 @@ def _scene(draft: Draft) -> Faults:
             f"{error}. Remove them, or write shape = {one_of(STRIKER_SHAPES)}", "striker"
         ) from None
     if draft.plastic and not faces:
-        bodies = dict.fromkeys(f"{one.table}.yield_strength" for one in scene.there)
+        bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in scene.there)
         names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
         yield Fault(f"nothing says what yields: give {names}", "contact", "law")
     for softer, face in faces.items():
@@ -422,24 +440,22 @@ def _scene(draft: Draft) -> Faults:
                 f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law
             )
             values = re.sub("(nan|inf) GPa", "missing", values)
-            said = (
-                f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 "
-                "to 100 are required"
-            )
             yield Fault(
-                f"{said}; pile_up = 1 and no hardness make it 0",
-                "contact" if own else softer,
+                f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 "
+                "to 100 are required; pile_up = 1 and no hardness make it 0",
+                "contact" if of_contact else softer,
                 "hardness",
             )
     if not RIGS[draft.rig].by_wave:
         return
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
     if across > bars:
-        said = (
+        yield Fault(
             "the sphere is larger than its bars: take bars of "
-            f"{format_value(across, 'bars.diameter')} or more"
+            f"{format_value(across, 'bars.diameter')} or more",
+            "sphere",
+            "radius",
         )
-        yield Fault(said, "sphere", "radius")
     if shape == "step" and horizon is None:
         yield Fault(
             'a step pulse never ends: add an end, horizon = "3 ms", to [model]', "model", "horizon"
@@ -463,15 +479,15 @@ def _scene(draft: Draft) -> Faults:
         raise Fault(f"{why}, {format_value(scene.scales.duration[0], 'pulse.duration')}", *place)
     lasts, trip = scene.pulse.end[0], scene.round_trips[0, 0]
     if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
-        timed = ("pulse", "duration") if "pulse.duration" in numbers else ("striker", "length")
-        place = {"step": ("pulse", "shape"), "measured": ("pulse", "file")}.get(shape, timed)
-        said, back = (format_value(time, "pulse.duration") for time in (lasts, trip))
+        place = ("striker", "length")
+        if "pulse.duration" in numbers:
+            place = ("pulse", "duration")
+        place = {"step": ("pulse", "shape"), "measured": ("pulse", "file")}.get(shape, place)
+        width, back = (format_value(time, "pulse.duration") for time in (lasts, trip))
         raise Fault(
-            f"the whole pulse lasts {said}, longer than the round trip of {back} in the incident "
-            "bar, whose far end "
-            "cannot reflect before the striker has left it: shorten the pulse, lengthen the bar, "
-            "or set "
-            'incident_end = "absorbing"',
+            f"the whole pulse lasts {width}, longer than the round trip of {back} in the incident "
+            "bar, whose far end cannot reflect before the striker has left it: shorten the pulse, "
+            'lengthen the bar, or set incident_end = "absorbing"',
             *place,
         )
 
@@ -479,30 +495,38 @@ def _scene(draft: Draft) -> Faults:
 def _yielding_faces(scene: Scene) -> dict[str, Face]:
     """The faces that yield, by the table of the softer body."""
     return {
-        "sphere" if one.takes[0] else one.table: one.face
-        for one in scene.there
-        if isinstance(one.face, Face)
+        "sphere" if partner.takes[0] else partner.table: partner.face
+        for partner in scene.there
+        if isinstance(partner.face, Face)
     }
 
 
 def _gauges(draft: Draft) -> Faults:
     rod = draft.document.rod.gauge
-    places: list[tuple[Place, str, float]] = [] if rod is None else [(("rod", "gauge"), "rod", rod)]
+    places: list[tuple[Place, str, float]] = []
+    if rod is not None:
+        places.append((("rod", "gauge"), "rod", rod))
     places += [
         (("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)
     ]
     for place, bar, position in places:
-        path, what = ("rod.length", "rod") if bar == "rod" else (f"bars.{bar}_length", f"{bar} bar")
+        path, what = f"bars.{bar}_length", f"{bar} bar"
+        if bar == "rod":
+            path, what = "rod.length", bar
+        length = draft.mean(path)
         if (bar == "rod") != ("rod" in RIGS[draft.rig].tables):
-            said = f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell"
-            yield Fault(said, *place, "bar")
-        elif position > (length := draft.mean(path)):
-            found, end = format_value(position, path), format_value(length, path)
-            said = (
-                f"{found} is beyond the far end of the {what} ({end}): the distance counts "
-                "from the sphere"
+            yield Fault(
+                f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell",
+                *place,
+                "bar",
             )
-            yield Fault(said, *place)
+        elif position > length:
+            where, end = format_value(position, path), format_value(length, path)
+            yield Fault(
+                f"{where} is beyond the far end of the {what} ({end}): the distance counts "
+                "from the sphere",
+                *place,
+            )
 
 
 # --- 5: limits and quantities; 6: what names them -------------------------------------------------
@@ -553,28 +577,35 @@ def _dependence(draft: Draft) -> Faults:
         try:
             make_joint(list(random), list(random.values()), ties[: index + 1])
         except LawError as error:
-            key = "kendall" if error.key == "spearman" and tie.spearman is None else error.key
+            key = error.key
+            if key == "spearman" and tie.spearman is None:
+                key = "kendall"
             raise Fault(error.message, "dependence", index, key) from None
 
 
 def _margins(draft: Draft) -> Faults:
     """The free number, and that it can be moved from one end to the other."""
-    if (table := draft.document.margins) is None:
+    table, noun = draft.document.margins, "number"
+    if table is None:
         return
+    if draft.box:
+        noun = "input"
     if not draft.limits:
         yield Fault("margins need a limit: add a table [limits.NAME]", "margins")
     solve = re.sub(r"^insert\.", "bars.insert_", table.solve)
     names = [name for name in draft.numbers if not name.endswith(".model_factor")]
     if solve not in names:
-        said = (
-            f"{shown(table.solve)} is no {'input' if draft.box else 'number'} of this study, "
-            "which has"
+        raise Fault(
+            f"{shown(table.solve)} is no {noun} of this study, which has {one_of(names[:30])}"
+            f"{suggestion(solve, names)}",
+            "margins",
+            "solve",
         )
-        raise Fault(f"{said} {one_of(names[:30])}{suggestion(solve, names)}", "margins", "solve")
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
-    own, number, ends = strengths.get(solve, solve), draft.numbers[solve], []
-    entry = plain_quantity(own) if draft.box else lookup(own)
-    entry = replace(entry, lower=0.0, meaning="the mean strength") if solve in strengths else entry
+    quantity, number, ends = strengths.get(solve, solve), draft.numbers[solve], []
+    entry = plain_quantity(quantity) if draft.box else lookup(quantity)
+    if solve in strengths:
+        entry = replace(entry, lower=0.0, meaning="the mean strength")
     for index, raw in enumerate(table.between):
         with within("margins", "between", index):
             ends.append(value_of(raw, entry))
@@ -596,10 +627,12 @@ def _margins(draft: Draft) -> Faults:
         try:
             number.value.with_mean(value)
         except LawError as error:
-            place = ("between", index) if "mean" in number.value.given else ("solve",)
-            said = f"with this mean {solve} has no law: {error.message} (SI)"
+            place: Place = ("between", index) if "mean" in number.value.given else ("solve",)
             yield Fault(
-                f"{said}; give it by mean and sd or cov, or as a fixed number", "margins", *place
+                f"with this mean {solve} has no law: {error.message} (SI); give it by mean and sd "
+                "or cov, or as a fixed number",
+                "margins",
+                *place,
             )
 
 

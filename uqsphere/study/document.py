@@ -12,6 +12,7 @@ import math
 import re
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -57,7 +58,7 @@ SCENE: Final = (
     "sphere",
     "contact",
     "rig",
-    *dict.fromkeys(t for tables in RIG_TABLES.values() for t in tables),
+    *dict.fromkeys(chain(*RIG_TABLES.values())),
 )
 
 
@@ -70,7 +71,9 @@ def _fixed_schema(dimension: str) -> dict[str, Any]:
     """
     if dimension == "number":
         return {"type": ["number", "string"]}
-    units = "|".join(map(re.escape, UNITS[dimension])) + "|rpm.+" * (dimension == "speed")
+    units = "|".join(map(re.escape, UNITS[dimension]))
+    if dimension == "speed":
+        units += "|rpm.+"
     return {"type": "string", "pattern": rf"^\s*[+-]?[\d._]+([eE][+-]?\d+)?\s*({units})\s*$"}
 
 
@@ -93,10 +96,9 @@ def _fixed(name: str) -> Any:
 
 
 def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    if (
-        twice := next((k for k, value in enumerate(values) if value in values[:k]), None)
-    ) is not None:
-        raise Fault(f"{shown(values[twice])} is named twice", twice)
+    for k, value in enumerate(values):
+        if value in values[:k]:
+            raise Fault(f"{shown(value)} is named twice", k)
     return values
 
 
@@ -290,8 +292,9 @@ Distribution: Any = create_model(
 
 def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -> Number | None:
     """A number of the scene; a flat face has no radius."""
-    flat = place[-1] == "face_radius" and raw == "flat"
-    return None if flat else number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
+    if place[-1] == "face_radius" and raw == "flat":
+        return None
+    return number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
 
 
 def _with_numbers(table: str, words: type[Table]) -> type[Table]:
@@ -300,9 +303,12 @@ def _with_numbers(table: str, words: type[Table]) -> type[Table]:
     """
     numbers: dict[str, Any] = {}
     for name, quantity in numbers_of(table).items():
-        known = [*END_COEFFICIENTS] * name.endswith("end") + ["flat"] * name.endswith("face_radius")
         fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
-        kinds = Distribution | fixed | Literal[*known] if known else Distribution | fixed
+        kinds = Distribution | fixed
+        if name.endswith("end"):
+            kinds |= Literal[*END_COEFFICIENTS]
+        elif name.endswith("face_radius"):
+            kinds |= Literal["flat"]
         mark = BeforeValidator(
             partial(_read, quantity=quantity, place=(table, name)), json_schema_input_type=kinds
         )
@@ -389,7 +395,9 @@ class Analysis(Table):
     @property
     def policy(self) -> str:
         """What becomes of failed evaluations: abort, bound or drop."""
-        return self.on_failure if isinstance(self.on_failure, str) else "drop"
+        if isinstance(self.on_failure, str):
+            return self.on_failure
+        return "drop"
 
 
 def limit_of(path: str) -> str | None:
@@ -398,7 +406,9 @@ def limit_of(path: str) -> str | None:
     >>> limit_of("limits.crushing.strength"), limit_of("striker.speed")
     ('crushing', None)
     """
-    return path.removeprefix("limits.").rpartition(".")[0] if path.startswith("limits.") else None
+    if not path.startswith("limits."):
+        return None
+    return path.removeprefix("limits.").rpartition(".")[0]
 
 
 class Margins(Table):
@@ -511,7 +521,9 @@ class Draft:
 
         holds : code of the caveat by which no verdict is established, `unit` or `plausibility`
         """
-        text = f"{path_of(place)}: {message}" if place else message
+        text = message
+        if place:
+            text = f"{path_of(place)}: {message}"
         if text not in self.warnings:
             self.warnings.append(text)
             if holds:
@@ -519,7 +531,9 @@ class Draft:
 
     def mean(self, path: str, absent: float = math.nan) -> float:
         """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""
-        return self.numbers[path].mean if path in self.numbers else absent
+        if path in self.numbers:
+            return self.numbers[path].mean
+        return absent
 
     def elastic(self, table: str) -> tuple[float, float]:
         """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a

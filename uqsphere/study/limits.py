@@ -71,35 +71,35 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     limit = _demand(draft, name, table)
     if table.fracture and table.criterion is None and limit.quantity not in PATHS:
         paths = one_of(sorted(PATHS))
-        said = (
+        raise Fault(
             f"exceeding {limit.quantity} breaks no sphere: fracture = true is for a criterion or "
-            f"one of {paths}"
+            f"one of {paths}",
+            "fracture",
         )
-        raise Fault(said, "fracture")
     with within("model_factor"):
         factor = number_of(table.model_factor, _FACTOR, draft, (*place, "model_factor"))
     with within("strength"):
         strength = _strength(draft, table, limit, (*place, "strength"))
     if limit.needs_modulus:
-        own, modulus = modulus_of(strength.value), limit.parameters.get("modulus")
-        if own is None and modulus is None:
+        fitted, modulus = modulus_of(strength.value), limit.parameters.get("modulus")
+        if fitted is None and modulus is None:
             raise Fault(
                 "modulus is missing: give it here or by a strength that is a Weibull distribution",
                 "modulus",
             )
-        if own is None:
+        if fitted is None:
             draft.warn(
                 place,
                 "the strength of a weakest link is a Weibull distribution of its modulus; with "
-                "another "
-                "the probability is not that of the flaws",
+                "another the probability is not that of the flaws",
             )
-        elif modulus is not None and abs(own - modulus) > 1e-9 * modulus:
+        elif modulus is not None and abs(fitted - modulus) > 1e-9 * modulus:
             raise Fault(
-                f"modulus is {modulus:g}, but the strength has the modulus {own:g}. Remove modulus",
+                f"modulus is {modulus:g}, but the strength has the modulus {fitted:g}. Remove "
+                "modulus",
                 "modulus",
             )
-        limit = replace(limit, parameters={"modulus": own or modulus or 0.0, **limit.parameters})
+        limit = replace(limit, parameters={"modulus": fitted or modulus or 0.0, **limit.parameters})
     draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
     draft.limits[name] = replace(
         limit, strength=strength.value, model_factor=factor.value, tested=strength.tested
@@ -120,26 +120,28 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
                 "energy_is",
             )
         criterion = _ENERGIES[table.energy_is or "contact"]
-    given = {part: value for part in PARAMETERS if (value := getattr(table, part)) is not None}
+    values_of = {part: getattr(table, part) for part in PARAMETERS}
+    parameters = {part: value for part, value in values_of.items() if value is not None}
     entry = CRITERIA.get(str(criterion))
-    needs, takes = (entry.parameters, (*entry.parameters, *entry.optional)) if entry else ((), ())
-    if strange := next((part for part in given if part not in takes), ""):
-        what = (
-            f"the criterion {criterion} takes {one_of(takes)}" if criterion else "add criterion = …"
-        )
-        raise Fault(
-            f"{strange} belongs to another criterion (uqsphere list criteria): {what}", strange
-        )
-    # the modulus may stand in the strength, which is read later
-    if missing := next((part for part in needs if part not in (*given, "modulus")), ""):
-        raise Fault(
-            (
-                f"{missing} is missing: the criterion {criterion} needs the "
-                f"{PARAMETERS[missing].meaning}"
-            ),
-            missing,
-        )
-    if entry and entry.quantity and not given:
+    needs: tuple[str, ...] = ()
+    way, takes = "add criterion = …", needs
+    if entry:
+        needs, takes = entry.parameters, (*entry.parameters, *entry.optional)
+        way = f"the criterion {criterion} takes {one_of(takes)}"
+    for part in parameters:
+        if part not in takes:
+            raise Fault(
+                f"{part} belongs to another criterion (uqsphere list criteria): {way}", part
+            )
+    for part in needs:
+        # the modulus may stand in the strength, which is read later
+        if part not in (*parameters, "modulus"):
+            raise Fault(
+                f"{part} is missing: the criterion {criterion} needs the "
+                f"{PARAMETERS[part].meaning}",
+                part,
+            )
+    if entry and entry.quantity and not parameters:
         quantity, criterion = entry.quantity, None
     compared, pressure = (
         str(criterion or quantity),
@@ -147,38 +149,32 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     )
     if draft.plastic and not draft.law_given and quantity == "p_max" and pressure and meant is None:
         meant = "hertz"  # as nearly all tabulated strengths of contacts are
-    for wrong, said in (
-        (
-            meant and not pressure and (compared, meant) != ("p_hertz", "hertz"),
-            (
-                f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: "
-                "leave it "
-                "out"
-            ),
-        ),
-        (draft.plastic and draft.law_given and pressure and meant is None, _PRESSURES),
-        (
-            draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength),
+    if meant and not pressure and (compared, meant) != ("p_hertz", "hertz"):
+        raise Fault(
+            f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: "
+            "leave it out",
+            "strength_is",
+        )
+    if draft.plastic and draft.law_given and pressure and meant is None:
+        raise Fault(_PRESSURES, "strength_is")
+    if draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength):
+        raise Fault(
             'forces at failure become pressures by Hertz: write strength_is = "hertz"',
-        ),
-        (
-            draft.plastic and quantity == "first_peak" and meant == "hertz",
-            (
-                "first_peak is a true pressure where faces yield: write strength_is = "
-                '"pressure", or '
-                'quantity = "p_max"'
-            ),
-        ),
-    ):
-        if wrong:
-            raise Fault(said, "strength_is")
+            "strength_is",
+        )
+    if draft.plastic and quantity == "first_peak" and meant == "hertz":
+        raise Fault(
+            "first_peak is a true pressure where faces yield: write strength_is = "
+            '"pressure", or quantity = "p_max"',
+            "strength_is",
+        )
     if draft.plastic and meant == "hertz":
         compared = "p_hertz"
     return Limit(
         name=name,
         quantity=f"{compared}.{name}" if criterion else compared,
         criterion=criterion,
-        parameters=given,
+        parameters=parameters,
         strength=math.nan,
         aim=table.aim,
         target=DEFAULT_TARGET if table.target is None else table.target,
@@ -194,17 +190,19 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
     if draft.box:
         return number_of(table.strength, plain_quantity(limit.quantity), draft, place)
     entry = lookup(limit.quantity)
-    usual = _CONTACT if entry.place == "contact" else _USUAL.get(entry.dimension, (0.0, math.inf))
+    usual = _USUAL.get(entry.dimension, (0.0, math.inf))
+    if entry.place == "contact":
+        usual = _CONTACT
     entry = replace(
         entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
     )
     if values.is_tests(table.strength):
-        found = _tested(draft, declared(Observations, table.strength), limit, place)
-        values.warn_unusual(found.mean, entry, draft, place)
-        return found
-    found = number_of(table.strength, entry, draft, place)
-    compare_sizes(replace(limit, tested=found.tested), _radii(draft), draft, (*place, "draws"))
-    return found
+        number = _tested(draft, declared(Observations, table.strength), limit, place)
+        values.warn_unusual(number.mean, entry, draft, place)
+        return number
+    number = number_of(table.strength, entry, draft, place)
+    compare_sizes(replace(limit, tested=number.tested), _radii(draft), draft, (*place, "draws"))
+    return number
 
 
 # --- strengths from crushing tests ----------------------------------------------------------------
@@ -219,11 +217,11 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     name = f"limits.{limit.name}."
     kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
     sphere = _sphere(draft, platens)
-    found, rows, columns, stopped = values.observations(
+    cells, rows, columns, stopped = values.observations(
         table, draft, force="force", diameter="length", rate="loading_rate"
     )
     force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
-    values.warn_of_rows(found, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
+    values.warn_of_rows(cells, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
     warn_of_tests(table, force, diameter, radii[0], draft, place)
 
     power, mean = _POWERS.get(limit.criterion or limit.quantity, 2.0), float(diameter.mean())
@@ -232,7 +230,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
 
     def by_size(exponent: float) -> tuple[Law, float]:
         law = values.fit(force * (mean / diameter) ** exponent, stopped, table, kind)
-        return law, power - flaws / (modulus_of(law) or math.inf) if power else power
+        return law, power and power - flaws / (modulus_of(law) or math.inf)
 
     law, exponent = _agreeing(by_size, power)
     tested = Tested(
@@ -254,9 +252,10 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         )
 
     def value(modulus: float, factor: float = 1.0) -> Array:
-        own = {"modulus": modulus, **limit.parameters} if limit.needs_modulus else limit.parameters
-        of = replace(limit, parameters=own).demand
-        return value_at(factor * force, of, sphere, 0.5 * diameter, platens, rate)
+        weakest = limit
+        if limit.needs_modulus:
+            weakest = replace(limit, parameters={"modulus": modulus, **limit.parameters})
+        return value_at(factor * force, weakest.demand, sphere, 0.5 * diameter, platens, rate)
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     if not np.isfinite(value(8.0)).all():
@@ -265,8 +264,10 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
             "the hardness"
         )
     if not (slopes > _RISES).all():
-        slips = [text for code, path, text in draft.caveats if code == "unit" and name in path]
-        hint = f" ({slips[-1]})" if slips else ""
+        hint = ""
+        for code, path, text in draft.caveats:
+            if code == "unit" and name in path:
+                hint = f" ({text})"
         raise Fault(
             f"{limit.quantity} hardly rises with the force of such tests, so that no force tells "
             f"its strength: take another criterion{hint}"
@@ -276,7 +277,10 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         law = values.fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
         return law, modulus_of(law) or modulus
 
-    law = _agreeing(by_value, 8.0)[0] if limit.needs_modulus else by_value(8.0)[0]
+    if limit.needs_modulus:
+        law, _ = _agreeing(by_value, 8.0)
+    else:
+        law, _ = by_value(8.0)
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
@@ -312,24 +316,26 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
         max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii
     ]
     refused = not linked and max(ratios) > _SIZES_REFUSED
+    radius = radii[ratios.index(max(ratios))] if refused else radii[0]
     sizes = (
         f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the "
-        "sphere of "
-        f"{2e3 * radii[ratios.index(max(ratios)) if refused else 0]:.4g} mm"
+        f"sphere of {2e3 * radius:.4g} mm"
     )
     if refused:
-        way = (
-            'or take fit = "weibull"'
-            if tested.law is not None
-            else "or fit anew with this size as strength_at"
-        )
+        way = 'take fit = "weibull"'
+        if tested.law is None:
+            way = "fit anew with this size as strength_at"
         raise Fault(
-            f"{sizes}, and no size law over more than 50 %: test spheres of this size, {way}",
+            f"{sizes}, and no size law over more than 50 %: test spheres of this size, or {way}",
             str(place[-1]),
         )
     if ratios[0] > _SIZES_TOLD:
-        by = "its size_exponent" if tested.law is None and tested.exponent else "nothing"
-        draft.warn(place, f"{sizes}: {'the weakest link' if linked else by} carries the strength")
+        carrier = "nothing"
+        if linked:
+            carrier = "the weakest link"
+        elif tested.law is None and tested.exponent:
+            carrier = "its size_exponent"
+        draft.warn(place, f"{sizes}: {carrier} carries the strength")
 
 
 def warn_of_tests(
@@ -341,7 +347,7 @@ def warn_of_tests(
     size, tension = diameter / (2.0 * radius), np.median(0.9 * force / np.square(diameter))
     far = (size > 3.0) | (size < 1.0 / 3.0)
     first = int(np.argmax(far))
-    for key, typical, (low, high), units, given, said in (
+    for key, typical, (low, high), units, unit, text in (
         (
             "diameter",
             size[first],
@@ -349,8 +355,7 @@ def warn_of_tests(
             UNITS["length"],
             table.diameter_unit,
             f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, "
-            "the first "
-            f"{1e3 * diameter[first]:.4g} mm",
+            f"the first {1e3 * diameter[first]:.4g} mm",
         ),
         (
             "force",
@@ -358,17 +363,15 @@ def warn_of_tests(
             _TENSION,
             UNITS["force"],
             table.force_unit,
-            (
-                f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to "
-                f"{1e-6 * _TENSION[1]:g} MPa"
-            ),
+            f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to "
+            f"{1e-6 * _TENSION[1]:g} MPa",
         ),
     ):
         if not low <= typical <= high:
-            scale = typical / units.get(given or "", math.nan)
-            likely = [unit for unit in _UNITS if low < scale * units.get(unit, 0.0) < high]
+            scale = typical / units.get(unit or "", math.nan)
+            likely = [name for name in _UNITS if low < scale * units.get(name, 0.0) < high]
             hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
-            draft.warn((*place, key), f"{table.file}: {said}: {hint}", holds="unit")
+            draft.warn((*place, key), f"{table.file}: {text}: {hint}", holds="unit")
             return
 
 
@@ -404,11 +407,10 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
 
 def _radii(draft: Draft) -> tuple[float, ...]:
     """The mean radius of the sphere [m], and the 1 % and 99 % quantiles of its scatter."""
-    law = draft.numbers["sphere.radius"].value
-    return (
-        draft.mean("sphere.radius"),
-        *(law.ppf(np.array([0.01, 0.99])).tolist() if isinstance(law, Law) else ()),
-    )
+    law, mean = draft.numbers["sphere.radius"].value, draft.mean("sphere.radius")
+    if not isinstance(law, Law):
+        return (mean,)
+    return (mean, *law.ppf(np.array([0.01, 0.99])).tolist())
 
 
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:

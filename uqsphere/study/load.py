@@ -39,9 +39,10 @@ def load_study(
     if isinstance(path, Mapping):
         text, path = toml_text(path, law_table), "study.toml"
     path = Path(path)
-    text = read_text(path) if text is None else text
+    if text is None:
+        text = read_text(path)
     data = parse_text(text, path)
-    overridden = [set_value(data, one) for one in overrides]
+    overridden = [set_value(data, override) for override in overrides]
     draft = Draft(
         folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs"))
     )

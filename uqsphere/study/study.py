@@ -67,7 +67,9 @@ class Limit:
     @property
     def demand(self) -> Demand:
         """What is held against the strength: a quantity, or a criterion with its parameters."""
-        return self.quantity if self.criterion is None else (self.criterion, self.parameters)
+        if self.criterion is None:
+            return self.quantity
+        return self.criterion, self.parameters
 
     @property
     def allowable(self) -> float:
@@ -77,7 +79,9 @@ class Limit:
     @property
     def negligible(self) -> float:
         """A failure probability below which its digits do not matter."""
-        return 0.01 * self.target if self.has_target else 1e-8
+        if self.has_target:
+            return 0.01 * self.target
+        return 1e-8
 
     def missed(self, probability: float) -> float:
         """The failure probability at a probability of exceedance, or the other way round: its
@@ -86,7 +90,9 @@ class Limit:
         >>> Limit(name="broken", quantity="P_max", strength=1e3, aim="break").missed(0.75)
         0.25
         """
-        return 1.0 - probability if self.aim == "break" else probability
+        if self.aim == "break":
+            return 1.0 - probability
+        return probability
 
     @property
     def needs_modulus(self) -> bool:
@@ -143,24 +149,24 @@ class Study:
     made_up: tuple[str, ...] = ()
     caveats: tuple[tuple[str, str, str], ...] = ()
 
-    def __init__(self, **given: Any) -> None:
-        if "path" not in given:
+    def __init__(self, **tables: Any) -> None:
+        if "path" not in tables:
             from uqsphere.study.load import load_study
             from uqsphere.uq.foreign import of_salib
 
-            given = {key: table for key, table in given.items() if table is not None}
-            outputs, inputs = given.get("outputs"), given.get("inputs")
-            if isinstance(outputs, str | list | tuple):
-                given["outputs"] = {
-                    "names": [outputs] if isinstance(outputs, str) else list(outputs)
-                }
+            tables = {key: table for key, table in tables.items() if table is not None}
+            outputs, inputs = tables.get("outputs"), tables.get("inputs")
+            if isinstance(outputs, str):
+                outputs = [outputs]
+            if isinstance(outputs, list | tuple):
+                tables["outputs"] = {"names": list(outputs)}
             if isinstance(inputs, Mapping):
-                given["inputs"] = of_salib(inputs)
-            given = {**vars(load_study(given))}
+                tables["inputs"] = of_salib(inputs)
+            tables = {**vars(load_study(tables))}
         for entry in fields(self):
-            object.__setattr__(self, entry.name, given.pop(entry.name, entry.default))
-        if given:
-            raise TypeError(f"Study has no {min(given)}")
+            object.__setattr__(self, entry.name, tables.pop(entry.name, entry.default))
+        if tables:
+            raise TypeError(f"Study has no {min(tables)}")
 
     @property
     def rig(self) -> str:
@@ -168,12 +174,12 @@ class Study:
         return str(self.options.get("rig.kind", DEFAULT_RIG))
 
     def __repr__(self) -> str:
-        parts = [f"{len(self.random)} random input{'' if len(self.random) == 1 else 's'}"]
-        parts += [f"limits {', '.join(limit.name for limit in self.limits)}"] if self.limits else []
-        return (
-            f"<Study {self.title!r}: "
-            f"{', '.join([*parts, 'black box' if self.black_box else self.rig])}>"
-        )
+        noun = "input" if len(self.random) == 1 else "inputs"
+        parts = [f"{len(self.random)} random {noun}"]
+        if self.limits:
+            parts.append(f"limits {', '.join(limit.name for limit in self.limits)}")
+        parts.append("black box" if self.black_box else self.rig)
+        return f"<Study {self.title!r}: {', '.join(parts)}>"
 
     @property
     def hash(self) -> str:
@@ -358,7 +364,9 @@ def plain(value: Any) -> Json:
         return {str(key): plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
         return [plain(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -> float:

@@ -99,7 +99,9 @@ class Number:
     @property
     def mean(self) -> float:
         """The value, or the law's mean before truncation."""
-        return self.value.nominal_mean() if isinstance(self.value, Law) else self.value
+        if isinstance(self.value, Law):
+            return self.value.nominal_mean()
+        return self.value
 
 
 @cache
@@ -107,7 +109,7 @@ def numbers_of(table: str) -> dict[str, Quantity]:
     """The numbers that a table of a scene can have, by their keys; those of inserts stand among
     those of the bars.
     """
-    start = "bars.insert_" if table == "insert" else f"{table}."
+    start = {"insert": "bars.insert_"}.get(table, f"{table}.")
     numbers = {
         name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)
     }
@@ -136,58 +138,60 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
 def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Number:
     """Value or law of what a file has; warns of what is unusual, and raises Fault."""
     if not isinstance(raw, Mapping):
-        found = Number(value=value_of(raw, quantity))
+        number = Number(value=value_of(raw, quantity))
     elif "file" in raw or "draws" in raw or raw.get("dist") in ("empirical", "discrete"):
-        found = law_of_data(raw, quantity, draft, place)
+        number = law_of_data(raw, quantity, draft, place)
     else:
-        found = _member(raw, quantity)
-    warn_unusual(found.mean, quantity, draft, place)
-    if isinstance(found.value, Law):
-        _check_law(found.value, quantity, draft, place)
-    return found
+        number = _member(raw, quantity)
+    warn_unusual(number.mean, quantity, draft, place)
+    if isinstance(number.value, Law):
+        _check_law(number.value, quantity, draft, place)
+    return number
 
 
 def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -> None:
     """Warn of a value (SI) outside the usual range of its quantity."""
     if not quantity.plausible[0] <= value <= quantity.plausible[1]:
-        said, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
-        text = f"{said} is unusual (usual: {low} to {high}); is the unit right?"
+        found, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        text = f"{found} is unusual (usual: {low} to {high}); is the unit right?"
         draft.warn(place, text, holds="unit")
 
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
-    kind = raw.get("dist")
-    if (family := family_named(kind) if isinstance(kind, str) else None) is None:
+    kind, family = raw.get("dist"), None
+    if isinstance(kind, str):
+        family = family_named(kind)
+    if family is None:
         near = suggestion(kind, FAMILIES) or suggestion(next(iter(raw), ""), ["dist"])
-        said = (
+        raise Fault(
             f'a distribution is required, such as {{ dist = "normal", … }}, known: '
-            f"{one_of(FAMILIES)}{near}"
+            f"{one_of(FAMILIES)}{near}",
+            *raw.keys() & {"dist"},
         )
-        raise Fault(said, *["dist"] * ("dist" in raw))
     keys = (*family.keys, "lower", "upper")
-    given: dict[str, float] = {}
+    parameters: dict[str, float] = {}
     for key in (key for key in raw if key != "dist"):
         if key not in keys:
-            said = (
+            raise Fault(
                 f"{shown(key)} does not belong to the distribution {family.name}, which takes "
-                f"{one_of(keys)}"
+                f"{one_of(keys)}{suggestion(key, keys)}",
+                key,
             )
-            raise Fault(said + suggestion(key, keys), key)
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
         if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
             entry = replace(entry, plausible=(0.0, math.inf))
         with within(key):
-            given[key] = value_of(raw[key], entry, bounded=False)
-    given = {key: given[key] for key in keys if key in given}
-    bounds = given.pop("lower", None), given.pop("upper", None)
+            parameters[key] = value_of(raw[key], entry, bounded=False)
+    parameters = {key: parameters[key] for key in keys if key in parameters}
+    bounds = parameters.pop("lower", None), parameters.pop("upper", None)
     try:
-        return Number(value=make_law(family.name, given, *bounds))
+        return Number(value=make_law(family.name, parameters, *bounds))
     except LawError as error:
-        unit = f" (numbers in {quantity.unit})" * (
-            error.key in ("", *DIMENSIONAL) and quantity.unit != ""
-        )
-        raise Fault(f"{error.message}{unit}", error.key if error.key in raw else "") from None
+        message = error.message
+        if quantity.unit and error.key in ("", *DIMENSIONAL):
+            message += f" (numbers in {quantity.unit})"
+        raise Fault(message, *raw.keys() & {error.key}) from None
 
 
 def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None:
@@ -200,24 +204,32 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
             f"the distribution has its mean at {format_value(centre, name)}: "
             f"{format_bounds(quantity)}"
         )
-    for key, end in ends.items() if law.family.bounded else ():
-        if not quantity.lower <= end <= quantity.upper:
+    for key, end in ends.items():
+        if law.family.bounded and not quantity.lower <= end <= quantity.upper:
             raise Fault(f"{format_value(end, name)}: {format_bounds(quantity)}", key)
-    cov = max(law.sd() / abs(law.mean()) if law.mean() else 0.0, law.given.get("cov", 0.0))
+    cov = law.given.get("cov", 0.0)
+    if law.mean():
+        cov = max(law.sd() / abs(law.mean()), cov)
     if cov > 1.0:
-        share = ' 15 % is written "15 %" or 0.15' * ("cov" in law.given)
-        draft.warn(place, f"the coefficient of variation is {cov:.3g}: is that intended?{share}")
-    if (mean := law.given.get("mean")) is not None and not law.lower <= mean <= law.upper:
+        text = f"the coefficient of variation is {cov:.3g}: is that intended?"
+        if "cov" in law.given:
+            text += ' 15 % is written "15 %" or 0.15'
+        draft.warn(place, text)
+    mean = law.given.get("mean")
+    if mean is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
-        said = (
+        draft.warn(
+            (*place, key),
             f"the mean {format_value(mean, name)} lies {side} the bound "
-            f"{format_value(ends[key], name)}"
+            f"{format_value(ends[key], name)}: only a tail of the distribution is sampled",
         )
-        draft.warn((*place, key), f"{said}: only a tail of the distribution is sampled")
-    low = np.nextafter(quantity.lower, -np.inf) if quantity.closed else quantity.lower
+    low, effect = quantity.lower, ""
+    if quantity.closed:
+        low = float(np.nextafter(low, -np.inf))
     outside = float(law.cdf(np.array([low]))[0] + law.sf(np.array([quantity.upper]))[0])
     if outside > NOTABLE:
-        effect = "these samples count as failed evaluations; " if name in INPUTS else ""
+        if name in INPUTS:
+            effect = "these samples count as failed evaluations; "
         draft.warn(
             place,
             f"a share of {outside:.2g} of the distribution lies where it has no meaning "
@@ -229,11 +241,9 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
 
 
 def percent(raw: Any) -> Any:
-    return (
-        value_of(raw, plain_quantity("share"))
-        if isinstance(raw, str) and raw.rstrip().endswith("%")
-        else raw
-    )
+    if isinstance(raw, str) and raw.rstrip().endswith("%"):
+        return value_of(raw, plain_quantity("share"))
+    return raw
 
 
 def keyed(meaning: str, default: Any = None) -> Any:
@@ -309,13 +319,14 @@ class Observations(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Observations:
-        kind = "force" if self.column is None and (self.force or self.diameter) else "column"
-        kind = "draws" if self.draws is not None else kind
-        if strange := sorted(
-            self.model_fields_set
-            - {"dist", "decimal", "sheet", "synthetic", kind, *_TAKEN[kind].split()}
-        ):
-            raise Fault(f"{strange[0]} is not used with {kind} = …. Remove one of them", strange[0])
+        kind = "column"
+        if self.draws is not None:
+            kind = "draws"
+        elif self.column is None and (self.force or self.diameter):
+            kind = "force"
+        usable = {"dist", "decimal", "sheet", "synthetic", kind, *_TAKEN[kind].split()}
+        for key in sorted(self.model_fields_set - usable):
+            raise Fault(f"{key} is not used with {kind} = …. Remove one of them", key)
         return self
 
 
@@ -330,7 +341,7 @@ def opened(
     """The table of a file in the study's folder; at the end all faults that were noted of it are
     one Fault.
     """
-    home, given = draft.folder.resolve(), Path(name)
+    home, relative = draft.folder.resolve(), Path(name)
     if not name.isprintable():
         raise Fault(
             f"the file name {json.dumps(name)[:80]} has a control character: \\t in double quotes "
@@ -338,15 +349,17 @@ def opened(
             key,
         )
     try:
-        path = (home / given).resolve()
-        if given.drive or given.root or ".." in given.parts or not path.is_relative_to(home):
+        path = (home / relative).resolve()
+        outside = relative.drive or relative.root or ".." in relative.parts
+        if outside or not path.is_relative_to(home):
             raise Fault(
                 f"{key} must be a relative path inside the study's folder, not {shown(name)}", key
             )
         if not path.exists():
-            near = suggestion(name, [item.name for item in home.iterdir()] if home.is_dir() else [])
+            beside = home.iterdir() if home.is_dir() else ()
+            near = suggestion(name, [item.name for item in beside])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
-        draft.files[given.as_posix()] = path
+        draft.files[relative.as_posix()] = path
         table = read_table(path, decimal=decimal or "", sheet=sheet or "")
         yield table
         table.finish()
@@ -384,15 +397,13 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     if raw.get("dist") == "discrete":
         if place[0] == "limits":
             raise Fault(
-                (
-                    "strengths and model factors have a density, or are a column: discrete is for "
-                    "inputs"
-                ),
+                "strengths and model factors have a density, or are a column: discrete is for "
+                "inputs",
                 "dist",
             )
         weighted = declared(Discrete, raw)
         with within("values"):
-            values = [value_of(one, quantity) for one in weighted.values]
+            values = [value_of(value, quantity) for value in weighted.values]
         with _blamed("values", "weights", otherwise=""):
             return Number(value=discrete_law(values, weighted.weights))
     table = declared(Observations, raw)
@@ -402,61 +413,52 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
         raise Fault(
             "forces at failure belong to the strength of a limit of the impact model", "force"
         )
-    found, rows, columns, stopped = observations(table, draft, column=quantity.dimension)
+    cells, rows, columns, stopped = observations(table, draft, column=quantity.dimension)
     bounds = [
         None if end is None else value_of(end, quantity, bounded=False)
         for end in (table.lower, table.upper)
     ]
-    warn_of_rows(found, rows, columns["column"], stopped, draft, place)
+    warn_of_rows(cells, rows, columns["column"], stopped, draft, place)
     law = fit(columns["column"], stopped, table, table.fit, *bounds)
     return Number(value=law, synthetic=table.synthetic)
 
 
 def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
-    kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, {}
+    kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, []
     dimensions = {
-        "scale": quantity.dimension,
         "least": quantity.dimension,
-        **dict.fromkeys(("diameter", "smallest", "largest"), "length"),
+        "scale": quantity.dimension,
+        **dict.fromkeys(("shape", "bound", "tests"), "number"),
+        "diameter": "length",
+        "size_exponent": "number",
+        **dict.fromkeys(("smallest", "largest"), "length"),
     }
-    with opened(name, draft, "draws", table.decimal, table.sheet) as found:
-        words = found.texts("distribution", "draws")
-        found.refuse(
+    with opened(name, draft, "draws", table.decimal, table.sheet) as cells:
+        words = cells.texts("distribution", "draws")
+        cells.refuse(
             "draws",
             f"distribution: {one_of(kinds)} is required",
             np.array([w not in kinds for w in words]),
         )
-        for key in (
-            "least",
-            "scale",
-            "shape",
-            "bound",
-            "tests",
-            "diameter",
-            "size_exponent",
-            "smallest",
-            "largest",
-        ):
-            dimension = dimensions.get(key, "number")
-            needed = key in ("scale", "shape") or any(
-                unit_in_heading(h, dimension)[0] == key for h in found.headings
-            )
-            unit = table.unit if dimension == quantity.dimension else None
-            columns[key] = (
-                found.numbers(key, dimension, unit, key="draws") if needed else np.zeros(len(found))
-            )
-        least, scale, shape, bound, tests, size, exponent, smallest, largest = columns.values()
+        for key, dimension in dimensions.items():
+            column, unit = np.zeros(len(cells)), None
+            if dimension == quantity.dimension:
+                unit = table.unit
+            bare = [unit_in_heading(heading, dimension)[0] for heading in cells.headings]
+            if key in ("scale", "shape", *bare):
+                column = cells.numbers(key, dimension, unit, key="draws")
+            columns.append(column)
+        least, scale, shape, bound, tests, size, exponent, smallest, largest = columns
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
-        found.refuse(
+        cells.refuse(
             "draws",
             "scale and shape above 0, least from 0, bound from 0 to below 1 are required",
             wrong,
         )
     draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
-    tested = None
+    tested, ends = None, (float(smallest[0]), float(largest[0]))
     if size[0] > 0.0:
-        ends = (float(smallest[0]), float(largest[0]))
         tested = Tested(
             diameter=float(size[0]),
             exponent=float(exponent.mean()),
@@ -480,31 +482,29 @@ def observations(
         if getattr(table, key) is None and key in _EXAMPLES:
             raise Fault(f'{key} is missing: add {key} = "{_EXAMPLES[key]}"')
     columns = {}
-    with opened(str(table.file), draft, "file", table.decimal, table.sheet) as found:
+    with opened(str(table.file), draft, "file", table.decimal, table.sheet) as cells:
         for key, dimension in dimensions.items():
-            name, unit = (
-                getattr(table, key),
-                getattr(table, "unit" if key == "column" else f"{key}_unit", None),
-            )
+            name, unit = getattr(table, key), getattr(table, f"{key}_unit", None)
+            if key == "column":
+                unit = table.unit
             if key == "diameter" and name[:1].isdigit():
                 with within("diameter"):
-                    columns[key] = np.full(len(found), value_of(name, INPUTS["bars.diameter"]))
+                    columns[key] = np.full(len(cells), value_of(name, INPUTS["bars.diameter"]))
             elif name is not None:
-                columns[key] = found.numbers(name, dimension, unit, key=key)
-        stopped = np.zeros(len(found), dtype=bool)
+                columns[key] = cells.numbers(name, dimension, unit, key=key)
+        stopped, many = np.zeros(len(cells), dtype=bool), np.ones(len(cells))
         if table.censored is not None:
-            stopped = found.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
-        many = (
-            np.ones(len(found)) if table.count is None else found.numbers(table.count, key="count")
-        )
-        found.refuse(
+            stopped = cells.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
+        if table.count is not None:
+            many = cells.numbers(table.count, key="count")
+        cells.refuse(
             "count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0)
         )
-        found.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
+        cells.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
         for key in columns.keys() & {"force", "diameter"}:
-            found.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
-    rows = np.repeat(np.arange(len(found)), many.astype(int))
-    return found, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
+            cells.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
+    rows = np.repeat(np.arange(len(cells)), many.astype(int))
+    return cells, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
 
 
 def fit(
@@ -522,13 +522,11 @@ def fit(
     """
     modulus = None if table.modulus is None else table.modulus / slope
     if modulus is None and (len(data) < 2 or stopped.all()):
-        said = (
-            f"all {len(data)} tests were stopped"
-            if len(data) > 1
-            else f"found {len(data)} observation"
-        )
+        found = f"found {len(data)} observation"
+        if len(data) > 1:
+            found = f"all {len(data)} tests were stopped"
         raise Fault(
-            f"{said}: two failures or more are required, or a known Weibull modulus: modulus = …",
+            f"{found}: two failures or more are required, or a known Weibull modulus: modulus = …",
             "file",
         )
     with _blamed("fit", "lower", "upper", otherwise="file"):
@@ -544,35 +542,35 @@ def fit(
 
 
 def warn_of_rows(
-    found: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
+    cells: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
 ) -> None:
     """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
     shape of no fit.
     """
-    said = list(found.notes)
-    if far := outliers(x, ~stopped):
-        lines = [
-            f"line {found.lines[rows[k]]} ({ratio:.3g} times the median)"
-            for k, ratio in [*far.items()][:5]
-        ]
-        said.append(
-            f"{found.name}: {', '.join(lines)}: far from the other rows; a slip of the decimal "
+    notes = list(cells.notes)
+    lines = [
+        f"line {cells.lines[rows[k]]} ({ratio:.3g} times the median)"
+        for k, ratio in outliers(x, ~stopped).items()
+    ]
+    if lines:
+        notes.append(
+            f"{cells.name}: {', '.join(lines[:5])}: far from the other rows; a slip of the decimal "
             "point?"
         )
     if (~stopped).sum() >= 6:
         with suppress(ValueError):
             tests = make_tests(x, stopped)
-            if (p := max(probability_of(tests, law) for law in STRENGTHS.values())) < _UNLIKELY:
-                said.append(
-                    f"{found.name}: neither a Weibull nor a lognormal distribution fits (p = "
-                    f"{p:.2g}): mixed "
-                    "or faulty rows?"
+            p = max(probability_of(tests, law) for law in STRENGTHS.values())
+            if p < _UNLIKELY:
+                notes.append(
+                    f"{cells.name}: neither a Weibull nor a lognormal distribution fits (p = "
+                    f"{p:.2g}): mixed or faulty rows?"
                 )
     if len(x) < _FEW:
-        said.append(
+        notes.append(
             f"{len(x)} observations: what so few leave open is large; {_FEW} or more are a start"
         )
-    for text in said:
+    for text in notes:
         draft.warn((*place, "file"), text)
 
 
@@ -585,21 +583,20 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
     """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the
     lab's.
     """
-    with opened(str(table.file), draft, sheet=table.sheet) as found:
-        columns = table.columns or tuple(found.headings[:2])
+    with opened(str(table.file), draft, sheet=table.sheet) as cells:
+        columns = table.columns or tuple(cells.headings[:2])
         if len(columns) != 2:
             raise Fault(
                 f"found {len(columns)} column: time, then strain or volts are required", "columns"
             )
         time_unit, unit = table.units or (None, None)
         volts = unit in UNITS["voltage"] or (
-            unit is None and found.unit_of(columns[1], "voltage") is not None
+            unit is None and cells.unit_of(columns[1], "voltage") is not None
         )
-        time = found.numbers(columns[0], "time", time_unit)
-        strain = (table.factor or 1.0) * found.numbers(
-            columns[1], "voltage" if volts else "strain", unit
-        )
-        found.refuse(
+        time = cells.numbers(columns[0], "time", time_unit)
+        dimension = "voltage" if volts else "strain"
+        strain = (table.factor or 1.0) * cells.numbers(columns[1], dimension, unit)
+        cells.refuse(
             "", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0
         )
     if volts and table.factor is None:
@@ -608,7 +605,7 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
         raise Fault(
             "factor is the strain of one volt, and this column is a strain. Remove factor", "factor"
         )
-    notes = list(found.notes)
+    notes = list(cells.notes)
     if -strain.min() > strain.max():
         strain = -strain
         notes.append("the largest strain is negative: compression is taken as positive")
@@ -617,11 +614,10 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
     except ValueError as error:
         raise Fault(f"{error}; {_MENDED}", "file") from None
     if misfit > 0.02:
-        said = (
+        notes.append(
             f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record "
-            "is noisy"
+            f"is noisy; {_MENDED}"
         )
-        notes.append(f"{said}; {_MENDED}")
     for note in notes:
         draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
     return pulse
