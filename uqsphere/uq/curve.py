@@ -100,8 +100,10 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
     mean = steps.mean(axis=1)
     error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
     sure = np.flatnonzero(np.abs(mean) > SURE * error + 1e-9)
-    back = sure[np.sign(mean[sure]) != np.sign(mean[sure[0]])] if sure.size else sure
-    return float(grid[int(back[0])]) if back.size else None
+    back = sure[np.sign(mean[sure]) != np.sign(mean[sure[:1]])]
+    if not back.size:
+        return None
+    return float(grid[int(back[0])])
 
 
 def _crossings(places: Array, probabilities: Array, target: float, least: float) -> Array:
@@ -119,12 +121,12 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
     # half-way between the running maximum and the running minimum from the right
     scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
     passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
-    found = np.full(scores.shape[1], math.nan)
+    crossings = np.full(scores.shape[1], math.nan)
     roots = PchipInterpolator(places, scores).roots(extrapolate=False)
     for r in np.flatnonzero(passes):
-        inside = roots[r][np.isfinite(roots[r])]
-        found[r] = inside[0] if inside.size else places[int(np.argmin(np.abs(scores[:, r])))]
-    return found
+        nearest = places[int(np.argmin(np.abs(scores[:, r])))]
+        crossings[r] = next(filter(np.isfinite, roots[r]), nearest)
+    return crossings
 
 
 def _value(
@@ -144,20 +146,18 @@ def _value(
         )
         return absent(reason, METHOD, evaluations)
     replicates = probabilities.shape[1]
-    own = _crossings(places, probabilities, target, least)
-    if np.isnan(own).any():
+    crossings = _crossings(places, probabilities, target, least)
+    if np.isnan(crossings).any():
         return absent(
             "too close to an end of the range: some replicates do not reach it", METHOD, evaluations
         )
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
-    other = (
-        float(_crossings(places[coarse], pooled[coarse], target, least)[0])
-        if coarse.size > 1
-        else math.nan
-    )
-    lost = 0.0 if math.isnan(other) else abs(other - centre) / 4.0
-    half = student(replicates) * spread(own) + lost
+    other = float(_crossings(places[coarse], pooled[coarse], target, least)[0])
+    lost = 0.0
+    if not math.isnan(other):
+        lost = abs(other - centre) / 4.0
+    half = student(replicates) * spread(crossings) + lost
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
     return between(value, low, high, replicates, METHOD, evaluations)

@@ -63,12 +63,16 @@ def hill(outputs: Array) -> float:
     2 or less.
     """
     kept = outputs[np.isfinite(outputs)]
-    away = np.sort(np.abs(kept - np.median(kept)))[::-1] if kept.size else kept
     count = _tail_count(kept.size)
-    if away.size < 4 * count or away[count] <= 0.0:
+    if kept.size < 4 * count:
+        return math.inf
+    away = np.sort(np.abs(kept - np.median(kept)))[::-1]
+    if away[count] <= 0.0:
         return math.inf
     mean = float(np.mean(np.log(away[:count] / away[count])))
-    return 1.0 / mean if mean > 0.0 else math.inf
+    if mean > 0.0:
+        return 1.0 / mean
+    return math.inf
 
 
 def _tail_count(size: int) -> int:
@@ -109,8 +113,12 @@ def describe(
     ("bound").
     """
     samples = np.asarray(samples, dtype=float)
-    broken = ~np.isfinite(samples) if failed is None else failed | ~np.isfinite(samples)
-    late = np.zeros_like(broken) if censored is None else censored & ~broken
+    broken = ~np.isfinite(samples)
+    if failed is not None:
+        broken |= failed
+    late = np.zeros_like(broken)
+    if censored is not None:
+        late = censored & ~broken
     kept, total = ~broken, samples.size
     counts = kept.sum(axis=1)
     if len(samples) < 2 or counts.min() < 2:
@@ -206,7 +214,7 @@ def quantile_estimates(
     probability.
     """
     total, bound = samples.size, on_failure == "bound" and bool(failed.any())
-    kept = np.ones_like(failed) if bound else ~failed
+    kept = ~failed | bound
     # doubtful samples at the least and at the largest value they may have had
     least = np.where(failed, -math.inf, samples)
     read = sample_reader(np.sort(least[kept]))
@@ -217,9 +225,11 @@ def quantile_estimates(
         if min(p, 1.0 - p) * counts.sum() < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        at = read(p) if math.isfinite(read(p)) else upper(p)
+        at = read(p)
+        if not math.isfinite(at):
+            at = upper(p)
         error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / samples.shape[1])
-        answers[p] = quantile(read, p, error, len(samples), method, total, upper=upper)
+        answers[p] = quantile([read, upper], p, error, len(samples), method, total)
         if answers[p].value is None:
             shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
             parts = [
@@ -269,22 +279,24 @@ def describe_controlled(
     scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
     # the standard deviation moves by half of what the variance does, over itself
     sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
-    read, found = _corrected_reader(expensive, cheap, cheap_many), {}
+    read, answers = _corrected_reader(expensive, cheap, cheap_many), {}
     for p in quantiles:
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
-            found[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
+            answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        own, other, more = (
+        exact, other, more = (
             (rows <= read(p)).mean(axis=1) for rows in (expensive, cheap, cheap_many)
         )
         # a cell of the many, and one row in which the models may disagree
         cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
-        error = math.hypot(spread(own - other + more), cell, CELL / total)
-        found[p] = quantile(read, p, error, len(expensive), method, total)
+        error = math.hypot(spread(exact - other + more), cell, CELL / total)
+        answers[p] = quantile([read], p, error, len(expensive), method, total)
+    if sd.low is not None:
+        sd = replace(sd, low=max(0.0, sd.low))
     return Description(
         mean=mean,
-        sd=sd if sd.low is None else replace(sd, low=max(0.0, sd.low)),
-        quantiles=found,
+        sd=sd,
+        quantiles=answers,
         censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
         scale=scale,
     )

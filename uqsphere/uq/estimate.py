@@ -8,7 +8,7 @@ those of their probability, and the linearised ratio for what is one mean over a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -62,7 +62,9 @@ class Estimate:
     @property
     def half_width(self) -> float:
         """Half the length of the interval; inf where an end is absent."""
-        return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
+        if self.low is None or self.high is None:
+            return math.inf
+        return 0.5 * (self.high - self.low)
 
     @property
     def outer(self) -> tuple[float | None, float | None]:
@@ -282,7 +284,8 @@ def share(
     elif replicates < 2:
         return absent("an interval needs at least two independent replicates", method, flags.size)
     else:
-        weights = np.ones(replicates) if weights is None else weights
+        if weights is None:
+            weights = np.ones(replicates)
         p = float((weights * rows).mean())
         error = spread(weights * (rows - p), 1.0 / n)
     low, high, error = probability_ends(p, 1.0 - p, error, replicates, flags.size)
@@ -295,38 +298,27 @@ def share(
 
 
 def quantile(
-    read: Callable[[float], float],
+    reads: Sequence[Callable[[float], float]],
     p: float,
     error: float,
     replicates: int,
     method: str,
     evaluations: int,
-    *,
-    upper: Callable[[float], float] | None = None,
 ) -> Estimate:
     """A quantile at p off a function that reads a distribution at a probability, where that has a
     standard error.
 
     The ends are read off those of the interval of the probability (R. S. Woodruff, J. Amer.
     Statist. Assoc. 47, 1952, 635): nothing is asked of the density.  Where samples are known
-    between bounds only, `read` has them at their least and `upper` at their largest: each reads the
-    end on its side, and the value lies between the two.
+    between bounds only, the first function has them at their least and a second one at their
+    largest: each reads the end on its side, and the value lies between the two.
     """
-    half, upper = student(replicates) * error, upper or read
-    value, highest, low, high = (
-        read(p),
-        upper(p),
-        read(max(p - half, 0.0)),
-        upper(min(p + half, 1.0)),
-    )
-    return between(
-        value if highest == value else 0.5 * (value + highest),
-        low,
-        high,
-        replicates,
-        method,
-        evaluations,
-    )
+    half, least, most = student(replicates) * error, reads[0], reads[-1]
+    value, highest = least(p), most(p)
+    low, high = least(max(p - half, 0.0)), most(min(p + half, 1.0))
+    if highest != value:
+        value = 0.5 * (value + highest)
+    return between(value, low, high, replicates, method, evaluations)
 
 
 def sample_reader(values: Array, weights: Array | None = None) -> Callable[[float], float]:

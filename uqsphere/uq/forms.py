@@ -71,26 +71,39 @@ def truncated(form: Form, a: float, b: float) -> Form:
         (below_a, below_b), (above_a, above_b) = (
             tail.tolist() for tail in form.tails(np.array([a, b]))
         )
-    mass = above_a - above_b if above_a < 0.5 else below_b - below_a
+    mass = above_a - above_b
+    if above_a >= 0.5:
+        mass = below_b - below_a
 
     def tails(y: Array) -> tuple[Array, Array]:
         below, above = form.tails(y)
-        p = (above_a - above if above_a < 0.5 else below - below_a) / mass
-        q = (below_b - below if below_b < 0.5 else above - above_b) / mass
-        return np.clip(p, 0.0, 1.0), np.clip(q, 0.0, 1.0)
+        p, q = below - below_a, above - above_b
+        if above_a < 0.5:
+            p = above_a - above
+        if below_b < 0.5:
+            q = below_b - below
+        return np.clip(p / mass, 0.0, 1.0), np.clip(q / mass, 0.0, 1.0)
 
     def quantile(p: Array, q: Array) -> Array:
-        lower = below_a + p * mass if below_a < 0.5 else 1.0 - (above_b + q * mass)
-        upper = above_b + q * mass if above_b < 0.5 else 1.0 - (below_a + p * mass)
+        first, last = below_a + p * mass, above_b + q * mass
+        lower, upper = first, last
+        if below_a >= 0.5:
+            lower = 1.0 - last
+        if above_b >= 0.5:
+            upper = 1.0 - first
         return form.quantile(lower, upper)
 
     low, high = form.orders
+    if a != -math.inf:
+        low = math.inf
+    if b != math.inf:
+        high = math.inf
     return Form(
         tails=tails,
         quantile=quantile,
         pdf=lambda y: form.pdf(y) / mass,
         mass=mass,
-        orders=(low if a == -math.inf else math.inf, high if b == math.inf else math.inf),
+        orders=(low, high),
     )
 
 
@@ -261,8 +274,11 @@ def form_of(name: str, law: Any, key: str) -> Form:
         other.
     """
     mean, variance = map(float, law.stats(moments="mv"))
-    missing = 1.0 if not math.isfinite(mean) else 2.0 if not math.isfinite(variance) else math.inf
-    orders = []
+    missing, orders = math.inf, []
+    if not math.isfinite(mean):
+        missing = 1.0
+    elif not math.isfinite(variance):
+        missing = 2.0
     for quantile, share, called in ((law.ppf, law.cdf, "lower"), (law.isf, law.sf, "upper")):
         with np.errstate(all="ignore"):
             places = quantile(_TAILS)

@@ -74,9 +74,9 @@ def _ends(law: Law) -> list[float]:
 
 
 def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
-    own = [end for end in (law.lower, law.upper) if np.isfinite(end)]
-    if (law.family.bounded or not own) and law.family.name in CHAOSPY:
-        return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *own)
+    ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
+    if (law.family.bounded or not ends) and law.family.name in CHAOSPY:
+        return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *ends)
     low, high = _ends(law)
     return chaospy.UserDistribution(
         cdf=law.cdf,
@@ -206,12 +206,12 @@ def salib_measures(
     problem, y = _unit_problem(names), (outputs - outputs.mean()) / (float(outputs.std()) or 1.0)
     if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
-        found = answers["delta"] if "delta" in answers else answers["delta_balanced"]
+        measures = answers["delta"] if "delta" in answers else answers["delta_balanced"]
     elif method == "pawn":
-        found = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
+        measures = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
     else:
         # one bootstrap of all rows is the sample itself
-        found = enhanced_hdmr.analyze(
+        measures = enhanced_hdmr.analyze(
             problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y), seed=seed
         )["ST"][:d]
     return [
@@ -223,5 +223,5 @@ def salib_measures(
             method=shown,
             evaluations=outputs.size,
         )
-        for value in np.asarray(found, dtype=float)
+        for value in np.asarray(measures, dtype=float)
     ]

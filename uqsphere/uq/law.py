@@ -50,19 +50,17 @@ class Law:
     given: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
-        own = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
-        ends = (
-            ""
-            if math.isinf(self.lower) and math.isinf(self.upper)
-            else f" on [{self.lower:.6g}, {self.upper:.6g}]"
-        )
-        return f"<Law {self.family.name}({own}){ends}>"
+        numbers = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
+        ends = ""
+        if not (math.isinf(self.lower) and math.isinf(self.upper)):
+            ends = f" on [{self.lower:.6g}, {self.upper:.6g}]"
+        return f"<Law {self.family.name}({numbers}){ends}>"
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name, and is not sent along
         return _named, (
             self.family.name,
-            {one.name: getattr(self, one.name) for one in fields(self)[1:]},
+            {part.name: getattr(self, part.name) for part in fields(self)[1:]},
         )
 
     # --- probabilities and quantiles --------------------------------------------------------------
@@ -93,14 +91,16 @@ class Law:
 
     def _standard(self, x: Array) -> Array:
         location, scale, _ = self._whole
-        return np.asarray(
-            ((np.log(np.maximum(x, 0.0)) if self.family.logarithmic else x) - location) / scale
-        )
+        if self.family.logarithmic:
+            x = np.log(np.maximum(x, 0.0))
+        return np.asarray((x - location) / scale)
 
     def _physical(self, y: Array) -> Array:
         location, scale, _ = self._whole
         x = location + scale * y
-        return np.exp(x) if self.family.logarithmic else x
+        if self.family.logarithmic:
+            return np.exp(x)
+        return x
 
     @property
     def is_steps(self) -> bool:
@@ -156,7 +156,8 @@ class Law:
         values = np.asarray(x, dtype=float)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             density = self._form.pdf(self._standard(values)) / self._whole[1]
-            density = density / values if self.family.logarithmic else density
+            if self.family.logarithmic:
+                density = density / values
         return np.where(
             (values >= self.lower) & (values <= self.upper) & (density > 0.0), density, 0.0
         )
@@ -165,10 +166,12 @@ class Law:
 
     def nominal_mean(self) -> float:
         """Mean before truncation; the median where there is no mean."""
-        whole = self if self._untruncated else replace(self, lower=-math.inf, upper=math.inf)
-        return (
-            whole.mean() if min(whole.tail_orders()) > 1.0 else float(whole.ppf(np.array([0.5]))[0])
-        )
+        whole = self
+        if not self._untruncated:
+            whole = replace(self, lower=-math.inf, upper=math.inf)
+        if min(whole.tail_orders()) > 1.0:
+            return whole.mean()
+        return float(whole.ppf(np.array([0.5]))[0])
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf
@@ -199,19 +202,29 @@ class Law:
         middle = float(x[len(x) // 2])
         centre = middle + float(weights @ (x - middle))
         sd = math.sqrt(float(weights @ (x - centre) ** 2))
-        return 0.0 if abs(centre) < 1e-15 * sd < math.inf else centre, sd
+        if abs(centre) < 1e-15 * sd < math.inf:
+            centre = 0.0
+        return centre, sd
 
     def mean(self) -> float:
         """Mean of the law in force; nan or ±inf where there is none."""
         low, high = (order <= 1.0 for order in self.tail_orders())
-        if low or high:
-            return math.nan if low and high else math.inf if high else -math.inf
+        if low and high:
+            return math.nan
+        if high:
+            return math.inf
+        if low:
+            return -math.inf
         return self._moments[0]
 
     def sd(self) -> float:
         """Standard deviation of the law in force; nan or inf where there is none."""
         order = min(self.tail_orders())
-        return math.nan if order <= 1.0 else math.inf if order <= 2.0 else self._moments[1]
+        if order <= 1.0:
+            return math.nan
+        if order <= 2.0:
+            return math.inf
+        return self._moments[1]
 
     # --- other laws that are like it --------------------------------------------------------------
 
@@ -225,16 +238,17 @@ class Law:
         """
         if "mean" not in self.given:
             raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
-        cut = not self.family.bounded and self.given["mean"] > 0.0 and mean > 0.0
-        ratio = mean / self.given["mean"] if cut else 1.0
+        ratio = 1.0
+        if not self.family.bounded and self.given["mean"] > 0.0 and mean > 0.0:
+            ratio = mean / self.given["mean"]
         return make_law(
             self.family.name, {**self.given, "mean": mean}, ratio * self.lower, ratio * self.upper
         )
 
 
-def _named(name: str, own: Mapping[str, object]) -> Law:
+def _named(name: str, state: Mapping[str, object]) -> Law:
     family = DRAWN if name == DRAWN.name else family_named(name)
-    return Law(family=family, **own)  # type: ignore[arg-type]
+    return Law(family=family, **state)  # type: ignore[arg-type]
 
 
 def make_law(
@@ -278,10 +292,9 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     >>> discrete_law([2.0, 1.0], [1, 3]).cdf(np.array([1.0, 1.5, 2.0])).tolist()
     [0.75, 0.75, 1.0]
     """
-    numbers, counts = (
-        np.asarray(values, dtype=float),
-        np.asarray([1] * len(values) if weights is None else weights),
-    )
+    if weights is None:
+        weights = [1] * len(values)
+    numbers, counts = np.asarray(values, dtype=float), np.asarray(weights)
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise LawError("values of a discrete distribution are finite numbers in a list", "values")
     if counts.shape != numbers.shape or not (np.mod(counts, 1) == 0).all() or (counts < 0).any():

@@ -52,7 +52,9 @@ class LimitState:
     def broken(self) -> Flags:
         """Rows without a demand (R, n)."""
         missing = np.isnan(self.demands)
-        return missing if self.failed is None else missing | self.failed
+        if self.failed is not None:
+            missing |= self.failed
+        return missing
 
     @property
     def late(self) -> Flags:
@@ -67,12 +69,10 @@ class LimitState:
         """
         if self.tie is None:
             return score
-        last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
+        last, inputs = self.tie.copula.size - 1, self.tie.given.reshape(score.size, -1)
         near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
-        found = self.tie.copula.conditional_score(last, range(last), known, near).reshape(
-            score.shape
-        )
-        return np.where(np.isinf(score), score, found)
+        tied = self.tie.copula.conditional_score(last, range(last), inputs, near)
+        return np.where(np.isinf(score), score, tied.reshape(score.shape))
 
     def score_drawn(self, score: Array) -> Array:
         """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is
@@ -80,9 +80,9 @@ class LimitState:
         """
         if self.tie is None:
             return score
-        last, known = self.tie.copula.size - 1, self.tie.given.reshape(-1, self.tie.given.shape[-1])
+        last, inputs = self.tie.copula.size - 1, self.tie.given.reshape(score.size, -1)
         near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
-        return self.tie.copula.score_at(last, range(last), known, near).reshape(score.shape)
+        return self.tie.copula.score_at(last, range(last), inputs, near).reshape(score.shape)
 
 
 def score_of(below: Array, above: Array) -> Array:
@@ -101,7 +101,8 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     demands = np.where(broken, 0.0, state.demands) * factor
     if isinstance(strength, Law):
         # P(S < d): an observation that equals the demand has not been exceeded.
-        demands = np.nextafter(demands, -math.inf) if strength.is_steps else demands
+        if strength.is_steps:
+            demands = np.nextafter(demands, -math.inf)
         below, above = strength.tails(demands)
     else:
         below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
@@ -149,13 +150,17 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     if kept.min() < 2:
         return absent("too few successful samples in a replicate", state.method, broken.size)
     cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
-    event, other = (above, below) if aim == "break" else (below, above)
+    event, other = below, above
+    if aim == "break":
+        event, other = above, below
     value, low, high, error = _interval(event, other, kept, cell)
     bound = state.on_failure == "bound" and bool(broken.any())
     method = state.method
     if bound or late.any():
         # Censored demands may exceed any strength; failed rows may have gone either way.
-        counts = np.full(replicates, float(n)) if bound else kept
+        counts = kept
+        if bound:
+            counts = np.full(replicates, float(n))
         unsure = late | (broken & bound)
         # exceedance and its complement, where as little as possible exceeds, and as much
         least = below, np.where(broken & bound, 1.0, above)
@@ -164,9 +169,10 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
             least, most = (most[1], most[0]), (least[1], least[0])
         low, high = _interval(*least, counts, cell)[1], _interval(*most, counts, cell)[2]
         error = max(error, 0.5 * (high - low) / student(replicates))
-        named = ["censored"] * bool(late.any()) + ["failed"] * bound
-        method += f", interval widened for {' and '.join(named)} rows"
-    largest = float(event.max()) / float(event.sum()) if event.sum() > 0.0 else 0.0
+        causes = {"censored": late.any(), "failed": bound}
+        named = " and ".join(filter(causes.get, causes))
+        method += f", interval widened for {named} rows"
+    largest = float(event.max()) / (float(event.sum()) or 1.0)
     if largest > 0.2:
         method += f", one sample carries {100.0 * largest:.0f} %"
     return Estimate(
@@ -212,7 +218,9 @@ def target_met(missed: Estimate, target: float) -> bool | None:
     low, high = missed.outer
     if high is not None and high < target:
         return True
-    return False if low is not None and low > target else None
+    if low is not None and low > target:
+        return False
+    return None
 
 
 # --- safety factor --------------------------------------------------------------------------------
@@ -224,15 +232,12 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
 
     Absent where the strength or the demand may be zero or negative.
     """
-    strength, broken, late, total = (
-        state.strength,
-        state.broken,
-        state.late,
-        int(state.demands.size),
-    )
-    doubtful = (
-        float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
-    )
+    strength, broken, late = state.strength, state.broken, state.late
+    total = int(state.demands.size)
+    if isinstance(strength, Law):
+        doubtful = float(strength.cdf(np.zeros(1))[0])
+    else:
+        doubtful = float(strength <= 0.0)
     if doubtful > 1e-6:
         return absent(
             "the strength may be zero or negative: strength over demand has no meaning",
@@ -280,11 +285,15 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     if value is None:
         return absent("no margin has this probability", state.method, total)
     unsure = float(late.sum()) / counts.sum()
-    lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
+    lost = 0.0
+    if state.on_failure == "bound":
+        lost = float(broken.sum()) / total
     lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicates(value)), counts.size, total)
     low, high = _root(pooled, lowest - unsure - lost, value), _root(pooled, highest + lost, value)
     if low is None or high is None:
-        reason = "beyond the censored share" if unsure else "beyond what the samples can show"
+        reason = "beyond what the samples can show"
+        if unsure:
+            reason = "beyond the censored share"
         return absent(reason, state.method, total)
     return between(value, low, high, counts.size, state.method, total)
 

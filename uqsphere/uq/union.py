@@ -199,4 +199,4 @@ def weighted_quantile(
     replicates, m = values.shape
     read = sample_reader(values, np.repeat(weights, m).reshape(values.shape))
     error = spread(weights * ((values <= read(p)).mean(axis=1) - p), 1.0 / m)
-    return quantile(read, p, error, replicates, method, evaluations)
+    return quantile([read], p, error, replicates, method, evaluations)
