@@ -30,7 +30,6 @@ from uqsphere.errors import UsageError
 from uqsphere.uq.chaos import (
     Chaos,
     ChaospyObjects,
-    Germ,
     GermLike,
     fit_chaos,
     germ_points,
@@ -39,7 +38,7 @@ from uqsphere.uq.chaos import (
     predict,
     rows_of,
 )
-from uqsphere.uq.chaos.basis import MOST_STEPS
+from uqsphere.uq.chaos.basis import MOST_STEPS, values_of
 from uqsphere.uq.corrected import indices_of
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Joint
@@ -86,16 +85,17 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
     """
     rows = as_table(rows, names)
     if hasattr(rows, "columns") or isinstance(rows, Mapping):
-        given = [str(name) for name in (rows.columns if hasattr(rows, "columns") else rows)]
+        labels = list(map(str, getattr(rows, "columns", rows)))
         for what, wrong in (
-            ("is missing", [n for n in names if n not in given]),
-            ("is no input", [n for n in given if n not in names]),
-            ("is there twice", [n for n in given if given.count(n) > 1]),
+            ("is missing", [n for n in names if n not in labels]),
+            ("is no input", [n for n in labels if n not in names]),
+            ("is there twice", [n for n in labels if labels.count(n) > 1]),
         ):
             if wrong:
                 raise UsageError(f"column {wrong[0]!r} {what}; the inputs are {', '.join(names)}")
-        columns = [rows[n].to_series() if is_labelled(rows[n]) else rows[n] for n in names]
-        if masked := [n for n in names if isinstance(rows[n], np.ma.MaskedArray)]:
+        columns = [_series(rows[n]) for n in names]
+        masked = [n for n in names if isinstance(rows[n], np.ma.MaskedArray)]
+        if masked:
             raise UsageError(f"column {masked[0]!r} is masked: leave out the rows that are masked")
         index = index_of(rows)
         for k, column in enumerate(columns):
@@ -148,10 +148,16 @@ def index_of(rows: Any, names: Sequence[str] = ()) -> Any:
     one.
     """
     if isinstance(rows, Mapping) and not hasattr(rows, "data_vars"):
-        tables = [one.to_series() if is_labelled(one) else one for one in rows.values()]
+        tables = [_series(column) for column in rows.values()]
     else:
         tables = [as_table(rows, names)]
-    return next((one.index for one in tables if hasattr(one, "iloc")), None)
+    return next((table.index for table in tables if hasattr(table, "iloc")), None)
+
+
+def _series(column: Any) -> Any:
+    if is_labelled(column):
+        return column.to_series()
+    return column
 
 
 def in_order_of(column: Any, index: Any, name: str) -> Any:
@@ -175,11 +181,12 @@ def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
     """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not
     known.
     """
-    if steps := [name for name, law in zip(joint.names, joint.laws, strict=True) if law.is_steps]:
-        raise UsageError(
-            f"{steps[0]} is discrete: an expansion needs a density; run a study, which calls the "
-            "model"
-        )
+    for name, law in zip(joint.names, joint.laws, strict=True):
+        if law.is_steps:
+            raise UsageError(
+                f"{name} is discrete: an expansion needs a density; run a study, which calls the "
+                "model"
+            )
     return germ_points(joint.marginal_scores(x), germs)
 
 
@@ -213,9 +220,9 @@ class Expansion:
     response: Response | None = None
 
     def __repr__(self) -> str:
-        error = (
-            "" if self.response is None else f", leaves {self.response.error:.2g} of the variance"
-        )
+        error = ""
+        if self.response is not None:
+            error = f", leaves {self.response.error:.2g} of the variance"
         return (
             f"<Expansion in {', '.join(self.joint.names)}: {len(self.fit.coefficients)} "
             f"terms{error}>"
@@ -258,12 +265,7 @@ class Expansion:
         (or ln of it).
         """
         points = _points(self.joint, self.fit.germs, columns_of(rows, self.names))
-        return np.column_stack(
-            [
-                germ.values(p) if isinstance(germ, Germ) else p
-                for germ, p in zip(self.fit.germs, points.T, strict=True)
-            ]
-        )
+        return np.column_stack(list(map(values_of, self.fit.germs, points.T)))
 
     def predict(self, rows: Any, level: float = 0.95, *, outside: str = "raise") -> Prediction:
         """What the model would answer to rows, with the interval that holds the answer at this
@@ -315,25 +317,28 @@ class Expansion:
         return np.asarray(np.einsum("pn,pq,qn->n", rows, self._inverse, rows))
 
     def _std_error(self, points: Array, value: Array) -> Array:
-        slope = np.abs(value) if self.fit.log else 1.0
-        return np.asarray(slope * np.sqrt(1.0 + self._leverage(points)))
+        return np.asarray(self._slope(value) * np.sqrt(1.0 + self._leverage(points)))
+
+    def _slope(self, value: Array) -> Array:
+        """What the output moves by where the fitted polynomial moves by one."""
+        if self.fit.log:
+            return np.abs(value)
+        return np.ones_like(value)
 
     @cached_property
     def _scores(self) -> Array:
         """What each row is off by, over its standard error without itself."""
         assert self.response is not None
-        own = np.minimum(self._leverage(self.response.points), 1.0 - 1e-9)
-        slope = np.abs(self.response.levels) if self.fit.log else 1.0
-        return np.asarray(
-            np.abs(self.response.residuals) / np.maximum(slope * np.sqrt(1.0 / (1.0 - own)), 1e-300)
-        )
+        leverage = np.minimum(self._leverage(self.response.points), 1.0 - 1e-9)
+        error = self._slope(self.response.levels) * np.sqrt(1.0 / (1.0 - leverage))
+        return np.asarray(np.abs(self.response.residuals) / np.maximum(error, 1e-300))
 
     # --- what it says of the output ---------------------------------------------------------------
 
     def moments(self) -> tuple[float, float]:
         """Mean and standard deviation of the expansion, for independent inputs."""
-        found = integrals(self.fit)
-        return found.mean, found.sd
+        moments = integrals(self.fit)
+        return moments.mean, moments.sd
 
     def sample(self, count: int, *, seed: int = 0) -> DataFrame:
         """Rows of the inputs, drawn from their joint distribution, and the expansion's values there
@@ -379,9 +384,11 @@ class Expansion:
             raise UsageError(
                 "this expansion has no rows of its own: its indices are in the answers of the run"
             )
-        tied = self.joint.dependent
-        found = dependent_shares(self.response, self.joint) if tied else indices_of(self.response)
-        return {order: dict(zip(self.names, row, strict=True)) for order, row in found.items()}
+        if self.joint.dependent:
+            shares = dependent_shares(self.response, self.joint)
+        else:
+            shares = indices_of(self.response)
+        return {order: dict(zip(self.names, row, strict=True)) for order, row in shares.items()}
 
     def to_frame(self) -> DataFrame:
         """The terms: one row each with the degree in every input and the coefficient."""

@@ -52,16 +52,26 @@ class Germ:
 
     def values(self, points: Array) -> Array:
         """Standardised values (n,) of the law at points (n,) of the base."""
-        scores = special.ndtri(0.5 * (points + 1.0)) if self.base == "uniform" else points
-        return np.asarray(self.table(np.clip(scores, -REACH, REACH)))
+        if self.base == "uniform":
+            points = special.ndtri(0.5 * (points + 1.0))
+        return np.asarray(self.table(np.clip(points, -REACH, REACH)))
 
 
 GermLike: TypeAlias = str | Germ
 
 
+def values_of(germ: GermLike, points: Array) -> Array:
+    """Values (n,) of a germ at points (n,) of its base."""
+    if isinstance(germ, Germ):
+        return germ.values(points)
+    return points
+
+
 def base_of(germ: GermLike) -> str:
     """The base that points of a germ are given in: "normal" or "uniform"."""
-    return germ.base if isinstance(germ, Germ) else germ
+    if isinstance(germ, Germ):
+        return germ.base
+    return germ
 
 
 def recurrence_of(germ: GermLike, degree: int) -> Array:
@@ -81,14 +91,15 @@ def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Ar
     >>> stieltjes(np.array([-1.0, 1.0]), np.array([0.5, 0.5]), 0).tolist()
     [[0.0], [1.0]]
     """
-    found = np.ones((2, degree + 1))
+    recurrence = np.ones((2, degree + 1))
     before, now, last = np.zeros_like(values), np.ones_like(values), 1.0
     for k in range(degree + 1):
         square = float(weights @ now**2)
-        found[0, k] = float(weights @ (values * now**2)) / square
-        found[1, k] = square / last if k else 1.0
-        before, now, last = now, (values - found[0, k]) * now - found[1, k] * before, square
-    return found
+        a = recurrence[0, k] = float(weights @ (values * now**2)) / square
+        if k:
+            recurrence[1, k] = square / last
+        before, now, last = now, (values - a) * now - recurrence[1, k] * before, square
+    return recurrence
 
 
 def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
@@ -142,8 +153,7 @@ def highest_degrees(germs: Sequence[GermLike], points: Array) -> Indices:
     """
     highest = []
     for germ, column in zip(germs, points.T, strict=True):
-        values = germ.values(column) if isinstance(germ, Germ) else column
-        different = len(np.unique(values.round(12)))
+        different = len(np.unique(values_of(germ, column).round(12)))
         if isinstance(germ, Germ):
             different = min(different, germ.recurrence.shape[1])
         highest.append(max(min(different - 1, HIGHEST_DEGREE), 0))
@@ -209,12 +219,14 @@ def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
     """
     a, b = recurrence_of(germ, degree)
     degree = min(degree, len(a) - 1)
-    points = germ.values(points) if isinstance(germ, Germ) else points
+    points = values_of(germ, points)
     values = np.empty((degree + 1, points.size))
     values[0] = 1.0
     for k in range(degree):
-        before = math.sqrt(b[k]) * values[k - 1] if k else 0.0
-        values[k + 1] = ((points - a[k]) * values[k] - before) / math.sqrt(b[k + 1])
+        values[k + 1] = (points - a[k]) * values[k]
+        if k:
+            values[k + 1] -= math.sqrt(b[k]) * values[k - 1]
+        values[k + 1] /= math.sqrt(b[k + 1])
     return values
 
 
@@ -291,15 +303,15 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
         new = set(_below(waiting.pop())) - base
         base |= new
         waiting += new
-    found: dict[tuple[int, ...], float] = {}
+    rank: dict[tuple[int, ...], float] = {}
     for row in base:
         for j in range(len(row)):
             above = (*row[:j], row[j] + 1, *row[j + 1 :])
             lower = _below(above)
             if row[j] < highest and above not in base and base.issuperset(lower):
-                found[above] = max(ranks.get(low, 0.0) for low in lower)
+                rank[above] = max(ranks.get(low, 0.0) for low in lower)
     inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
-    outer = sorted(found, key=lambda row: (-found[row], sum(row), row))
+    outer = sorted(rank, key=lambda row: (-rank[row], sum(row), row))
     return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=np.int64)
 
 
@@ -317,14 +329,13 @@ def skipping(active: Indices, highest: int) -> Indices:
     >>> skipping(np.array([[0, 0], [1, 0], [1, 2]]), 4).tolist()
     [[1, 4], [3, 0], [3, 2]]
     """
-    rows = [tuple(int(k) for k in row) for row in active]
-    above = {
-        (*row[:j], k + 2, *row[j + 1 :])
-        for row in rows
-        for j, k in enumerate(row)
-        if 0 < k <= highest - 2
-    }
-    return np.array(sorted(above - set(rows)), dtype=np.int64).reshape(-1, active.shape[1])
+    rows = set(map(tuple, active.tolist()))
+    above = set[tuple[int, ...]]()
+    for row in rows:
+        above |= {
+            (*row[:j], k + 2, *row[j + 1 :]) for j, k in enumerate(row) if 0 < k < highest - 1
+        }
+    return np.array(sorted(above - rows), dtype=np.int64).reshape(-1, active.shape[1])
 
 
 def products(tables: Sequence[Array], terms: Indices) -> Array:

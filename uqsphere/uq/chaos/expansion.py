@@ -124,21 +124,17 @@ class Chaos:
         names = [f"q{k}" for k in range(len(self.germs))]
         highest = self.multi_indices.max(axis=0)
         powers = [_powers(germ, int(top)) for germ, top in zip(self.germs, highest, strict=True)]
-        entries = [
-            (exponent, term, value)
-            for term, degrees in enumerate(self.multi_indices)
-            for exponent in product(*(range(n + 1) for n in degrees))
-            if (
-                value := math.prod(
-                    float(power[n, k])
-                    for power, n, k in zip(powers, degrees, exponent, strict=True)
-                )
-            )
-        ]
+        entries = list[tuple[tuple[int, ...], int, float]]()
+        for term, degrees in enumerate(self.multi_indices):
+            rows = [power[n].tolist() for power, n in zip(powers, degrees, strict=True)]
+            for exponent in product(*map(range, degrees + 1)):
+                value = math.prod(row[k] for row, k in zip(rows, exponent, strict=True))
+                if value:
+                    entries.append((exponent, term, value))
         keys, terms, values = zip(*entries, strict=True)
-        exponents, rows = np.unique(np.array(keys), axis=0, return_inverse=True)
+        exponents, places = np.unique(np.array(keys), axis=0, return_inverse=True)
         table = np.zeros((len(exponents), len(self.coefficients)))
-        table[rows, np.array(terms)] = values
+        table[places, np.array(terms)] = values
         make = numpoly.ndpoly.from_attributes
         expansion = make(
             exponents=exponents, coefficients=list(table), names=names, retain_names=True
@@ -161,8 +157,10 @@ class Chaos:
         if not self.log:
             return self
         inputs = np.flatnonzero((self.multi_indices > 0).any(axis=0))
-        found = nested(len(inputs), 0.75, 10, PLAIN)
-        small = np.zeros((1, len(inputs)), dtype=np.int64) if found is None else found[0]
+        sets = nested(len(inputs), 0.75, 10, PLAIN)
+        small = np.zeros((1, len(inputs)), dtype=np.int64)
+        if sets is not None:
+            small = sets[0]
         terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
         terms[:, inputs] = small
         normals = special.ndtri(
@@ -223,7 +221,9 @@ def predict(fit: Chaos, points: Array) -> Array:
         for k in range(0, max(len(points), 1), BLOCK)
     ]
     values = np.concatenate(rows)
-    return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)) if fit.log else values)
+    if fit.log:
+        values = fit.sign * np.exp(np.clip(values, *fit.bounds))
+    return np.asarray(values)
 
 
 # --- moments and indices --------------------------------------------------------------------------
@@ -286,12 +286,10 @@ def integrals(fit: Chaos) -> Integrals:
     )
     rows = germ_points(special.ndtri(points.reshape(-1, d)), fit.germs)
     # about the mean of the plain form: what the two means differ by is no scatter
-    pairs = [(predict(one, rows).reshape(points.shape[:3]) - mean) / unit for one in (fit, plain)]
-    (first_s, v), (total_s, _), (first_p, w), (total_p, _) = (
-        ratio(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1])
-        for y in pairs
-        for ratio in (saltelli_first, jansen_total)
-    )
+    pairs = [(predict(form, rows).reshape(points.shape[:3]) - mean) / unit for form in (fit, plain)]
+    parts = [(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]) for y in pairs]
+    (first_s, v), (first_p, w) = (saltelli_first(*part) for part in parts)
+    (total_s, _), (total_p, _) = (jansen_total(*part) for part in parts)
     middle = (pairs[0] - pairs[1])[:, :, [0, -1]].mean(axis=(1, 2))
     scale = whole + v - w - (middle**2)[:, None]
     shares = [

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -76,11 +77,13 @@ class Target:
 
     @cached_property
     def sign(self) -> float:
-        return 1.0 if self.outputs[0] > 0.0 else -1.0
+        return math.copysign(1.0, self.outputs[0])
 
     @cached_property
     def w(self) -> Array:
-        return np.log(self.sign * self.outputs) if self.log else self.outputs
+        if self.log:
+            return np.log(self.sign * self.outputs)
+        return self.outputs
 
     @cached_property
     def scale(self) -> tuple[float, float]:
@@ -99,8 +102,10 @@ class Target:
 
     @cached_property
     def bounds(self) -> tuple[float, float]:
+        if not self.log:
+            return -math.inf, math.inf
         low, high = float(self.w.min()), float(self.w.max())
-        return (2.0 * low - high, 2.0 * high - low) if self.log else (-math.inf, math.inf)
+        return 2.0 * low - high, 2.0 * high - low
 
     def squares(self, values: Array) -> Array:
         """Square errors (n,) of predictions, over the variance of the outputs."""
@@ -110,8 +115,10 @@ class Target:
         return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
 
     def error(self, values: Array) -> float:
-        found = float(self.squares(values).mean())
-        return found if math.isfinite(found) else math.inf
+        error = float(self.squares(values).mean())
+        if math.isfinite(error):
+            return error
+        return math.inf
 
     def forward(self, basis: Basis, most: int) -> Choice:
         """The terms of a basis that forward selection keeps."""
@@ -210,10 +217,14 @@ def fit_chaos(
     highest = highest_degrees(germs, points)
     bases = _bases(tables, highest, _candidates(n))
     folds, one_sign = folds_of(n, 10 if n <= 150 else 5), abs(np.sign(outputs).sum()) == n
-    logs = (True, False) if one_sign and not plain else (False,)
+    logs = [False]
+    if one_sign and not plain:
+        logs = [True, False]
     targets = [Target(outputs=outputs, folds=folds, log=log) for log in logs]
-    best = _grow(_best(targets, bases), tables, highest) if bases else None
-    if best is None or best.error >= 1.0:
+    if not bases:
+        return constant
+    best = _grow(_best(targets, bases), tables, highest)
+    if best.error >= 1.0:
         return constant
     target, order = (
         best.target,
@@ -241,10 +252,10 @@ def _bases(tables: Sequence[Array], highest: Indices, most: int) -> list[Basis]:
     """
     d, bases = len(tables), []
     for norm in NORMS if d > 1 else NORMS[:1]:
-        found = nested(d, norm, HIGHEST_DEGREE, most)
-        if found is None:
+        sets = nested(d, norm, HIGHEST_DEGREE, most)
+        if sets is None:
             continue
-        terms, sizes = found
+        terms, sizes = sets
         inside = (terms <= highest).all(axis=1)
         counts = np.cumsum(inside)
         terms = terms[inside]
@@ -261,12 +272,12 @@ def _bases(tables: Sequence[Array], highest: Indices, most: int) -> list[Basis]:
 
 def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
     """The terms with the least error of all bases: selected, else whole sets."""
-    n, found = targets[0].outputs.size, list[Choice]()
+    n, tried = targets[0].outputs.size, list[Choice]()
     most = max(min(n // 2, MOST_TERMS), 1)
     for basis in bases:
         choices = [_search(target, basis, most) for target in targets]
-        found += choices
-        least = min(choice.error for choice in found)
+        tried += choices
+        least = min(choice.error for choice in tried)
         if least < ENOUGH:
             break
         bound = max(HOPELESS * least, min(choice.error for choice in choices))
@@ -274,51 +285,49 @@ def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
     else:
         # a whole set is no choice that few samples could mislead
         most = max(most, min(2 * n // 3, MOST_TERMS))
-        found += [target.whole(basis, most) for target in targets for basis in bases]
-    return min(found, key=lambda one: one.error)
+        tried += [target.whole(basis, most) for target, basis in product(targets, bases)]
+    return min(tried, key=lambda choice: choice.error)
 
 
 def _search(target: Target, basis: Basis, most: int) -> Choice:
     """What forward selection finds, degree by degree, until two degrees in a row no longer help."""
-    found, worse, last = list[Choice](), 0, 0.0
+    choices, worse, last = list[Choice](), 0, 0.0
     for size in basis.sizes:
         if size < 1.4 * last and size != basis.sizes[-1]:
             continue
-        one = target.forward(Basis(basis.terms[:size], basis.rows[:size]), most)
-        worse = (
-            0
-            if one.error < 0.99 * min((other.error for other in found), default=math.inf)
-            else worse + 1
-        )
+        choice = target.forward(Basis(basis.terms[:size], basis.rows[:size]), most)
+        worse += 1
+        if choice.error < 0.99 * min((other.error for other in choices), default=math.inf):
+            worse = 0
         last = float(size)
-        found.append(one)
-        if worse >= 2 or one.error < ENOUGH:
+        choices.append(choice)
+        if worse >= 2 or choice.error < ENOUGH:
             break
-    return min(found, key=lambda one: one.error)
+    return min(choices, key=lambda choice: choice.error)
 
 
-def _grow(found: Choice, tables: Sequence[Array], highest: Indices) -> Choice:
+def _grow(best: Choice, tables: Sequence[Array], highest: Indices) -> Choice:
     """Bases that grow around the terms that were kept, as long as the error falls: by their
     neighbours, else by the terms two degrees above as well, which outputs that are even or odd in
     an input need."""
-    n = found.target.outputs.size
+    n = best.target.outputs.size
     for _ in range(6):
-        if found.error < ENOUGH or len(found.terms) < 2:
+        if best.error < ENOUGH or len(best.terms) < 2:
             break
-        near = grown(found.terms, np.abs(found.coefficients), HIGHEST_DEGREE, _candidates(n))
-        above = skipping(found.terms, HIGHEST_DEGREE)
+        near = grown(best.terms, np.abs(best.coefficients), HIGHEST_DEGREE, _candidates(n))
+        above = skipping(best.terms, HIGHEST_DEGREE)
         both = np.unique(
             np.concatenate([near[: max(_candidates(n) - len(above), 1)], above]), axis=0
         )
         for terms in (near, both):
             terms = terms[(terms <= highest).all(axis=1)]
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
-            trial = found.target.forward(
+            trial = best.target.forward(
                 Basis(terms, products(tables, terms)), max(min(n // 2, MOST_TERMS), 1)
             )
-            if trial.error < found.error:
-                found = trial
+            if trial.error < best.error:
+                best = trial
                 break
         else:
             break
-    return found
+    return best
