@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -75,9 +76,7 @@ class Family:
         """Every key of the parameters, without lower and upper, in the order of the
         alternatives.
         """
-        return tuple(
-            dict.fromkeys((*(key for keys in self.alternatives for key in keys), *self.optional))
-        )
+        return tuple(dict.fromkeys(chain(*self.alternatives, self.optional)))
 
     @property
     def parameters_of(self) -> tuple[str, ...]:
@@ -93,7 +92,9 @@ class Family:
 
     def bounds(self, lower: float, upper: float) -> Keys:
         """The bounds, where these are among the parameters."""
-        return {"lower": lower, "upper": upper} if self.bounded else {}
+        if self.bounded:
+            return {"lower": lower, "upper": upper}
+        return {}
 
     def allowed(self) -> str:
         """The alternatives in words."""
@@ -124,9 +125,9 @@ class Family:
                 f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd
             )
         for key in (key for key in _POSITIVE if own.get(key, 1.0) <= 0.0):
-            hint = (
-                "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
-            )
+            hint = ""
+            if own[key] == 0.0:
+                hint = "; give the number itself where a fixed value is meant"
             raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
         if self.positive and not self.optional and own.get("mean", 1.0) <= 0.0:
             raise LawError(
@@ -325,4 +326,6 @@ def _of_scipy(name: str) -> Family | None:
 
 def family_named(name: str) -> Family | None:
     """A family by its name in a study: one of `FAMILIES`, or a law of SciPy."""
-    return FAMILIES.get(name) or (_of_scipy(name) if name.startswith(PREFIX) else None)
+    if name.startswith(PREFIX):
+        return _of_scipy(name)
+    return FAMILIES.get(name)

@@ -57,13 +57,17 @@ class LocationScale:
     @property
     def form(self) -> Form:
         """The standard form of z."""
-        return GAUSS if self.normal else SMALLEST
+        if self.normal:
+            return GAUSS
+        return SMALLEST
 
     def shape(self, s: Any) -> Any:
         """Shape of the law with the scale s, and the other way round: s itself, or 1/s (a
         modulus).
         """
-        return s if self.normal else 1.0 / s
+        if self.normal:
+            return s
+        return 1.0 / s
 
     def terms(self, z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
         """Log-likelihood without ln(1/s) of so many failures and stopped tests at each z, and its
@@ -195,10 +199,10 @@ class StrengthTests:
         """Tests that end with each failure (r,): itself and those stopped before the next; before
         the first: none.
         """
-        found = np.ones(int(self.failures.sum()))
+        leaving = np.ones(int(self.failures.sum()))
         last = np.cumsum(self.failures).astype(int) - 1
-        np.add.at(found, last[last >= 0], self.stopped[last >= 0])
-        return found
+        np.add.at(leaving, last[last >= 0], self.stopped[last >= 0])
+        return leaving
 
 
 def make_tests(values: object, stopped: object = None, counts: object = None) -> StrengthTests:
@@ -211,20 +215,21 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
     [2.0, 1.0, 0.0]
     """
-    for given in (values, stopped, counts):
-        if isinstance(given, np.ma.MaskedArray):
+    for column in (values, stopped, counts):
+        if isinstance(column, np.ma.MaskedArray):
             raise ValueError("masked arrays are not accepted. Remove the masked values first")
-        if np.asarray(given).dtype.kind == "c":
+        if np.asarray(column).dtype.kind == "c":
             raise ValueError("complex numbers are not accepted. Give real numbers")
-    found = np.atleast_1d(np.asarray(values, dtype=float))
-    if found.ndim != 1 or found.size == 0:
+    x = np.atleast_1d(np.asarray(values, dtype=float))
+    if x.ndim != 1 or x.size == 0:
         raise ValueError("there are no tests: at least two failures are needed")
-    flags = np.zeros(found.size) if stopped is None else np.asarray(stopped)
-    many = np.ones(found.size) if counts is None else np.asarray(counts, dtype=float)
-    for name, one in (("stopped", flags), ("counts", many)):
-        if one.shape != found.shape:
-            raise ValueError(f"values and {name} differ in number: {found.size} and {one.size}")
-    if strange := [flag for flag in flags.tolist() if flag not in (0, 1)]:
+    flags = np.zeros(x.size) if stopped is None else np.asarray(stopped)
+    many = np.ones(x.size) if counts is None else np.asarray(counts, dtype=float)
+    for name, numbers in (("stopped", flags), ("counts", many)):
+        if numbers.shape != x.shape:
+            raise ValueError(f"values and {name} differ in number: {x.size} and {numbers.size}")
+    strange = [flag for flag in flags.tolist() if flag not in (0, 1)]
+    if strange:
         raise ValueError(
             f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only "
             "to lie "
@@ -232,18 +237,20 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
         )
     if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
         raise ValueError("counts must be whole numbers from 1 on")
-    if not np.isfinite(found).all():
+    if not np.isfinite(x).all():
         raise ValueError("the tests hold values that are not finite numbers")
-    if found.min() <= 0.0:
-        raise ValueError(f"a strength must be positive, the smallest found is {found.min():g}")
-    tests = _gathered(found, flags.astype(bool), many)
+    if x.min() <= 0.0:
+        raise ValueError(f"a strength must be positive, the smallest found is {x.min():g}")
+    tests = _gathered(x, flags.astype(bool), many)
     broke, total = tests.values[tests.failures > 0.0], tests.failures.sum()
     if broke.size == 0:
         raise ValueError(
             f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength"
         )
     if np.isclose(broke[0], broke[-1], atol=0.0):
-        what = "only one failure" if total == 1.0 else f"all {total:.0f} failures are equal"
+        what = f"all {total:.0f} failures are equal"
+        if total == 1.0:
+            what = "only one failure"
         raise ValueError(
             f"{what}: the scatter is not known, at least two different failures are needed"
         )
@@ -279,7 +286,9 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
     if law.normal:
         return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
     # E[m*/m] has no bound for two failures; there the median takes its place
-    return 1.0 / float(np.mean(inverse) if n > 3 else np.median(inverse))
+    if n > 3:
+        return 1.0 / float(np.mean(inverse))
+    return 1.0 / float(np.median(inverse))
 
 
 # --- the fit --------------------------------------------------------------------------------------
@@ -473,14 +482,14 @@ def fitted_law(
                 f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit"
             )
         width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}
-        found = Law(
+        law = Law(
             family=FAMILIES["empirical"],
             parameters=width,
             lower=a,
             upper=b,
             data=tuple(values.tolist()),
         )
-        return checked(found)
+        return checked(law)
     family, least, largest = FAMILIES[how], float(values[0]), float(values[-1])
     if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
@@ -490,7 +499,7 @@ def fitted_law(
         )
     if family.positive and least <= 0.0:
         raise LawError(f"{how} needs positive observations, the smallest is {least:g}", "fit")
-    found = Law(
+    law = Law(
         family=family,
         lower=a,
         upper=b,
@@ -498,10 +507,10 @@ def fitted_law(
         censored=tuple(sorted(censored)),
     )
     try:
-        fitted = _likeliest(found, unbiased)
+        law = _likeliest(law, unbiased)
     except ValueError as error:
         raise LawError(f"{how} does not fit the observations: {error}", "fit") from None
-    return checked(fitted)
+    return checked(law)
 
 
 def _likeliest(law: Law, unbiased: bool = False) -> Law:
@@ -509,13 +518,16 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     ValueError.
     """
     name, ends = law.family.name, (law.lower, law.upper)
-    if (kind := LOCATION_SCALE.get(name)) is None:
+    kind = LOCATION_SCALE.get(name)
+    if kind is None:
         return replace(
             law, parameters=law.family.parameters(OTHERS[name](np.array(law.data), *ends), *ends)
         )
     tests = series_behind(law)
     location, spread = _best(tests, kind)
-    shape = kind.shape(spread) * (unbiasing(kind, tests.leaving) if unbiased else 1.0)
+    shape = kind.shape(spread)
+    if unbiased:
+        shape = shape * unbiasing(kind, tests.leaving)
     return replace(
         law, parameters=law.family.parameters(kind.parameters(location, kind.shape(shape)), *ends)
     )
@@ -548,7 +560,9 @@ def is_fitted(law: object) -> bool:
 
 def count_tests(law: Law) -> int:
     """How many tests a law was made from, those included that ended without a failure."""
-    return int(law.parameters["tests"]) if law.draws else len(law.data) + len(law.censored)
+    if law.draws:
+        return int(law.parameters["tests"])
+    return len(law.data) + len(law.censored)
 
 
 def series_behind(law: Law) -> StrengthTests:
@@ -646,11 +660,9 @@ def modulus_of(law: object) -> float | None:
     if not isinstance(law, Law):
         return None
     kinds = {(draw[0], draw[3]) for draw in law.draws}
-    return (
-        kinds.pop()[1]
-        if len(kinds) == 1 and law.draws[0][0] == WEIBULL
-        else law.parameters.get("modulus")
-    )
+    if len(kinds) == 1 and law.draws[0][0] == WEIBULL:
+        return law.draws[0][3]
+    return law.parameters.get("modulus")
 
 
 def outliers(values: Array, failed: Flags) -> dict[int, float]:

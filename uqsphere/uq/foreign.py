@@ -24,17 +24,16 @@ LawLike: TypeAlias = Any
 #: the keys of a law in a study: `dist`, parameters and bounds
 Table: TypeAlias = dict[str, Any]
 
-#: families of this package by SciPy's names, from shapes, loc and scale; None where loc has no
-#: place there
-TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
+#: families of this package by SciPy's names, from shapes, loc and scale
+TABLES: Final[Mapping[str, Callable[..., Table]]] = {
     "norm": lambda loc, scale: {"dist": "normal", "mean": loc, "sd": scale},
-    "lognorm": lambda s, loc, scale: (
-        None if loc else {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s}
-    ),
+    "lognorm": lambda s, _, scale: {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s},
     "uniform": lambda loc, scale: {"dist": "uniform", "lower": loc, "upper": loc + scale},
-    "loguniform": lambda a, b, loc, scale: (
-        None if loc else {"dist": "loguniform", "lower": scale * a, "upper": scale * b}
-    ),
+    "loguniform": lambda a, b, _, scale: {
+        "dist": "loguniform",
+        "lower": scale * a,
+        "upper": scale * b,
+    },
     "triang": lambda c, loc, scale: {
         "dist": "triangular",
         "mode": loc + c * scale,
@@ -48,7 +47,7 @@ TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
         "alpha": a,
         "beta": b,
     },
-    "gamma": lambda a, loc, scale: None if loc else {"dist": "gamma", "shape": a, "scale": scale},
+    "gamma": lambda a, _, scale: {"dist": "gamma", "shape": a, "scale": scale},
     "weibull_min": lambda c, loc, scale: {
         "dist": "weibull",
         "modulus": c,
@@ -62,8 +61,8 @@ TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
         "scale": scale,
         "location": loc,
     },
-    "expon": lambda loc, scale: None if loc else {"dist": "exponential", "rate": 1.0 / scale},
-    "rayleigh": lambda loc, scale: None if loc else {"dist": "rayleigh", "scale": scale},
+    "expon": lambda _, scale: {"dist": "exponential", "rate": 1.0 / scale},
+    "rayleigh": lambda _, scale: {"dist": "rayleigh", "scale": scale},
     "t": lambda df, loc, scale: {"dist": "student_t", "dof": df, "location": loc, "scale": scale},
     "truncnorm": lambda a, b, loc, scale: {
         "dist": "normal",
@@ -73,6 +72,9 @@ TABLES: Final[Mapping[str, Callable[..., Table | None]]] = {
         "upper": loc + scale * b,
     },
 }
+
+#: those of them that have no place for a loc other than 0
+UNSHIFTED: Final = ("lognorm", "loguniform", "gamma", "expon", "rayleigh")
 
 #: SciPy's names of chaospy's laws in standard form, which have the same shapes
 CHAOSPY: Final = {
@@ -274,9 +276,10 @@ def _of_chaospy(given: Any, kind: str) -> Law:
 def _by_name(name: str, *given: Any) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
     numbers = list(map(_number, given))
-    if name in TABLES and (table := TABLES[name](*numbers)) is not None:
-        return as_law(table)
-    if (family := family_named(PREFIX + name)) is None:
+    if name in TABLES and not (name in UNSHIFTED and numbers[-2]):
+        return as_law(TABLES[name](*numbers))
+    family = family_named(PREFIX + name)
+    if family is None:
         raise LawError(
             f"scipy.stats has no law {name!r} by this name: give it by rows of its values"
         )

@@ -244,7 +244,9 @@ def _estimates(
         if not np.isfinite(value[j]):
             found.append(absent(NO_SCATTER, method, evaluations))
             continue
-        error = max(spread(off[:, j]), ROUNDING) if value[j] or np.any(off[:, j]) else 0.0
+        error = 0.0
+        if value[j] or np.any(off[:, j]):
+            error = max(spread(off[:, j]), ROUNDING)
         half = student(1.0 + freedom(len(off), float(carriers[j]))) * error
         found.append(around(float(value[j]), half, error, method, evaluations))
     return found

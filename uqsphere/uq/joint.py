@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Final
 
 import numpy as np
@@ -114,7 +114,9 @@ class Copula:
 
 def _variate(score: Array, dof: float) -> Array:
     """Student's t variate with the same probability below it as a normal score."""
-    return np.asarray(score if math.isinf(dof) else student_t(dof).quantile(*GAUSS.tails(score)))
+    if math.isinf(dof):
+        return np.asarray(score)
+    return student_t(dof).quantile(*GAUSS.tails(score))
 
 
 def _score(variate: Array, dof: float) -> Array:
@@ -151,9 +153,9 @@ class Dependence:
             raise LawError(
                 f"a dependence needs two or more different inputs, found {list(self.of)}", "of"
             )
-        key, value = (
-            ("kendall", self.kendall) if self.spearman is None else ("spearman", self.spearman)
-        )
+        key, value = "spearman", self.spearman
+        if value is None:
+            key, value = "kendall", self.kendall
         if value is None or None not in (self.spearman, self.kendall):
             key = "kendall" if value is not None else ""
             raise LawError(
@@ -168,12 +170,10 @@ class Dependence:
         if key == "kendall":
             # for every dof (Lindskog, McNeil, Schmock 2003)
             rho = math.sin(0.5 * math.pi * value)
+        elif dof is None:
+            rho = 2.0 * math.sin(math.pi * value / 6.0)
         else:
-            rho = (
-                2.0 * math.sin(math.pi * value / 6.0)
-                if dof is None
-                else _correlation_of_t(value, dof)
-            )
+            rho = _correlation_of_t(value, dof)
         correlation = np.where(np.eye(size), 1.0, rho)
         if np.linalg.eigvalsh(correlation)[0] < _SMALLEST:
             raise LawError(
@@ -245,16 +245,20 @@ class Joint:
         """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are
         tied so.
         """
-        found = np.eye(len(self.names))
+        matrix = np.eye(len(self.names))
         for columns, copula in self.blocks:
             if math.isinf(copula.dof):
-                found[np.ix_(columns, columns)] = copula.correlation
-        return found if np.any(found - np.eye(len(found))) else None
+                matrix[np.ix_(columns, columns)] = copula.correlation
+        if np.any(matrix - np.eye(len(matrix))):
+            return matrix
+        return None
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
+        if not self.blocks:
+            return normals
         flat = normals.reshape(-1, len(self.names))
-        return self.given((), flat, flat).reshape(normals.shape) if self.blocks else normals
+        return self.given((), flat, flat).reshape(normals.shape)
 
     def marginal(self, scores: Array) -> Array:
         """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties
@@ -283,12 +287,13 @@ class Joint:
     def normals(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> independent standard normals (n, d): the inverse of `physical`."""
         scores = self.marginal_scores(physical)
-        found = scores.copy()
+        normals = scores.copy()
         for columns, copula in self.blocks:
             for k, column in enumerate(columns):
-                known = scores[:, list(columns[:k])]
-                found[:, column] = copula.conditional_score(k, range(k), known, scores[:, column])
-        return found
+                before = scores[:, list(columns[:k])]
+                score = scores[:, column]
+                normals[:, column] = copula.conditional_score(k, range(k), before, score)
+        return normals
 
     def only(self, names: Sequence[str]) -> Joint:
         """Some of the inputs, with what ties them to each other."""
@@ -308,23 +313,23 @@ class Joint:
 
         `normals` (n, d) are independent standard normals; those of the given columns are not used.
         """
-        found = np.array(normals, dtype=float)
-        found[:, list(columns)] = scores[:, list(columns)]
+        drawn = np.array(normals, dtype=float)
+        drawn[:, list(columns)] = scores[:, list(columns)]
         for block, copula in self.blocks:
             fixed = [k for k, column in enumerate(block) if column in columns]
             free = [column for column in block if column not in columns]
-            known = found[:, [block[k] for k in fixed]]
-            found[:, free] = copula.conditional_scores(fixed, known, normals[:, free])
-        return found
+            others = drawn[:, [block[k] for k in fixed]]
+            drawn[:, free] = copula.conditional_scores(fixed, others, normals[:, free])
+        return drawn
 
     def score_gradients(self, scores: Array) -> Array:
         """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d): s where
         nothing is tied.
         """
-        found = np.array(scores, dtype=float)
+        gradients = np.array(scores, dtype=float)
         for columns, copula in self.blocks:
-            found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
-        return found
+            gradients[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
+        return gradients
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
         """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores
@@ -374,18 +379,20 @@ def make_joint(
             if (i, j) in pairs:
                 raise LawError(f"the dependence of {names[i]} and {names[j]} is given twice", "of")
             pairs[i, j] = copula.correlation[0, 1]
-    tied = sorted({column for pair in pairs for column in pair})
-    taken = [*tied, *(column for columns, _ in blocks for column in columns)]
-    if twice := [names[column] for column in taken if taken.count(column) > 1]:
+    tied = sorted(set(chain.from_iterable(pairs)))
+    taken = list(chain(tied, *(columns for columns, _ in blocks)))
+    twice = [names[column] for column in taken if taken.count(column) > 1]
+    if twice:
         raise LawError(
             f"{twice[0]} is in more than one dependence, and one of them is not Gaussian: name all "
             "of them in one dependence, or take Gaussian copulas",
             "of",
         )
     if tied:
-        gaussian = np.array(
-            [[pairs.get((min(i, j), max(i, j)), float(i == j)) for j in tied] for i in tied]
-        )
+        gaussian = np.eye(len(tied))
+        for (i, j), rho in pairs.items():
+            a, b = tied.index(i), tied.index(j)
+            gaussian[a, b] = gaussian[b, a] = rho
         if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
             raise LawError(
                 "the dependences cannot hold together: the correlation matrix is not positive "

@@ -108,7 +108,9 @@ def _mean_of(
         return np.asarray(cubic(np.clip(x, cubic.x[0], cubic.x[-1])))
 
     def tails(y: Array) -> tuple[Array, Array]:
-        return own_tails(y) if y.size * count <= _FEW else GAUSS.tails(inside(cubics()[0], y))
+        if y.size * count <= _FEW:
+            return own_tails(y)
+        return GAUSS.tails(inside(cubics()[0], y))
 
     def pdf(y: Array) -> Array:
         scores = cubics()[0]

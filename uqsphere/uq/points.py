@@ -87,8 +87,7 @@ def sobol_points(
         block[1 << k : 2 << k] = block[: 1 << k][::-1] ^ directions[k]
     begins = range(start - start % size, start + count, size)
     points = np.concatenate([block ^ _at(directions, shift, begin) for begin in begins])
-    found: Array = points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1)
-    return found
+    return np.asarray(points[start - begins[0] :][:count] * 0.5**bits + 0.5 ** (bits + 1))
 
 
 def _by_scipy(
@@ -137,7 +136,7 @@ def _directions(dimension: int, bits: int) -> _Words:
     with resources.files("scipy").joinpath("stats/_sobol_direction_numbers.npz").open("rb") as file:
         table = np.load(file)
         polynomials, first = table["poly"][:dimension].tolist(), table["vinit"][:dimension].tolist()
-    found = [[1] * bits]
+    numbers = [[1] * bits]
     for polynomial, row in zip(polynomials[1:], first[1:], strict=True):
         degree = polynomial.bit_length() - 1
         row = row[:degree]
@@ -147,5 +146,5 @@ def _directions(dimension: int, bits: int) -> _Words:
                 if polynomial >> (degree - k) & 1:
                     new ^= row[j - k] << k
             row.append(new)
-        found.append(row[:bits])
-    return np.array(found, dtype=np.uint64) << np.arange(bits, dtype=np.uint64)[::-1]
+        numbers.append(row[:bits])
+    return np.array(numbers, dtype=np.uint64) << np.arange(bits, dtype=np.uint64)[::-1]

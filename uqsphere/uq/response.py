@@ -237,13 +237,12 @@ def cross_fit(
     Raises ValueError for fewer than 8 rows.
     """
     points, outputs = np.asarray(points), np.asarray(outputs, dtype=float)
-    outputs = outputs[:, None] if outputs.ndim == 1 else outputs
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting takes at least 8 rows, found {n}")
     fold = folds_of(n, FOLDS)
     responses = []
-    for y in outputs.T:
+    for y in outputs.reshape(n, -1).T:
         fits, levels = [], np.empty(n)
         for k in range(FOLDS):
             left_out = fold == k
@@ -258,7 +257,9 @@ def cross_fit(
             used=tuple(range(FOLDS)),
             trusted=tuple(range(FOLDS)),
         )
-        responses.append(_bounded(response) if independent else response)
+        if independent:
+            response = _bounded(response)
+        responses.append(response)
     return responses
 
 
@@ -339,5 +340,5 @@ class _Allowed:
         """
         if not math.isfinite(variance) or variance > self.high or variance + missing < self.low:
             return False
-        own = missing + 2.0 * math.sqrt(missing * max(variance, float(self.median[k])))
-        return bool(abs(variance - self.median[k]) <= self.room[k] + own)
+        left = missing + 2.0 * math.sqrt(missing * max(variance, float(self.median[k])))
+        return bool(abs(variance - self.median[k]) <= self.room[k] + left)

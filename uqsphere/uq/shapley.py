@@ -112,7 +112,7 @@ def dependent_shares(
             )
             held = more
     first = [closed((i,)) for i in range(d)]
-    rest = [closed(tuple(j for j in range(d) if j != i)) for i in range(d)]
+    rest = [closed((*range(i), *range(i + 1, d))) for i in range(d)]
 
     def answers(pairs: Sequence[tuple[float, Array]]) -> list[Estimate]:
         found = []
@@ -135,5 +135,8 @@ def _orders(d: int, seed: int) -> list[tuple[int, ...]]:
     if d <= MOST_EXACT:
         return list(permutations(range(d)))
     generator = random_generator(seed=seed, task="shapley orders")
-    some = [tuple(int(k) for k in generator.permutation(d)) for _ in range(ORDERS)]
-    return [order for one in some for order in (one, one[::-1])]
+    orders = list[tuple[int, ...]]()
+    for _ in range(ORDERS):
+        order = tuple(generator.permutation(d).tolist())
+        orders += [order, order[::-1]]
+    return orders

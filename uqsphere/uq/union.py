@@ -104,8 +104,8 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
 
 def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
     """Normal scores drawn from the lower tails that have these shares."""
-    found = special.ndtri(np.maximum(rng.random(share.shape) * share, np.finfo(float).tiny))
-    return np.clip(found, -CERTAIN, CERTAIN)
+    scores = special.ndtri(np.maximum(rng.random(share.shape) * share, np.finfo(float).tiny))
+    return np.clip(scores, -CERTAIN, CERTAIN)
 
 
 def union_state(union: Union) -> LimitState:

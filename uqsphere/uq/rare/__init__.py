@@ -111,7 +111,10 @@ def failure_probability(
     budget = evaluator.budget
     if budget < FEW:
         return _from_few(evaluator, seed, accuracy)
-    if known and (near := nearby(evaluator, known, seed=seed, accuracy=accuracy)) is not None:
+    near = None
+    if known:
+        near = nearby(evaluator, known, seed=seed, accuracy=accuracy)
+    if near is not None:
         points = find_design_points(evaluator, seed=seed, most=0.06 * budget)
         return RareAnswer(
             estimate=replace(near.estimate, evaluations=evaluator.count),
@@ -132,14 +135,14 @@ def failure_probability(
     if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:
         # failure is the rule: the probability of survival is looked for
         survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=evaluator.left)
-        found = failure_probability(survival, seed=seed, accuracy=accuracy)
-        other = found.estimate
+        survived = failure_probability(survival, seed=seed, accuracy=accuracy)
+        other = survived.estimate
         failure = replace(
             complement(other),
             evaluations=evaluator.count + survival.count,
             reason=other.reason and other.reason.replace("failure", "survival"),
         )
-        return replace(found, estimate=failure)
+        return replace(survived, estimate=failure)
     mixture = _first_mixture(evaluator, pool, points, subset)
     if mixture is None and evaluator.failed:
         # rows without an answer may be the failures that were not found: a plain sample bounds them
@@ -173,13 +176,12 @@ def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
         return [], np.empty((0, evaluator.size))
     count = int(DEFENSIVE * evaluator.budget)
     look = draw(evaluator, wide_mixture(d), count, seed=seed, task="wide look")
-    failing = look.points[
-        evaluator.values(look.points, look.answers) < (2.0 if evaluator.integrated else 0.0)
-    ]
+    limit = 2.0 if evaluator.integrated else 0.0
+    failing = look.points[evaluator.values(look.points, look.answers) < limit]
     starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
-    return [look], np.column_stack(
-        [starts, np.full(len(starts), -1.0)]
-    ) if evaluator.integrated else starts
+    if evaluator.integrated:
+        starts = np.column_stack([starts, np.full(len(starts), -1.0)])
+    return [look], starts
 
 
 def _first_mixture(
@@ -199,7 +201,9 @@ def _first_mixture(
         seen, weights = failures(evaluator, pool)
         if weights.size:
             parts.append(gaussian(seen, weights))
-    return joined([(1.0, part) for part in parts]) if parts else None
+    if not parts:
+        return None
+    return joined([(1.0, part) for part in parts])
 
 
 def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
@@ -213,21 +217,19 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
         ), f"importance sampling: {own.reason}; subset simulation has no second method"
     if other.value is None or other.high is None:
         sure = answer.trusted and own.low <= (1.0 if other.high is None else other.high)
+        if sure:
+            return own, ""
         return (
             own,
-            ""
-            if sure
-            else f"subset simulation: {other.reason}; importance sampling has no second method",
+            f"subset simulation: {other.reason}; importance sampling has no second method",
         )
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
     slack = 1.5 * math.log(other.high / other.value) + math.log(own.high / own.low)
     if answer.trusted and math.log(own.value / other.value) >= -slack:
         # what trusted weights show is there; chains may well have missed it
-        agreed = own.value <= other.value * math.exp(slack)
-        return (
-            own,
-            "" if agreed else f"subset simulation missed a part of the failures: {other.value:.3g}",
-        )
+        if own.value <= other.value * math.exp(slack):
+            return own, ""
+        return own, f"subset simulation missed a part of the failures: {other.value:.3g}"
     warning = (
         f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset "
         "simulation "
@@ -311,15 +313,16 @@ def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
         value, 1.0 - value, spread(rows, 1.0 / count), REPLICATES, total
     )
     high = min(max(high, value + unseen) + lost, 1.0)
-    some = value > 0.0
     estimate = Estimate(
-        value=value if some else None,
+        value=value,
         low=low,
         high=high,
-        std_error=error if some else None,
+        std_error=error,
         method="randomised quasi-Monte Carlo",
         evaluations=evaluator.count,
-        reason=None if some else f"no failure in {total} runs: it is below {high:.2g}",
     )
+    if not value > 0.0:
+        reason = f"no failure in {total} runs: it is below {high:.2g}"
+        estimate = replace(estimate, value=None, std_error=None, reason=reason)
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate=estimate, warning=warning)

@@ -67,12 +67,15 @@ def find_design_points(
     found: list[DesignPoint] = []
     with suppress(Spent):
         looked = evaluator.hard(first)
-        known = looked[np.isfinite(looked)]
+        finite = looked[np.isfinite(looked)]
         # a typical size of g: its value at the origin, or its spread over the starts where that is
         # larger
-        spread = float(np.ptp(known)) if known.size else 0.0
-        scale = max(abs(float(looked[0])), spread) if math.isfinite(looked[0]) else spread
-        for start in first if scale > 0.0 else ():
+        scale = float(np.ptp(finite)) if finite.size else 0.0
+        if math.isfinite(looked[0]):
+            scale = max(abs(float(looked[0])), scale)
+        if not scale > 0.0:
+            return ()
+        for start in first:
             point, value, slope = _search(evaluator, start, scale, last)
             length, distance = float(np.linalg.norm(slope)), float(np.linalg.norm(point))
             direction = -slope / (length or 1.0)

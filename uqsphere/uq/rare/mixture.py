@@ -208,7 +208,8 @@ def _mixture_of(
     """
     loads = weights @ duties
     kept = np.flatnonzero(loads > 2.0 / worth)
-    kept = kept if kept.size else np.array([int(loads.argmax())])
+    if not kept.size:
+        kept = np.array([int(loads.argmax())])
     means, factors = [], []
     for k in kept:
         share = weights * duties[:, k] / loads[k]
@@ -410,7 +411,9 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
         none = absent("no failure among the points", method, evaluations)
         return ImportanceAnswer(estimate=replace(none, low=0.0, high=high))
     plain = float(np.std(weights)) / math.sqrt(weights.size)
-    error = max(spread(rows), 0.0 if evaluator.integrated else HARD * plain, 1e-12 * value)
+    error = max(spread(rows), 1e-12 * value)
+    if not evaluator.integrated:
+        error = max(error, HARD * plain)
     low, high, _ = probability_ends(value, 1.0 - value, error, rows.size, weights.size)
     estimate = Estimate(
         value=value,
@@ -447,4 +450,6 @@ def nearby(
         and (now.low or 0.0) <= (before.high or 1.0)
         and (before.low or 0.0) <= (now.high or 1.0)
     )
-    return found if agree else None
+    if agree:
+        return found
+    return None

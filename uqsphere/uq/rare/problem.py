@@ -80,20 +80,25 @@ class Evaluator:
 
     def values(self, points: Array, answers: Array | None = None) -> Array:
         """g at points (n, dimension), of their answers if these are known; inf beyond `REACH`."""
-        answers = self.answers(points) if answers is None else answers
+        if answers is None:
+            answers = self.answers(points)
         return np.where(within_reach(points), self.limits(answers), np.inf)
 
     def limits(self, answers: Array) -> Array:
         """g of answers (n,)."""
-        return answers if self.limit is None else self.limit(answers)
+        if self.limit is None:
+            return answers
+        return self.limit(answers)
 
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends
         there.
         """
-        found = self.values(points[:, : self.dimension])
-        found = np.where(np.isnan(found), np.inf, found)
-        return found + points[:, self.dimension] if self.integrated else found
+        values = self.values(points[:, : self.dimension])
+        values = np.where(np.isnan(values), np.inf, values)
+        if self.integrated:
+            values = values + points[:, self.dimension]
+        return values
 
     def mass(self, values: Array) -> Array:
         """Probability of failure given values of g: 0 or 1, or Phi(-g); nan stays nan."""
