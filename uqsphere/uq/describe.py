@@ -127,11 +127,11 @@ def describe(
         return Description(
             mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan
         )
-    shown = (
-        method
-        + ", restricted to the record" * bool(late.any())
-        + ", without failed rows" * bool(broken.any())
-    )
+    shown = method
+    if late.any():
+        shown += ", restricted to the record"
+    if broken.any():
+        shown += ", without failed rows"
     mean, sd, scale = _moments(samples, kept, shown)
     if (late | broken).all():
         mean = sd = absent("every sample outlasts the record", method, total)

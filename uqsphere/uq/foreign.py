@@ -203,8 +203,8 @@ def as_law(given: LawLike) -> Law:
         values = np.zeros(0)
     if values.ndim == 1 and values.size >= 2:
         return fitted_law(values.tolist())
-    known = "a law, its table, a distribution of scipy.stats or chaospy, or observations (n,)"
-    raise LawError(f"found {kind}: give {known}")
+    ways = "a law, its table, a distribution of scipy.stats or chaospy, or observations (n,)"
+    raise LawError(f"found {kind}: give {ways}")
 
 
 def _of_table(given: Mapping[str, Any]) -> Law:
@@ -312,8 +312,8 @@ def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependenc
     if isinstance(laws, Joint):
         return laws
     if not isinstance(laws, Mapping):
-        known = "a mapping of name to law, a problem of SALib, or a Joint"
-        raise LawError(f"found {type(laws).__name__}, allowed: {known}; {EACH}")
+        ways = "a mapping of name to law, a problem of SALib, or a Joint"
+        raise LawError(f"found {type(laws).__name__}, allowed: {ways}; {EACH}")
     laws = of_salib(laws)
     return make_joint(tuple(laws), tuple(as_law(law) for law in laws.values()), dependence)
 
@@ -341,7 +341,7 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
             for n, kind, row in zip(names, kinds, bounds, strict=True)
         }
     except (KeyError, TypeError) as error:
-        said = f"known: {', '.join(SALIB)}, each with its two to four numbers"
+        hint = f"known: {', '.join(SALIB)}, each with its two to four numbers"
         raise LawError(
-            f"found dists {kinds} with bounds {list(bounds)}; {said}", "bounds"
+            f"found dists {kinds} with bounds {list(bounds)}; {hint}", "bounds"
         ) from error

@@ -212,14 +212,14 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
         a, b, ab = (np.concatenate(part, axis=1) for part in ((a, b), (b, a), (ab, ba)))
     numerator, denominator = jansen_total(a, b, ab)
     large = numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)
-    found = {}
+    effects = {}
     for order, estimators in ESTIMATORS.items():
         small, big = (
             _estimates(ratio, (a, b, ab), shown, outputs.size) for shown, ratio in estimators
         )
-        found[order] = [big[j] if large[j] else small[j] for j in range(d)]
+        effects[order] = [big[j] if large[j] else small[j] for j in range(d)]
     return SampledIndices(
-        first=found["first"], total=found["total"], second=dict(zip(pairs, second, strict=True))
+        first=effects["first"], total=effects["total"], second=dict(zip(pairs, second, strict=True))
     )
 
 
@@ -239,14 +239,14 @@ def _estimates(
     carriers = np.where(
         fourth > 0.0, squares.sum(axis=0) ** 2 / np.where(fourth > 0.0, fourth, 1.0), np.inf
     )
-    found, method = [], f"{METHOD}, {shown}"
+    estimates, method = [], f"{METHOD}, {shown}"
     for j in range(value.size):
         if not np.isfinite(value[j]):
-            found.append(absent(NO_SCATTER, method, evaluations))
+            estimates.append(absent(NO_SCATTER, method, evaluations))
             continue
         error = 0.0
         if value[j] or np.any(off[:, j]):
             error = max(spread(off[:, j]), ROUNDING)
         half = student(1.0 + freedom(len(off), float(carriers[j]))) * error
-        found.append(around(float(value[j]), half, error, method, evaluations))
-    return found
+        estimates.append(around(float(value[j]), half, error, method, evaluations))
+    return estimates

@@ -99,7 +99,7 @@ def _mean_of(
 
         y = nodes()
         some = np.array_split(y, 1 + y.size * count // _FEW)
-        score = GAUSS.quantile(*np.hstack([own_tails(one) for one in some]))
+        score = GAUSS.quantile(*np.hstack([own_tails(part) for part in some]))
         y, score = y[np.isfinite(score)], score[np.isfinite(score)]
         rises = np.diff(np.maximum.accumulate(score), prepend=-math.inf) > 0.0
         return PchipInterpolator(y[rises], score[rises]), PchipInterpolator(score[rises], y[rises])

@@ -115,13 +115,13 @@ def dependent_shares(
     rest = [closed((*range(i), *range(i + 1, d))) for i in range(d)]
 
     def answers(pairs: Sequence[tuple[float, Array]]) -> list[Estimate]:
-        found = []
+        estimates = []
         for value, off in pairs:
-            own, e = from_replicates(value + off, METHOD, n, value), response.error
+            estimate, e = from_replicates(value + off, METHOD, n, value), response.error
             noise = student(n) * 2.0 * math.sqrt(max(value * (1.0 - value), e) * e / n)
-            half = math.hypot(own.half_width, noise) + e + 1e-15
-            found.append(own.spanning(value - half, value + half))
-        return found
+            half = math.hypot(estimate.half_width, noise) + e + 1e-15
+            estimates.append(estimate.spanning(value - half, value + half))
+        return estimates
 
     return {
         "shapley": answers(effects),

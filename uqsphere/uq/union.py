@@ -51,8 +51,8 @@ class Union:
         answer.
         """
         with np.errstate(divide="ignore"):
-            found = -np.expm1(np.log1p(-self.failure_given_inputs).sum(axis=0))
-        return np.where(self.broken, 0.0, found)
+            exceeded = -np.expm1(np.log1p(-self.failure_given_inputs).sum(axis=0))
+        return np.where(self.broken, 0.0, exceeded)
 
 
 def residual_correlation(covariance: Array) -> Array:
@@ -63,9 +63,9 @@ def residual_correlation(covariance: Array) -> Array:
     [[1.0, 0.0], [0.0, 1.0]]
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    known = deviation > 1e-7
-    scale = np.where(known, deviation, 1.0)
-    correlation = np.where(np.outer(known, known), covariance / np.outer(scale, scale), 0.0)
+    random = deviation > 1e-7
+    scale = np.where(random, deviation, 1.0)
+    correlation = np.where(np.outer(random, random), covariance / np.outer(scale, scale), 0.0)
     np.fill_diagonal(correlation, 1.0)
     # strengths that are one and the same given the inputs leave a factor of rank less than L
     return np.asarray(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(correlation))))

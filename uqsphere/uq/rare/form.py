@@ -64,7 +64,7 @@ def find_design_points(
     )
     away = 2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     first = np.concatenate([np.zeros((1, size)), away, *([] if starts is None else [starts])])
-    found: list[DesignPoint] = []
+    points: list[DesignPoint] = []
     with suppress(Spent):
         looked = evaluator.hard(first)
         finite = looked[np.isfinite(looked)]
@@ -88,8 +88,8 @@ def find_design_points(
                 and off < 0.02 * max(1.0, distance)
                 and sign * along > -1e-6
             ):
-                found.append(DesignPoint(point=point, beta=sign * distance, direction=direction))
-    return _distinct(found)
+                points.append(DesignPoint(point=point, beta=sign * distance, direction=direction))
+    return _distinct(points)
 
 
 def _search(

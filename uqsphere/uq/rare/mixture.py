@@ -286,23 +286,23 @@ def draw(
 def weighted_mass(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
     """Weights (..., n) of the points of all draws together, and of those without an answer: mass of
     failure times the standard normal density over the density of all draws."""
-    sizes = np.array([one.answers.size for one in draws], dtype=float)
+    sizes = np.array([part.answers.size for part in draws], dtype=float)
     weights, lost = [], []
-    for one in draws:
-        points = one.points.reshape(-1, one.mixture.dimension)
+    for part in draws:
+        points = part.points.reshape(-1, part.mixture.dimension)
         table = np.column_stack([other.mixture.log_density(points) for other in draws])
         whole = special.logsumexp(table, axis=1, b=sizes / sizes.sum())
         ratio = np.exp(log_normal_density(points) - whole)
-        mass = evaluator.mass(evaluator.values(points, one.answers.ravel()))
-        weights.append((np.nan_to_num(mass, nan=0.0) * ratio).reshape(one.answers.shape))
-        lost.append((np.isnan(mass) * ratio).reshape(one.answers.shape))
+        mass = evaluator.mass(evaluator.values(points, part.answers.ravel()))
+        weights.append((np.nan_to_num(mass, nan=0.0) * ratio).reshape(part.answers.shape))
+        lost.append((np.isnan(mass) * ratio).reshape(part.answers.shape))
     return np.concatenate(weights, axis=-1), np.concatenate(lost, axis=-1)
 
 
 def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
     """Failing points (n, d) of all draws, with their weights (n,)."""
     weights = weighted_mass(evaluator, draws)[0]
-    points = np.concatenate([one.points for one in draws], axis=-2)
+    points = np.concatenate([part.points for part in draws], axis=-2)
     return points[weights > 0.0], weights[weights > 0.0]
 
 
@@ -384,12 +384,12 @@ def importance_sampling(
                     for r in range(REPLICATES)
                 ]
             )
-            found = evaluator.answers(fresh.reshape(-1, mixture.dimension)).reshape(
+            values = evaluator.answers(fresh.reshape(-1, mixture.dimension)).reshape(
                 REPLICATES, block
             )
             points, answers = (
                 np.concatenate([points, fresh], axis=1),
-                np.concatenate([answers, found], axis=1),
+                np.concatenate([answers, values], axis=1),
             )
         done += more
         draws = Draws(mixture=drawn, points=points, answers=answers)
@@ -435,21 +435,21 @@ def nearby(
     """Probability of a failure domain inside another one, by the draws of a search for that and
     others nearby: weighted anew, else from a mixture that is fitted to them; None where the first
     of the draws have too few failures here."""
-    known = weigh(evaluator, draws, 0)
-    before = known.estimate
+    reweighed = weigh(evaluator, draws, 0)
+    before = reweighed.estimate
     if before.value is None or carriers(weighted_mass(evaluator, draws[:1])[0]) < CARRIERS:
         return None
-    if known.trusted and before.half_width <= accuracy * before.value:
-        return known
+    if reweighed.trusted and before.half_width <= accuracy * before.value:
+        return reweighed
     points, weights = failures(evaluator, draws)
-    own = fitted(draws[0].mixture, points, weights)
-    found = importance_sampling(evaluator, defended(own), seed=seed, accuracy=accuracy)
-    now = found.estimate
+    refitted = fitted(draws[0].mixture, points, weights)
+    anew = importance_sampling(evaluator, defended(refitted), seed=seed, accuracy=accuracy)
+    now = anew.estimate
     agree = (
-        found.trusted
+        anew.trusted
         and (now.low or 0.0) <= (before.high or 1.0)
         and (before.low or 0.0) <= (now.high or 1.0)
     )
     if agree:
-        return found
+        return anew
     return None

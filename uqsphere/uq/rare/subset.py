@@ -86,25 +86,25 @@ def subset_simulation(
                 for r in on
             ]
             here = np.array([states[r][rows] for r, rows in zip(on, chosen, strict=True)])
-            own = np.array([values[r][rows] for r, rows in zip(on, chosen, strict=True)])
-            states, values = _moved(evaluator, here, own, thresholds[on], count, rng)
+            levels = np.array([values[r][rows] for r, rows in zip(on, chosen, strict=True)])
+            states, values = _moved(evaluator, here, levels, thresholds[on], count, rng)
     if evaluator.count == begun:
         nothing = absent("the budget does not suffice for the first level", method, 0)
         return SubsetAnswer(estimate=nothing, failures=failures[0], levels=0)
-    known, spent = probability[~np.isnan(probability)], evaluator.count - begun
+    shares, spent = probability[~np.isnan(probability)], evaluator.count - begun
     value, low, high, error, reason = None, 0.0, 1.0, None, None
-    if not known.size:
+    if not shares.size:
         # no failure was seen: the level that was reached bounds the probability from above
         high = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * repetitions)
         reason = f"no failure was reached; its probability is below {high:.2g}"
-    elif known.size < repetitions:
+    elif shares.size < repetitions:
         # some repetitions reached a failure domain that others did not: their answers are worlds
         # apart
-        value, error = float(known.sum()) / repetitions, float(known.max())
+        value, error = float(shares.sum()) / repetitions, float(shares.max())
         high = min(10.0 * error, 1.0)
     else:
-        value = float(known.mean())
-        error = value * max(float(np.std(np.log(known), ddof=1)), 0.02) / math.sqrt(repetitions)
+        value = float(shares.mean())
+        error = value * max(float(np.std(np.log(shares), ddof=1)), 0.02) / math.sqrt(repetitions)
         low, high, _ = probability_ends(value, 1.0 - value, error, repetitions, spent)
     estimate = Estimate(
         value=value,
