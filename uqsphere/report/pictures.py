@@ -77,9 +77,15 @@ def draw_density(axes: Axes, density: Density) -> None:
 
 def _under(axes: Axes, place: float, text: str, down: float, **style: Any) -> None:
     axes.annotate(
-        text, (place, 0.0), (0.0, down), textcoords="offset points", ha="center", va="center",
-        annotation_clip=False, **style,
-    )  # fmt: skip
+        text,
+        (place, 0.0),
+        (0.0, down),
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        annotation_clip=False,
+        **style,
+    )
 
 
 def _mark_onset(
@@ -123,9 +129,14 @@ def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
         axes.plot(total[0], height, "o", color=BLUE, ms=5, clip_on=False, zorder=5)
         text = "–" if np.isnan(total[0]) else f"{total[0]:.2f}"
         axes.annotate(
-            text, (1.0, height), (14.0, 0.0), ("axes fraction", "data"), "offset points",
-            va="center", annotation_clip=False,
-        )  # fmt: skip
+            text,
+            (1.0, height),
+            (14.0, 0.0),
+            ("axes fraction", "data"),
+            "offset points",
+            va="center",
+            annotation_clip=False,
+        )
     axes.set(xlim=(-0.06, 1.06), ylim=(-0.6, count - 0.4))
     axes.set_xticks((0.0, 0.5, 1.0), ("0", "0.5", "1"))
     texts = [""] * count
@@ -145,9 +156,14 @@ def draw_convergence(axes: Axes, runs: Array, error: Array) -> None:
     axes.loglog(runs, error, "o-", color=BLUE)
     axes.axhline(1.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
     axes.annotate(
-        "tolerance", (1.0, 1.0), (5.0, 0.0), ("axes fraction", "data"), "offset points",
-        va="center", annotation_clip=False,
-    )  # fmt: skip
+        "tolerance",
+        (1.0, 1.0),
+        (5.0, 0.0),
+        ("axes fraction", "data"),
+        "offset points",
+        va="center",
+        annotation_clip=False,
+    )
     for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
         plain_logarithms(axis, float(shown.max() / shown.min()))
     axes.set(xlabel="model runs", ylabel="largest error / tolerance")
