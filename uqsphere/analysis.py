@@ -99,17 +99,16 @@ class Answers(dict[Any, Any]):
         """
         from pandas import DataFrame
 
-        flat = [
-            (order, name, e)
-            for order, row in self.items()
-            if isinstance(row, dict)
-            for name, e in row.items()
-        ]
-        flat = flat or [("", name, e) for name, e in self.items()]
+        flat = []
+        for order, row in self.items():
+            if isinstance(row, dict):
+                flat += [(order, *pair) for pair in row.items()]
         columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
-        return DataFrame(
-            [{"order": o, "name": n, **{c: getattr(e, c) for c in columns}} for o, n, e in flat]
-        )
+        rows = []
+        for order, name, estimate in flat or [("", *pair) for pair in self.items()]:
+            values = {column: getattr(estimate, column) for column in columns}
+            rows.append({"order": order, "name": name, **values})
+        return DataFrame(rows)
 
 
 def joint(
@@ -136,20 +135,22 @@ def joint(
         return joint_of(laws, ties)
 
 
-def _arrays(x: Any, y: Any, given: Joint) -> tuple[Array, Array]:
+def _arrays(x: Any, y: Any, laws: Joint) -> tuple[Array, Array]:
     """x (n, d) in the order of the inputs and y (n,), matched by names and by index."""
-    rows, y = columns_of(x, given.names), as_answers(y)
+    rows, y = columns_of(x, laws.names), as_answers(y)
     if hasattr(y, "reindex"):
         from pandas import RangeIndex
 
-        index = index_of(x, given.names)
-        y = in_order_of(y, RangeIndex(len(rows)) if index is None else index, "y")
+        index = index_of(x, laws.names)
+        if index is None:
+            index = RangeIndex(len(rows))
+        y = in_order_of(y, index, "y")
     values = np.asarray(y, dtype=float)
     if values.shape != rows.shape[:1]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():
         raise UsageError("y must be finite: leave rows without an answer out")
-    check_rows(rows, given)
+    check_rows(rows, laws)
     return each_once(rows, values)
 
 
@@ -172,9 +173,9 @@ def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0)
     seed : of the order in which rows are dealt into folds
     """
     with _refusing():
-        given = joint_of(inputs)
-        rows, values = _arrays(x, y, given)
-        return fit_expansion(rows, values, given, plain=plain, seed=seed)
+        laws = joint_of(inputs)
+        rows, values = _arrays(x, y, laws)
+        return fit_expansion(rows, values, laws, plain=plain, seed=seed)
 
 
 def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
@@ -185,15 +186,15 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
     is in no interval: the method of every estimate says so.  Raises UsageError for tied inputs
     whose expansion leaves more than 25 % of the variance.
     """
-    found = chaos(x, y, inputs, seed=seed)
-    assert found.response is not None
-    if found.joint.dependent and not found.response.usable:
+    expansion = chaos(x, y, inputs, seed=seed)
+    assert expansion.response is not None
+    if expansion.joint.dependent and not expansion.response.usable:
         raise UsageError(
-            f"no indices from these rows: {found.response.reason}; give more rows, or call the "
+            f"no indices from these rows: {expansion.response.reason}; give more rows, or call the "
             "model"
         )
     with _refusing():
-        return Answers(found.indices())
+        return Answers(expansion.indices())
 
 
 # --- a model that is called -----------------------------------------------------------------------
@@ -242,26 +243,31 @@ def _by_parts(model: Model, columns: dict[str, Array]) -> Array:
         return np.concatenate([_by_parts(model, first), _by_parts(model, rest)])
 
 
-def _checked(found: Any, n: int) -> Array:
+def _checked(answers: Any, n: int) -> Array:
     """What a model answered to n rows as (n,) real numbers."""
-    if isinstance(found, Mapping) or hasattr(found, "columns"):
-        if len(names := list(found)) != 1:
+    if isinstance(answers, Mapping) or hasattr(answers, "columns"):
+        names = list(answers)
+        if len(names) != 1:
             raise UsageError(
                 f"the model answers {', '.join(map(str, names))}: one output is required"
             )
-        found = found[names[0]]
-    given = np.asarray(by_index(found, n))
-    if given.dtype.kind not in "fiu":
-        raise UsageError(f"the model must answer with real numbers, found {given.dtype}")
-    values = given.astype(float)
+        answers = answers[names[0]]
+    cells = np.asarray(by_index(answers, n))
+    if cells.dtype.kind not in "fiu":
+        raise UsageError(f"the model must answer with real numbers, found {cells.dtype}")
+    values = cells.astype(float)
     if values.shape != (n,):
         raise UsageError(f"the model must answer {n} rows with ({n},) values, found {values.shape}")
     return values
 
 
 def _shown(e: Estimate) -> str:
-    ends = "" if e.low is None or e.high is None else f" ({e.low:.4g} to {e.high:.4g})"
-    return f"{'no value' if e.value is None else format(e.value, '.4g')}{ends}"
+    text = "no value"
+    if e.value is not None:
+        text = f"{e.value:.4g}"
+    if e.low is None or e.high is None:
+        return text
+    return f"{text} ({e.low:.4g} to {e.high:.4g})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,27 +332,27 @@ def failure_probability(
     if on_failure not in ("refuse", "bound"):
         raise UsageError(f"on_failure must be refuse or bound here, found {on_failure!r}")
     with _refusing():
-        given = joint_of(inputs)
+        laws = joint_of(inputs)
 
         def function(z: Array) -> Array:
-            values = _called(limit, dict(zip(given.names, given.physical(z).T.copy(), strict=True)))
+            values = _called(limit, dict(zip(laws.names, laws.physical(z).T.copy(), strict=True)))
             if on_failure == "refuse" and np.isnan(values).any():
                 raise UsageError(
                     f"the limit function is nan at {int(np.isnan(values).sum())} of {len(z)} points"
                 )
             return values
 
-        found = rare.failure_probability(
-            rare.Evaluator(function, len(given.names), budget=evaluations),
+        search = rare.failure_probability(
+            rare.Evaluator(function, len(laws.names), budget=evaluations),
             seed=seed,
             accuracy=accuracy,
         )
-        nearest = [given.physical(one.point[None])[0].tolist() for one in found.points[:1]]
+        nearest = [laws.physical(point.point[None])[0].tolist() for point in search.points[:1]]
     return Failure(
-        probability=found.estimate,
-        sure=found.sure,
-        warning=found.warning,
-        design_point=dict(zip(given.names, *nearest, strict=True)) if nearest else {},
+        probability=search.estimate,
+        sure=search.sure,
+        warning=search.warning,
+        design_point=dict(zip(laws.names, *nearest, strict=True)) if nearest else {},
     )
 
 
@@ -396,36 +402,34 @@ def fragility(
     evaluations : spent on all levels together
     """
     with _refusing():
-        given, grid = joint_of(inputs), np.asarray(levels, dtype=float)
-        if free in given.names:
+        laws, grid = joint_of(inputs), np.asarray(levels, dtype=float)
+        if free in laws.names:
             raise UsageError(f"{free} is free and cannot scatter besides")
         law = float(strength) if isinstance(strength, int | float) else as_law(strength)
         if isinstance(law, float) and not math.isfinite(law):
             raise UsageError(f"the strength must be a finite number or a law, found {law}")
-        if wrong := [p for p in probabilities if not 0.0 < p < 1.0]:
-            raise UsageError(f"a probability lies between 0 and 1, found {wrong[0]}")
+        for p in probabilities:
+            if not 0.0 < p < 1.0:
+                raise UsageError(f"a probability lies between 0 and 1, found {p}")
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
-        d = len(given.names)
+        d = len(laws.names)
         points = [
             sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
             for r in range(REPLICATES)
         ]
-        x = given.physical(special.ndtri(np.concatenate(points)))
-        columns = dict(zip(given.names, x.T.copy(), strict=True))
+        x = laws.physical(special.ndtri(np.concatenate(points)))
+        columns = dict(zip(laws.names, x.T.copy(), strict=True))
         rows = []
         for level in grid:
             answers = _called(model, {**columns, free: np.full(len(x), level)})
             if not np.isfinite(answers).all():
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
-            rows.append(
-                tails(LimitState(demands=answers.reshape(REPLICATES, count), strength=law))[0].mean(
-                    axis=1
-                )
-            )
-        found = curve.fragility(
+            state = LimitState(demands=answers.reshape(REPLICATES, count), strength=law)
+            rows.append(tails(state)[0].mean(axis=1))
+        fitted = curve.fragility(
             grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(x)
         )
-    return Fragility(curve=np.array(found.curve), values=found.values)
+    return Fragility(curve=np.array(fitted.curve), values=fitted.values)
 
 
 # --- strengths from tests -------------------------------------------------------------------------
@@ -455,9 +459,9 @@ def lognormal_fit(
 
 def _fitted(values: Any, stopped: Any, counts: Any, family: str) -> StrengthFit:
     if hasattr(values, "reindex"):
-        stopped, counts = (
-            in_order_of(one, values.index, name) if hasattr(one, "reindex") else one
-            for name, one in (("stopped", stopped), ("counts", counts))
-        )
+        if hasattr(stopped, "reindex"):
+            stopped = in_order_of(stopped, values.index, "stopped")
+        if hasattr(counts, "reindex"):
+            counts = in_order_of(counts, values.index, "counts")
     with _refusing():
         return fit_strength(make_tests(values, stopped, counts), STRENGTHS[family])
