@@ -135,12 +135,17 @@ def _run(task: Task, progress: Progress) -> Run:
     from threadpoolctl import threadpool_limits
 
     started, study, folder = time.monotonic(), task.study, task.folder
-    log = Log(None if folder is None else folder / "log.txt")
+    log = Log(folder and folder / "log.txt")
     log.write(f"run of {study.title!r}, study {study.hash}")
     design = Design.of(study)
     budget = task.seconds
-    cache = None if folder is None or not study.black_box else folder / "cache.sqlite"
-    evaluated = None if task.rows is None else surrogate.known_rows(design, task.rows)
+    cache = None
+    if folder is not None and study.black_box:
+        cache = folder / "cache.sqlite"
+    evaluated, black_box = None, task.model
+    if task.rows is not None:
+        evaluated = surrogate.known_rows(design, task.rows)
+        black_box = evaluated.model
 
     reported = {"stages": 0.0, "share": 0.0}
 
@@ -158,7 +163,7 @@ def _run(task: Task, progress: Progress) -> Run:
 
     evaluator = Model(
         design.judged,
-        task.model if evaluated is None else evaluated.model,
+        black_box,
         executor=task.executor,
         threads=task.threads,
         cache_file=cache,
@@ -189,7 +194,7 @@ def _run(task: Task, progress: Progress) -> Run:
                 method="half-width over what is required",
             )
         checked = checks(design, tables, evaluator.notes)
-        decisions = [decision_of(one, checked) for one in judged]
+        decisions = [decision_of(aim, checked) for aim in judged]
         took = time.monotonic() - started
         cost = Cost(
             runs=evaluator.evaluations + evaluator.reused, reused=evaluator.reused, seconds=took
@@ -212,7 +217,9 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
         count = min(sample.count, MOST_ROWS)
         x = np.stack([sample.input(name)[0, :count] for name in design.inputs], axis=1)
         y = sample.answer(quantity)[0, :count]
-        return fit_expansion(x, y, joint, seed=design.study.seed) if np.ptp(y) > 0.0 else None
+        if not np.ptp(y) > 0.0:
+            return None
+        return fit_expansion(x, y, joint, seed=design.study.seed)
 
     def pairs(quantity: str) -> Any:
         from uqsphere.uq.interop import SalibDesign, salib_problem
@@ -266,5 +273,6 @@ def _changed_keys(folder: Path, overrides: list[str], study: Study) -> str:
     if not keys:
         return ""
     listed = ", ".join(keys[:SHOWN_CHANGES])
-    more = f" and {len(keys) - SHOWN_CHANGES} more" if len(keys) > SHOWN_CHANGES else ""
-    return f" (changed: {listed}{more})"
+    if len(keys) > SHOWN_CHANGES:
+        listed += f" and {len(keys) - SHOWN_CHANGES} more"
+    return f" (changed: {listed})"

@@ -24,23 +24,23 @@ def caveats_of(
     settled: Settled, yielding: YieldingRows | None, checks: Sequence[Check]
 ) -> list[Caveat]:
     """Why the verdict of an aim is not established; empty where nothing holds it."""
-    found: list[Caveat] = []
+    caveats: list[Caveat] = []
     design, governing = settled.aim.design, settled.governing
     if governing.code == ASSUMED:
-        found.append(Caveat(code="assumed strength", subject=design.subject(governing.limit)))
-    found += _model_range(settled, yielding, checks)
-    found += _sizes(settled)
+        caveats.append(Caveat(code="assumed strength", subject=design.subject(governing.limit)))
+    caveats += _model_range(settled, yielding, checks)
+    caveats += _sizes(settled)
     for code, path, text in design.study.caveats:
-        known = next(word for word in get_args(CaveatCode) if word == code)
-        found.append(Caveat(code=known, subject=path, text=text))
+        literal = next(word for word in get_args(CaveatCode) if word == code)
+        caveats.append(Caveat(code=literal, subject=path, text=text))
     # limits on the same tests rest on one set of synthetic data
     names = [strength_name(group[0].name) for group in settled.aim.groups]
-    found += [
+    caveats += [
         Caveat(code="synthetic tests", subject=name)
         for name in dict.fromkeys([*names, *design.inputs])
         if name in design.study.made_up
     ]
-    return found
+    return caveats
 
 
 def _model_range(
@@ -61,8 +61,9 @@ def _model_range(
         return
     nearest = int(np.argmin(np.abs(line.places - line.place_of(number))))
     few = line.few
-    one = Line(design=design, values=(few.values[nearest],), samples=(few.samples[nearest],))
-    under = one if yielding is None else yielding.along(one) or one
+    under = Line(design=design, values=(few.values[nearest],), samples=(few.samples[nearest],))
+    if yielding is not None:
+        under = yielding.along(under) or under
     for check in range_checks(under, settled.aim.limits, under.values[0]):
         share = max(check.failures.values(), default=0.0)
         if share > design.study.analysis.accuracy.probability and check.name not in told:

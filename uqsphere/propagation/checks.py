@@ -15,7 +15,7 @@ from uqsphere.propagation.design import Design
 from uqsphere.propagation.limits import failure_given_inputs, state_of
 from uqsphere.propagation.line import Line
 from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.tables import Tables
+from uqsphere.propagation.tables import Tables, stacked
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import CheckEntry, Grade
 from uqsphere.study import Limit
@@ -68,11 +68,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     each = max(ROWS // len(sample.scores), 1)
     head = sample.head(min(each, sample.count))
     if not design.study.black_box:
-        rows = (
-            np.stack([head.input(name).ravel() for name in design.inputs], axis=1)
-            if design.inputs
-            else np.zeros((1, 0))
-        )
+        rows = stacked([head.input(name).ravel() for name in design.inputs])
         results, grades = checked_rows(design.judged, design.inputs, rows, design.columns)
         weights = {
             limit.name: np.ravel(failure_given_inputs(state_of(design, limit, head), limit.aim))
@@ -90,12 +86,11 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 if w.sum() > 0.0
             }
             worst = max(failures.values(), default=0.0)
-            unknown = "" if GRADES[result.grade] == "note" else "bias not quantified"
-            effect = (
-                f"{format_probability(worst)} of the failures lie in such rows"
-                if worst
-                else unknown
-            )
+            effect = ""
+            if worst:
+                effect = f"{format_probability(worst)} of the failures lie in such rows"
+            elif GRADES[result.grade] != "note":
+                effect = "bias not quantified"
             found.append(
                 Check(
                     name=result.check,
@@ -155,9 +150,9 @@ def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None
     if moves and margins is not None and margins.solve not in names:
         names.append(margins.solve)
         columns.append(np.full(sample.size, value))
-    rows = np.stack(columns, axis=1) if columns else np.zeros((sample.size, 0))
+    rows = stacked(columns, sample.size)
     results, grades = checked_rows(design.judged, names, rows, design.columns)
-    own = {limit.name: limit for limit in design.judged.limits}
+    limit_by_name = {limit.name: limit for limit in design.judged.limits}
     elastic = design.study.options.get("contact.law", "hertz") == "hertz"
     found = []
     for result in results:
@@ -167,7 +162,7 @@ def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None
         beyond = grades.get(result.check, np.zeros(sample.size)) >= worst
         failures = {}
         for limit in limits:
-            state = line.state(own[limit.name])
+            state = line.state(limit_by_name[limit.name])
             weights = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
             if weights.sum() > 0.0:
                 failures[limit.name] = float((weights * beyond).sum() / weights.sum())

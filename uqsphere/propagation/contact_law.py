@@ -13,6 +13,7 @@ from uqsphere.models.scene import evaluate_scene
 from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.line import Line
+from uqsphere.propagation.tables import stacked
 from uqsphere.study import load_study
 from uqsphere.uq import Sample
 
@@ -76,7 +77,7 @@ class YieldingRows:
             names.append(margins.solve)
             columns.append(np.full(sample.size, value))
             moving[margins.solve] = np.full(shape, value)
-        rows = np.stack(columns, axis=1) if columns else np.zeros((sample.size, 0))
+        rows = stacked(columns, sample.size)
         found = evaluate_scene(self.design.judged, names, rows, self.design.columns)
         answers = np.where(found.good[:, None], found.values, np.nan)
         answered = sample.with_answers(

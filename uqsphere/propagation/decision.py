@@ -55,6 +55,12 @@ class Settled:
         return self.curves.line
 
     @property
+    def ends(self) -> tuple[float, float]:
+        """The safe and the unsafe end of the line."""
+        first, last = self.line.values[0], self.line.values[-1]
+        return (last, first) if self.least else (first, last)
+
+    @property
     def aim(self) -> Aim:
         """The limits and failure modes that are judged."""
         return self.curves.aim
@@ -77,7 +83,9 @@ class Settling:
 
     def once(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim by the rows at hand."""
-        yielding = None if self.yielding is None else self.yielding.along(line.few)
+        yielding = None
+        if self.yielding is not None:
+            yielding = self.yielding.along(line.few)
         curves = Curves(aim=aim, line=line, yielding=yielding)
         doubts = tuple(doubts_of(curves, self.others))
         least = _rises(curves) != aim.survive
@@ -104,7 +112,9 @@ class Settling:
                 count *= 2
             above = int(np.searchsorted(line.values, number))
             beside = line.values[max(above - 1, 0) : above + 1]
-            wanted = beside if there else (*beside, number)
+            wanted = beside
+            if not there:
+                wanted = (*beside, number)
             if not self._affords(len(wanted) * count * line.samples[0].replicates):
                 break
             try:
@@ -131,7 +141,9 @@ class Settling:
         if governing.code == ASSUMED or (settled.number is None and not alone):
             return self.once(settled.aim.without(governing.limit.name), settled.line).number
         rest = [doubt for doubt in settled.doubts if doubt.key != governing.key]
-        return _most_conservative(rest, least=settled.least)[0] if rest else None
+        if not rest:
+            return None
+        return _most_conservative(rest, least=settled.least)[0]
 
 
 def _rises(curves: Curves) -> bool:
@@ -162,10 +174,10 @@ def _governing(settled: Settled) -> Doubt:
         return doubt
     number, line = settled.number, settled.line
     if number is None or math.isinf(number):
-        number = line.values[-1 if settled.least else 0]
+        number = settled.ends[0]
     candidates = {doubt.limit.name: doubt}
     for other in settled.doubts:
         if curves.adds_up(other.limit) and not settled.aim.same_tests(other.limit, doubt.limit):
             candidates.setdefault(other.limit.name, other)
     candidates |= {mode.limit.name: curves.assumed(mode) for mode in settled.aim.modes}
-    return max(candidates.values(), key=lambda one: line.at(one.single, number))
+    return max(candidates.values(), key=lambda candidate: line.at(candidate.single, number))

@@ -16,9 +16,10 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
-from uqsphere.propagation.design import Design, by_force
+from uqsphere.propagation.design import Design, by_force, number
 from uqsphere.study import Limit
 from uqsphere.uq import Law, Sample
+from uqsphere.uq.fitting import count_tests, is_fitted
 
 #: numbers of the sphere that the force in a test depends on
 SPHERE = ("sphere.E", "sphere.nu", "sphere.density")
@@ -28,12 +29,23 @@ def strength_of(limit: Limit) -> Law | float:
     """What a limit is held against: the distribution of the force of its crushing tests, or its
     strength.
     """
-    return limit.strength if limit.tested is None or limit.tested.law is None else limit.tested.law
+    if limit.tested is None or limit.tested.law is None:
+        return limit.strength
+    return limit.tested.law
+
+
+def number_of_tests(strength: Law | float) -> int | None:
+    """Number of tests behind a strength, None for one that was not fitted to tests."""
+    if isinstance(strength, Law) and is_fitted(strength):
+        return count_tests(strength)
+    return None
 
 
 def column_of(limit: Limit) -> str:
     """The column of a sample that a limit is held against."""
-    return f"limits.{limit.name}.test_force" if by_force(limit) else limit.quantity
+    if by_force(limit):
+        return f"limits.{limit.name}.test_force"
+    return limit.quantity
 
 
 def demands_of(limit: Limit, sample: Sample) -> Array:
@@ -47,18 +59,18 @@ def _factor(limit: Limit, sample: Sample) -> Array | float:
     name = f"limits.{limit.name}.model_factor"
     if name in sample.names:
         return sample.input(name)
-    return (
-        limit.model_factor.nominal_mean()
-        if isinstance(limit.model_factor, Law)
-        else limit.model_factor
-    )
+    return number(limit.model_factor)
 
 
 def _law(limit: Limit, moving: Mapping[str, Array], sample: Sample) -> list[str]:
     """Numbers of what yields in the tests that scatter from row to row."""
-    own = limit.tested.sphere if limit.tested is not None else {}
-    tables = ("sphere", "contact") if own.get("takes") else ("contact",)
-    names = [f"{table}.{key}" for table in tables for key in LAW if key in own]
+    if limit.tested is None:
+        return []
+    sphere = limit.tested.sphere
+    keys = [key for key in LAW if key in sphere]
+    names = [f"contact.{key}" for key in keys]
+    if sphere.get("takes"):
+        names = [f"sphere.{key}" for key in keys] + names
     return [name for name in names if name in moving or name in sample.names]
 
 
@@ -90,28 +102,28 @@ def with_test_forces(
     means = design.study.at_means()
     shape = sample.scores.shape[:2]
 
-    def number(name: str) -> Array:
-        own = (
-            moving[name]
-            if name in moving
-            else sample.input(name)
-            if name in sample.names
-            else means[name]
-        )
-        return np.broadcast_to(np.asarray(own, dtype=float), shape).ravel()
+    def column(name: str) -> Array:
+        values: Array | float
+        if name in moving:
+            values = moving[name]
+        elif name in sample.names:
+            values = sample.input(name)
+        else:
+            values = means[name]
+        return np.broadcast_to(np.asarray(values, dtype=float), shape).ravel()
 
     for limit in design.judged.limits if limits is None else limits:
         if not by_force(limit):
             continue
         value = sample.answer(limit.quantity) * _factor(limit, sample)
-        known = np.isfinite(value)
+        finite = np.isfinite(value)
         sphere = {
-            name.partition(".")[2]: number(name)[known.ravel()]
+            name.partition(".")[2]: column(name)[finite.ravel()]
             for name in (*SPHERE, *_law(limit, moving, sample))
         }
         force = np.full(shape, np.nan)
-        force[known] = _test_force(
-            limit, value[known], sphere, number("sphere.radius")[known.ravel()]
+        force[finite] = _test_force(
+            limit, value[finite], sphere, column("sphere.radius")[finite.ravel()]
         )
         late = sample.late(limit.quantity)
         sample = replace(

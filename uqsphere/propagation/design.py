@@ -51,11 +51,10 @@ class Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
         found = failure_modes_of(study)
         wide = _with_limits(study, [mode.limit for mode in found.assumed])
-        unanswered = {
-            mode.called: why
-            for mode in found.assumed
-            if (why := absent_quantity(wide, mode.limit.quantity))
+        reasons = {
+            mode.called: absent_quantity(wide, mode.limit.quantity) for mode in found.assumed
         }
+        unanswered = {name: reason for name, reason in reasons.items() if reason}
         answered = [mode for mode in found.assumed if mode.called not in unanswered]
         evidence, modes = judged_by_tests(study, answered)
         refuted = {one.mode: refuted_text(one) for one in evidence if one.refuted}
@@ -123,7 +122,9 @@ class Design:
     def subject(self, limit: Limit) -> str:
         """The name of a limit in the table of answers."""
         assumed = next((mode for mode in self.modes if mode.limit.name == limit.name), None)
-        return f"limits.{limit.name}" if assumed is None else f"modes.{assumed.called}"
+        if assumed is None:
+            return f"limits.{limit.name}"
+        return f"modes.{assumed.called}"
 
     def points(
         self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None
@@ -165,7 +166,9 @@ class Design:
 
 
 def _with_limits(study: Study, further: Sequence[Limit]) -> Study:
-    return replace(study, limits=(*study.limits, *further)) if further else study
+    if not further:
+        return study
+    return replace(study, limits=(*study.limits, *further))
 
 
 def normal_scores(uniforms: Array) -> Array:

@@ -80,13 +80,13 @@ class Aim:
         for limit in self.limits:
             groups.setdefault(tests_behind(limit) or limit.name, []).append(limit)
         ordered = (
-            sorted(group, key=lambda one: one.fracture is False) for group in groups.values()
+            sorted(group, key=lambda limit: limit.fracture is False) for group in groups.values()
         )
         return tuple(tuple(group) for group in ordered)
 
-    def same_tests(self, one: Limit, other: Limit) -> bool:
+    def same_tests(self, first: Limit, second: Limit) -> bool:
         """Whether two limits carry over the same tests."""
-        return any(one in group and other in group for group in self.groups)
+        return any(first in group and second in group for group in self.groups)
 
     def without(self, name: str) -> Aim:
         """The aim without a limit or a failure mode."""
@@ -98,12 +98,11 @@ class Aim:
 
     def with_strength(self, name: str, strength: Law) -> Aim:
         """The aim with another strength of a failure mode."""
-        modes = [
-            replace(mode, limit=replace(mode.limit, strength=strength))
-            if mode.limit.name == name
-            else mode
-            for mode in self.modes
-        ]
+        modes = []
+        for mode in self.modes:
+            if mode.limit.name == name:
+                mode = replace(mode, limit=replace(mode.limit, strength=strength))
+            modes.append(mode)
         return replace(self, modes=tuple(modes))
 
 
@@ -155,7 +154,9 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
     if limit.tested is not None and limit.tested.forces:
         return limit.tested.forces
     law = strength_of(limit)
-    return law.data if isinstance(law, Law) and is_fitted(law) else ()
+    if isinstance(law, Law) and is_fitted(law):
+        return law.data
+    return ()
 
 
 # --- what may be otherwise ------------------------------------------------------------------------
@@ -202,12 +203,12 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
     found: dict[str, tuple[Law, ...]] = {}
     tests = tests_behind(limit) or (0.0,)
     first, last = tests[0], tests[-1]
-    for name, own in laws.items():
+    for name, fitted in laws.items():
         generator = random_generator(
             seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
         )
         with suppress(LawError):
-            found[name] = tuple(possible_laws(own, LAWS, generator))
+            found[name] = tuple(possible_laws(fitted, LAWS, generator))
     return found
 
 
@@ -314,14 +315,14 @@ class Curves:
             state = replace(state, tie=None)
         strengths = [state.strength, *laws][min(len(laws), 1) :]
         others = np.zeros(1) if hold is None else self.line.means(1.0 - hold)
-        found = []
+        means = []
         for strength in strengths:
             rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)
             alone = joint = self.line.means(rows)
             if hold is not None:
                 joint = others + self.line.means(rows * hold)
-            found.append((alone, joint))
-        return np.clip(np.moveaxis(np.array(found), 1, 0), 0.0, 1.0)
+            means.append((alone, joint))
+        return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
     def computed(self, limit: Limit) -> Doubt:
         """The limit as the study has it, at the unsafe end of the numerical interval."""
@@ -370,8 +371,8 @@ class Curves:
         """A limit where contacts yield; None where none would."""
         if self.yielding is None:
             return None
-        limits = {one.name: one for one in self.yielding.design.judged.limits}
-        aim = replace(self.aim, limits=tuple(limits[own.name] for own in self.aim.limits))
+        limits = {judged.name: judged for judged in self.yielding.design.judged.limits}
+        aim = replace(self.aim, limits=tuple(limits[asked.name] for asked in self.aim.limits))
         rows = Curves(aim=aim, line=self.yielding).base(limits[limit.name])
         few, every = self.few.base(limit), self.base(limit)
         found = self._shifted(rows[:, None], few, every, self._unsafe)
@@ -381,7 +382,7 @@ class Curves:
     def _unsafe(self) -> float:
         return ENDS[1] if self.aim.survive else ENDS[0]
 
-    def _shifted(self, found: Array, few: Array, every: Array, end: float) -> tuple[Array, Array]:
+    def _shifted(self, means: Array, few: Array, every: Array, end: float) -> tuple[Array, Array]:
         """Curves (2, K) at a quantile of (2, laws, K, R) on few rows, and the joint one of each
         replicate (K, R), moved by the difference in normal scores between all rows and few.
         """
@@ -390,9 +391,9 @@ class Curves:
             change = score(self.line.seen(after)) - score(self.few.line.seen(before))
             return np.asarray(special.ndtr(score(self.few.line.seen(ends)) + change))
 
-        pooled = np.quantile(found.mean(axis=3, keepdims=True), end, axis=1)
+        pooled = np.quantile(means.mean(axis=3, keepdims=True), end, axis=1)
         curves = moved(pooled, few.mean(axis=2, keepdims=True), every.mean(axis=2, keepdims=True))
-        replicates = moved(np.quantile(found, end, axis=1), few, every)
+        replicates = moved(np.quantile(means, end, axis=1), few, every)
         return curves[:, :, 0], replicates[1]
 
     def _doubt(
@@ -426,7 +427,7 @@ def doubts_of(curves: Curves, others: Sequence[Alternative]) -> list[Doubt]:
     found: list[Doubt] = []
     for limit in curves.aim.limits:
         found.append(curves.computed(limit))
-        found += [curves.otherwise(one) for one in others if one.limit.name == limit.name]
+        found += [curves.otherwise(other) for other in others if other.limit.name == limit.name]
         yields = curves.contacts_yield(limit)
         if yields is not None:
             found.append(yields)

@@ -48,8 +48,8 @@ def drivers(design: Design, tables: Tables) -> Answers:
                 for way in (-small, small)
             )
             moved[:, :, column] = (below - above) / (2.0 * STEP)
-        found = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
-        for name, estimate in zip(names, found, strict=True):
+        changes = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
+        for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
                 answers.add(subject, "driver", name, estimate, unit="1", runs=tables.runs)
         law = state.strength
@@ -58,7 +58,9 @@ def drivers(design: Design, tables: Tables) -> Answers:
             rows = []
             for step in (-STEP, STEP):
                 score = state.score_given_inputs(score_of(below, above) + step)
-                rows.append(special.ndtr(-score if limit.aim == "break" else score).mean(axis=1))
+                if limit.aim == "break":
+                    score = -score
+                rows.append(special.ndtr(score).mean(axis=1))
             change = from_replicates((rows[0] - rows[1]) / (2.0 * STEP), "difference", tables.runs)
             answers.add(
                 subject, "driver", strength_name(limit.name), change, unit="1", runs=tables.runs

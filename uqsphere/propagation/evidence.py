@@ -96,7 +96,9 @@ def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evid
             return float(standing(law.cdf(demands)[None, :])[0]) - REFUTED
 
         # the strong end of a range may be of another scatter than its weak end
-        raised = math.exp(brentq(excess, 0.0, top)) if excess(top) > 0.0 else math.exp(top)
+        if excess(top) > 0.0:
+            top = brentq(excess, 0.0, top)
+        raised = math.exp(top)
     return Evidence(
         mode=mode.called,
         tests=len(demands),

@@ -111,7 +111,9 @@ def _onset(study: Study, material: Material) -> float:
     if onset is not None:
         return onset
     entry = material.properties.get("onset_pressure")
-    return 0.0 if entry is None else entry.value
+    if entry is None:
+        return 0.0
+    return entry.value
 
 
 def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode:

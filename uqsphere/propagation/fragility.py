@@ -39,36 +39,39 @@ def fragility(design: Design, tables: Tables) -> Answers:
     unit = lookup(margins.solve).unit
     for limit in design.judged.limits:
         subject, runs = design.subject(limit), tables.line_runs
-        found = curve_of(design, tables, limit)
-        for value, p, low, high in found.curve:
+        fitted = curve_of(design, tables, limit)
+        for value, p, low, high in fitted.curve:
             answers.row(subject, "curve", value, p, low, high, unit="1", method=METHOD, runs=runs)
-        for p, estimate in found.values.items():
+        for p, estimate in fitted.values.items():
             answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
-        allowed, planned = (
-            found.values.get(limit.allowable),
-            planned_value(design),
-        )
+        allowed, planned = fitted.values.get(limit.allowable), planned_value(design)
         if allowed is not None and allowed.value and planned and limit.has_target:
-            row = [
-                None
-                if x is None or not x > 0.0
-                else x / planned
-                if limit.aim == "survive"
-                else planned / x
-                for x in (allowed.value, allowed.low, allowed.high)
-            ]
-            ends = row[1:] if limit.aim == "survive" else row[:0:-1]
+            factor, *ends = (
+                _safety_factor(value, planned, limit)
+                for value in (allowed.value, allowed.low, allowed.high)
+            )
+            if limit.aim != "survive":
+                ends.reverse()
             answers.row(
                 subject,
                 "safety_factor",
                 margins.solve,
-                row[0],
+                factor,
                 *ends,
                 unit="1",
                 method=METHOD,
                 runs=runs,
             )
     return answers
+
+
+def _safety_factor(value: float | None, planned: float, limit: Limit) -> float | None:
+    """The free number over its planned value, or the inverse for a limit that must break."""
+    if value is None or not value > 0.0:
+        return None
+    if limit.aim == "survive":
+        return value / planned
+    return planned / value
 
 
 def planned_value(design: Design) -> float | None:
@@ -93,11 +96,9 @@ def curve_by(
     """
     margins = design.study.margins
     assert margins is not None
-    pairs = (
-        tables.line
-        if margins.limit is None
-        else dict.fromkeys(grid(margins, VALUES), tables.sample)
-    )
+    pairs = tables.line
+    if margins.limit is not None:
+        pairs = dict.fromkeys(grid(margins, VALUES), tables.sample)
     return _curve(
         tables,
         pairs,
@@ -157,6 +158,6 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     wanted = limit.allowable
     values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
     low, high = values[0.16].value, values[0.84].value
-    return values[wanted], None if low is None or high is None or low == high else 0.5 * abs(
-        high - low
-    )
+    if low is None or high is None or low == high:
+        return values[wanted], None
+    return values[wanted], 0.5 * abs(high - low)

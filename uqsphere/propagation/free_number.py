@@ -49,11 +49,9 @@ def moved(study: Study, value: float) -> Study:
     Raises LawError where a random number has no law with this mean.
     """
     margins = study.margins
-    return (
-        with_number(study, margins.solve, value)
-        if margins is not None and margins.limit is None
-        else study
-    )
+    if margins is None or margins.limit is not None:
+        return study
+    return with_number(study, margins.solve, value)
 
 
 def with_number(study: Study, path: str, value: float) -> Study:

@@ -138,7 +138,9 @@ def _searched(design: Design, model: Model, tables: Tables, allowance: Allowance
     if searches.answers == tables.rare and not searches.interrupted:
         return tables
     tables = replace(tables, rare=searches.answers)
-    stopped: Stop = "interrupted" if searches.interrupted else tables.stopped
+    stopped = tables.stopped
+    if searches.interrupted:
+        stopped = "interrupted"
     return replace(tables, errors=accuracies(design, tables), stopped=stopped)
 
 
@@ -173,8 +175,9 @@ def first_count(study: Study) -> int:
 
 def first_rows(study: Study, count: int = FIRST) -> int:
     """Model runs of the first size of the loop, with `count` points in each replicate."""
-    moving = study.margins is not None and study.margins.limit is None
-    return REPLICATES * (count + (VALUES * max(count // LINE_SHARE, 2) if moving else 0))
+    if study.margins is not None and study.margins.limit is None:
+        count += VALUES * max(count // LINE_SHARE, 2)
+    return REPLICATES * count
 
 
 def _rows(tables: Tables) -> int:
@@ -194,9 +197,11 @@ def _grown(
     """
     sample = _sampled(design, model, before, room)
     line = along(design, model, before)
-    asked = design.study.analysis.quantities if design.inputs else ()
+    names = design.study.analysis.quantities
+    asked: Sequence[str] = ()
     needed: tuple[str, ...] = ()
     if design.inputs:
+        asked = names
         needed = tuple(dict.fromkeys([*asked, *(limit.quantity for limit in design.limits)]))
     tables = Tables(sample=sample, line=line)
     if before is not None:
@@ -215,11 +220,9 @@ def _grown(
         return tables
     inaccurate = [name for name in asked if not by_chaos_accurate(design, tables, name)]
     most = int(max(allowance.rows(model), 0.0) // (REPLICATES * _blocks(design).count))
-    pairs = {} if before is None else before.pairs
-    known = min((pairs[name].shape[1] if name in pairs else 0 for name in inaccurate), default=0)
-    count = min(max(sample.count // PAIRS_SHARE, 2), known + most)
+    pairs = tables.pairs
+    count = min(max(sample.count // PAIRS_SHARE, 2), _paired_rows(pairs, inaccurate) + most)
     tables = replace(tables, pairs=paired(design, model, count, inaccurate, pairs))
-    names = design.study.analysis.quantities
     tables = replace(tables, descriptions={name: described(design, tables, name) for name in names})
     return replace(tables, errors=accuracies(design, tables))
 
@@ -234,10 +237,12 @@ def _margins(
         return {}
     margins = {}
     missed: set[str] = set()
+    earlier: Mapping[str, tuple[Estimate, float | None]] = {}
     if before is not None:
+        earlier = before.margins
         missed = {error.subject for error in before.inaccurate if error.answer == "margin"}
     for limit in design.limits:
-        margin = None if before is None else before.margins.get(limit.name)
+        margin = earlier.get(limit.name)
         if margin is None or margin[0].value is None or f"limits.{limit.name}" in missed:
             margin = margin_and_scale(design, tables, limit)
         margins[limit.name] = margin
@@ -272,21 +277,23 @@ def along(
     margins = design.study.margins
     if margins is None or margins.limit is not None:
         return {}
-    known = {} if before is None else before.line
+    line: Mapping[float, Sample] = {}
+    if before is not None:
+        line = before.line
     if counts is None and before is None:
         counts = dict.fromkeys(
             grid(margins, VALUES), max(first_count(design.study) // LINE_SHARE, 2)
         )
     elif counts is None:
         assert before is not None
-        twice = 2 * max(part.count for part in known.values())
+        twice = 2 * max(part.count for part in line.values())
         counts = dict.fromkeys(_about_inaccurate_margins(design, before), twice)
-    return evaluated_at(design, model, known, counts)
+    return evaluated_at(design, model, line, counts)
 
 
 def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
     """The four values about each margin that is too inaccurate, and those half-way between them."""
-    margins, found = design.study.margins, set()
+    margins, about = design.study.margins, set()
     missed = {error.subject for error in tables.inaccurate if error.answer == "margin"}
     values = sorted(tables.line)
     for limit in design.limits:
@@ -296,8 +303,15 @@ def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
         at = int(np.searchsorted(values, margin.value))
         near = values[max(at - 2, 0) : at + 2]
         shares = shares_of(margins, np.array(near))
-        found |= {*near, *values_at(margins, 0.5 * (shares[1:] + shares[:-1])).tolist()}
-    return found
+        about |= {*near, *values_at(margins, 0.5 * (shares[1:] + shares[:-1])).tolist()}
+    return about
+
+
+def _paired_rows(pairs: Mapping[str, Array], names: Sequence[str]) -> int:
+    """Points of a replicate at which all of the quantities have been evaluated in pairs."""
+    if not names or not pairs.keys() >= {*names}:
+        return 0
+    return int(min(pairs[name].shape[1] for name in names))
 
 
 def paired(
@@ -308,13 +322,14 @@ def paired(
     """
     if not names or count < 2 or design.joint.only(design.inputs).dependent:
         return {}
-    known = min((before[name].shape[1] if name in before else 0 for name in names), default=0)
+    done = _paired_rows(before, names)
     size = _blocks(design).count
     outputs = {name: np.empty((REPLICATES, count, size)) for name in names}
-    for name in names if known else ():
-        outputs[name][:, :known] = before[name]
+    if done:
+        for name in names:
+            outputs[name][:, :done] = before[name]
     step = max(PART // (REPLICATES * size), 1)
-    for start in range(known, count, step):
+    for start in range(done, count, step):
         rows = pair_rows(design, min(step, count - start), start)
         answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
         check_failures(design, answers.status, answers.good, answers.note)
@@ -387,7 +402,9 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
             # failures that the search did not aim at must not turn the verdict
             unseen = count_bound(tables.sample.size)
             require(f"limits.{limit.name}", "unseen_failures", unseen, room)
-    for limit in design.limits if tables.line else ():
+    if not tables.line:
+        return tuple(errors)
+    for limit in design.limits:
         margin, width = tables.margins[limit.name]
         if margin.value is not None and width is not None:
             reached = margin.half_width / width

@@ -25,11 +25,10 @@ def indices(design: Design, tables: Tables) -> Answers:
             runs = tables.runs
             if name in tables.pairs:
                 runs += tables.pairs[name].size
-            for order, estimate in zip(
-                ("sobol_second",) if "," in label else ("sobol_first", "sobol_total"),
-                row,
-                strict=True,
-            ):
+            orders = ["sobol_first", "sobol_total"]
+            if "," in label:
+                orders = ["sobol_second"]
+            for order, estimate in zip(orders, row, strict=True):
                 answers.add(name, order, label, estimate, unit="1", runs=runs)
     return answers
 
@@ -48,11 +47,11 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     source = source_of(design, tables)
     sample = source.rows
     order = [sample.names.index(name) for name in design.inputs]
-    for method in methods if design.inputs else ():
-        reason, columns = (
-            "",
-            {name: sample.answer(name).ravel()[:GIVEN] for name in design.described},
-        )
+    if not design.inputs:
+        return answers
+    for method in methods:
+        reason = ""
+        columns = {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
         uniforms = special.ndtr(sample.scores[:, :, order].reshape(-1, len(order))[:GIVEN])
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"
@@ -64,11 +63,12 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
             values = np.where(found.good[:, None], found.values, np.nan)
             columns = {name: values[:, k] for k, name in enumerate(design.described)}
         for name, outputs in columns.items():
-            row = (
-                [absent(reason, f"SALib {method}", 0)] * len(inputs.names)
-                if reason
-                else salib_measures(method, uniforms, outputs, inputs.names, seed=design.study.seed)
-            )
+            if reason:
+                row = [absent(reason, f"SALib {method}", 0)] * len(inputs.names)
+            else:
+                row = salib_measures(
+                    method, uniforms, outputs, inputs.names, seed=design.study.seed
+                )
             for label, estimate in zip(inputs.names, row, strict=True):
                 # mu* is the change of the quantity over the whole range of an input
                 unit = lookup(name).unit if method == "morris" else "1"

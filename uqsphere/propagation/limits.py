@@ -29,7 +29,9 @@ def limits(design: Design, tables: Tables) -> Answers:
         failed = failure(design, tables, limit)
         if limit.name in tables.rare:
             runs += tables.rare[limit.name].estimate.evaluations
-        exceeded = failed if limit.aim == "survive" else complement(failed)
+        exceeded = failed
+        if limit.aim != "survive":
+            exceeded = complement(failed)
         answers.add(subject, "exceedance_probability", "", exceeded, unit="1", runs=runs)
         answers.add(subject, "failure_probability", "", failed, unit="1", runs=runs)
         index = reliability_index(failed.value)
@@ -96,7 +98,9 @@ def _searched(searched: Estimate, sampled: Estimate, rows: int) -> Estimate:
 def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     """Probability (R, n) that the aim is missed given the inputs."""
     below, above = tails(state)
-    return above if aim == "break" else below
+    if aim == "break":
+        return above
+    return below
 
 
 def state_of(
@@ -105,22 +109,24 @@ def state_of(
     """Demands of a limit at points, against its strength or another one, with the dependence
     between the two.
     """
+    if strength is None:
+        strength = strength_of(limit)
     column = column_of(limit)
     policy = design.study.analysis.policy
     state = LimitState(
         demands=demands_of(limit, sample),
-        strength=strength_of(limit) if strength is None else strength,
+        strength=strength,
         censored=sample.late(column),
         failed=sample.lost(column),
         on_failure="drop" if policy == "abort" else policy,
     )
-    own = strength_name(limit.name)
+    name = strength_name(limit.name)
     if (
-        own not in design.joint.names
+        name not in design.joint.names
         or not design.study.dependence
         or not isinstance(state.strength, Law)
     ):
         return state
     names = design.drawn.names
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
-    return replace(state, tie=design.joint.tie(own, names, scores))
+    return replace(state, tie=design.joint.tie(name, names, scores))

@@ -57,7 +57,9 @@ class Line:
         positive.
         """
         values = np.array(self.values)
-        return np.log(values) if values[0] > 0.0 else values
+        if values[0] > 0.0:
+            values = np.log(values)
+        return values
 
     @cached_property
     def few(self) -> Line:
@@ -85,18 +87,20 @@ class Line:
 
     def value_at(self, place: float) -> float:
         """The value of the free number at a place."""
-        return math.exp(place) if self.values[0] > 0.0 else place
+        if self.values[0] > 0.0:
+            return math.exp(place)
+        return place
 
     def place_of(self, value: float) -> float:
         """The place of a value of the free number."""
-        return math.log(value) if self.values[0] > 0.0 else value
+        if self.values[0] > 0.0:
+            return math.log(value)
+        return value
 
     def state(self, limit: Limit, strength: Law | float | None = None) -> LimitState:
         """Demands of a limit at all rows against its strength, or another one."""
-        state, margins = (
-            state_of(self.design, limit, self.rows, strength),
-            self.design.study.margins,
-        )
+        state = state_of(self.design, limit, self.rows, strength)
+        margins = self.design.study.margins
         if margins is None or margins.limit != limit.name or math.isnan(self.values[0]):
             return state
         factors = [demand_factor(margins, limit, value) for value in self.values]
@@ -107,7 +111,7 @@ class Line:
         counts for the unsafe side, and one that failed is nan, or counts so as well.
         """
         below = tails(state)[0]
-        unsafe = 1.0 if aim == "survive" else 0.0
+        unsafe = float(aim == "survive")
         if unsafe and state.late.any():
             below = np.where(state.late, unsafe, below)
         if state.broken.any():
@@ -133,12 +137,16 @@ class Line:
         from scipy.interpolate import PchipInterpolator
         from scipy.optimize import brentq
 
-        kept = curve <= allowed if keeps_below else curve >= allowed
+        kept = curve >= allowed
+        if keeps_below:
+            kept = curve <= allowed
         if kept.all():
             return math.inf
         rising = bool(curve[-1] >= curve[0])
         from_start = rising == keeps_below
-        ordered = kept if from_start else kept[::-1]
+        ordered = kept
+        if not from_start:
+            ordered = kept[::-1]
         if not ordered[0]:
             return None
         k = int(np.argmin(ordered))
@@ -184,7 +192,7 @@ def line_of(design: Design, tables: Tables) -> Line | None:
 
 
 def evaluated_at(
-    design: Design, model: Model, known: Mapping[float, Sample], counts: Mapping[float, int]
+    design: Design, model: Model, before: Mapping[float, Sample], counts: Mapping[float, int]
 ) -> dict[float, Sample]:
     """Rows at values of the free number, those of each value continued to its count, all in one
     evaluation.
@@ -194,7 +202,9 @@ def evaluated_at(
     parts: list[Sample] = []
     moving: list[Array] = []
     for value, count in counts.items():
-        start = known[value].count if value in known else 0
+        start = 0
+        if value in before:
+            start = before[value].count
         joint = moved(design.study, value).inputs().only(design.drawn.names)
         points = design.points(count - start, start, joint=joint)
         parts.append(points)
@@ -202,7 +212,7 @@ def evaluated_at(
             moving.append(points.input(margins.solve))
         else:
             moving.append(np.full(points.scores.shape[:2], value))
-    found = dict(known)
+    samples = dict(before)
     if parts:
         whole = Sample.at(
             design.drawn.names,
@@ -214,24 +224,25 @@ def evaluated_at(
         for value, part in zip(counts, parts, strict=True):
             rows = answered.rows(end, end + part.count)
             end += part.count
-            found[value] = found[value].join(rows) if value in found else rows
-    return dict(sorted(found.items()))
+            if value in before:
+                rows = before[value].join(rows)
+            samples[value] = rows
+    return dict(sorted(samples.items()))
 
 
 def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
     """A line with at least so many points of a replicate at some values."""
+    pairs = dict(zip(line.values, line.samples, strict=True))
     if line.design.study.margins is not None and line.design.study.margins.limit is not None:
-        pairs = dict(zip(line.values, line.samples, strict=True))
         pairs |= dict.fromkeys(counts, line.samples[0])
         pairs = dict(sorted(pairs.items()))
     else:
-        known = dict(zip(line.values, line.samples, strict=True))
         needed = {
             value: count
             for value, count in counts.items()
-            if value not in known or known[value].count < count
+            if value not in pairs or pairs[value].count < count
         }
-        pairs = evaluated_at(line.design, model, known, needed)
+        pairs = evaluated_at(line.design, model, pairs, needed)
     return replace(line, values=tuple(pairs), samples=tuple(pairs.values()))
 
 

@@ -60,11 +60,12 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
         line = along(design, model, None, counts)
     tables = Tables(sample=next(iter(line.values())), line=line)
     samples = [*line.values()]
+    outputs = {}
+    for name in design.columns:
+        outputs[name] = np.stack([sample.outputs(name) for sample in samples])
     return Curves(
         values=np.array([*line]),
-        outputs={
-            name: np.stack([sample.outputs(name) for sample in samples]) for name in design.columns
-        },
+        outputs=outputs,
         limits={
             limit.name: curve_of(design, tables, limit, None, margins.for_probability)
             for limit in study.limits

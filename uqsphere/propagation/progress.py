@@ -25,7 +25,9 @@ def share_done(error: float) -> float:
     """The share of the work that is done at an error over its tolerance: with runs n it falls about
     as n^(-3/4).
     """
-    return 1.0 if not error > 1.0 else error ** (-4.0 / 3.0)
+    if not error > 1.0:
+        return 1.0
+    return float(error ** (-4.0 / 3.0))
 
 
 def in_notebook() -> bool:

@@ -7,6 +7,7 @@ distribution.  Failure modes stay as today's tests leave them.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -68,7 +69,7 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
         if n <= today:
             continue
         uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
-        numbers = np.full(_SERIES, settled.line.values[0 if settled.least else -1])
+        numbers = np.full(_SERIES, settled.ends[1])
         for margin in others:
             numbers = pick(numbers, margin)
         for limit in limits:
@@ -119,8 +120,7 @@ def _allowed(settled: Settled, table: Tabulated, logs: Array, leaving: Array) ->
     end = ENDS[1] if settled.least else ENDS[0]
     numbers = np.quantile(margins, end, axis=1)
     if not table.own:
-        everything = settled.line.values[0 if settled.least else -1]
-        numbers = np.where(_refuted(kind, logs, leaving), everything, numbers)
+        numbers = np.where(_refuted(kind, logs, leaving), settled.ends[1], numbers)
     return np.asarray(numbers)
 
 
@@ -161,19 +161,21 @@ def _table(settled: Settled, limit: Limit, name: str) -> Margins:
     kind = STRENGTHS[name]
     if kind is not own:
         # the same mean and standard deviation of the logarithm
-        shift = 0.5772156649015329 * (1.0 if kind.normal else -1.0)
-        factor = math.pi / math.sqrt(6.0) if kind.normal else math.sqrt(6.0) / math.pi
-        location -= shift * (scale if kind.normal else scale * factor)
-        scale *= factor
+        if kind.normal:
+            location -= 0.5772156649015329 * scale
+            scale *= math.pi / math.sqrt(6.0)
+        else:
+            scale *= math.sqrt(6.0) / math.pi
+            location += 0.5772156649015329 * scale
     below = np.array([limit.allowable])
     z = float(kind.form.quantile(below, 1.0 - below)[0])
     scales = scale * np.geomspace(0.25, 4.0, _SCALES)
     steps = np.linspace(-3.0, 3.0, _QUANTILES) * max(abs(z), 1.0) * scale
     quantiles = location + z * scale + steps
-    laws = [
-        make_law(name, {key: float(x) for key, x in kind.parameters(m, s).items()})
-        for m, s in ((quantile - z * s, s) for quantile in quantiles for s in scales)
-    ]
+    laws = []
+    for quantile, width in itertools.product(quantiles, scales):
+        parameters = kind.parameters(quantile - z * width, width)
+        laws.append(make_law(name, {key: float(x) for key, x in parameters.items()}))
     curves = settled.curves.by_strengths(limit, laws)[1].mean(axis=2)
     line, survive = settled.line, settled.aim.survive
     nowhere, everywhere = line.places[0], line.places[-1]
@@ -192,7 +194,7 @@ def _table(settled: Settled, limit: Limit, name: str) -> Margins:
     spline = RectBivariateSpline(quantiles, np.log(scales), table, kx=1, ky=1)
 
     def margins(at: Array, wide: Array) -> Array:
-        found = spline.ev(at + z * wide, np.log(wide))
-        return np.exp(found) if line.values[0] > 0.0 else found
+        place = spline.ev(at + z * wide, np.log(wide))
+        return np.exp(place) if line.values[0] > 0.0 else place
 
     return margins

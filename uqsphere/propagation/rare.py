@@ -91,7 +91,9 @@ def search(
     shared = dict[tuple[str, str], list[Draws]]()
     waiting = _waiting(design, tables, rows_left())
     for place, limit in enumerate(waiting):
-        allowed = rows_left() * (1.0 if by_name else 0.5) / (len(waiting) - place)
+        allowed = rows_left() / (len(waiting) - place)
+        if not by_name:
+            allowed *= 0.5
         if allowed < LEAST:
             break
         problem = _problem(design, limit, answered, min(allowed, MOST))
@@ -142,7 +144,12 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
 
 def _rank(limit: Limit) -> float:
     """The order of limits that no row of the sample fails: by how far their strength is out."""
-    return number(strength_of(limit)) * (1.0 if limit.aim == "survive" else -1.0)
+    return number(strength_of(limit)) * _sign(limit)
+
+
+def _sign(limit: Limit) -> float:
+    """-1 for a limit that must break, else 1."""
+    return -1.0 if limit.aim == "break" else 1.0
 
 
 def design_points(design: Design, tables: Tables) -> Answers:
@@ -191,14 +198,14 @@ def _problem(
     Where failure hangs on the quantity alone, its values are the answers: draws for one limit then
     serve another.
     """
-    sign = -1.0 if limit.aim == "break" else 1.0
+    sign = _sign(limit)
 
     def left(state: LimitState) -> Array:
         if isinstance(state.strength, Law):
-            found = -sign * np.clip(score_of(*tails(state)), -CERTAIN, CERTAIN)
+            margin = -sign * np.clip(score_of(*tails(state)), -CERTAIN, CERTAIN)
         else:
-            found = sign * (state.strength - state.demands) / abs(state.strength or 1.0)
-        return np.asarray(np.where(state.broken, np.nan, found)[0])
+            margin = sign * (state.strength - state.demands) / abs(state.strength or 1.0)
+        return np.asarray(np.where(state.broken, np.nan, margin)[0])
 
     def sample(normals: Array) -> Sample:
         return answered(at_normals(design.drawn, normals[None]))
@@ -234,11 +241,11 @@ def _physical(
         return {}
     point, size = points[0].point, len(design.drawn.names)
     sample = answered(at_normals(design.drawn, point[None, None, :size]))
-    found = dict(zip(design.drawn.names, sample.inputs[0, 0].tolist(), strict=True))
+    values = dict(zip(design.drawn.names, sample.inputs[0, 0].tolist(), strict=True))
     law = strength_of(limit)
     if isinstance(law, Law):
         # failure is z below the score of the demand: the strength there
-        sign = -1.0 if limit.aim == "break" else 1.0
-        score = state_of(design, limit, sample).score_drawn(np.full((1, 1), sign * point[size]))
-        found[strength_name(limit.name)] = float(law.from_normal(score)[0, 0])
-    return found
+        z = np.full((1, 1), _sign(limit) * point[size])
+        score = state_of(design, limit, sample).score_drawn(z)
+        values[strength_name(limit.name)] = float(law.from_normal(score)[0, 0])
+    return values

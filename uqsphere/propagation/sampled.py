@@ -6,6 +6,7 @@ A slow model has an object with the same questions (`uqsphere.propagation.surrog
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -87,7 +88,9 @@ class Sampled:
         expansion = self.tables.expansions.get(name)
         if expansion is None or expansion.left >= chaos.CONTROL:
             return None
-        return expansion if self.tables.sample.count < MOST_MANY else None
+        if self.tables.sample.count >= MOST_MANY:
+            return None
+        return expansion
 
     def _many(self, expansion: chaos.Expansion) -> Array:
         """Values (R, m) of an expansion at the sample's points continued, `MANY` for each."""
@@ -96,7 +99,9 @@ class Sampled:
 
     def values(self, name: str) -> Array:
         expansion = self._control(name)
-        return self.tables.sample.answer(name) if expansion is None else self._many(expansion)
+        if expansion is None:
+            return self.tables.sample.answer(name)
+        return self._many(expansion)
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
@@ -195,7 +200,8 @@ def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
     if expansion is None:
         # where nothing varies there is nothing to sample
         return tables.sample.knows(name) and not chaos.varies(tables.sample.answer(name))
-    widest = max(e.half_width for row in by_chaos(design, expansion).values() for e in row)
+    estimates = itertools.chain(*by_chaos(design, expansion).values())
+    widest = max(estimate.half_width for estimate in estimates)
     return widest <= design.study.analysis.accuracy.sobol
 
 

@@ -114,7 +114,9 @@ class Slow:
         )
 
     def index_method(self, name: str) -> IndexMethod:
-        return "chaos" if name in self.responses else ""
+        if name in self.responses:
+            return "chaos"
+        return ""
 
     def indices(self, name: str) -> Indices:
         return self._indices[name]
@@ -265,7 +267,9 @@ def tables_of(
     if known is not None:
         points = known
     else:
-        share = 1.0 - LINE_BUDGET if along else 1.0
+        share = 1.0
+        if along:
+            share -= LINE_BUDGET
         count = min(int(affordable * share), MOST_ROWS)
         if count < LEAST_ROWS:
             raise UsageError(
@@ -287,14 +291,12 @@ def tables_of(
         line=line,
         stopped=stopped or "budget",
         surrogate=slow,
-        predicted_from=most if line else 0,
     )
-    margins = {}
-    for limit in design.limits if line else ():
-        margins[limit.name] = margin_and_scale(design, tables, limit)
+    if line:
+        margins = {limit.name: margin_and_scale(design, tables, limit) for limit in design.limits}
+        tables = replace(tables, predicted_from=most, margins=margins)
     tables = replace(
         tables,
-        margins=margins,
         descriptions={name: slow.describe(name) for name in design.described},
         failures={limit.name: failure(design, tables, limit) for limit in design.judged.limits},
     )
@@ -360,9 +362,9 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     each = rows.count // count
     blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
     parts = ("scores", "inputs", "answers", "censored", "status", "failed")
-    cut: dict[str, Any] = {
-        name: np.concatenate([getattr(block, name) for block in blocks]) for name in parts
-    }
+    cut: dict[str, Any] = {}
+    for name in parts:
+        cut[name] = np.concatenate([getattr(block, name) for block in blocks])
     return replace(slow, sample=replace(rows, **cut))
 
 
@@ -378,7 +380,9 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     physical = np.concatenate(
         [joint.physical(normals[k : k + 1]) for k, joint in enumerate(joints)]
     )
-    column = physical[:, names.index(margins.solve)] if margins.solve in names else values
+    column = values
+    if margins.solve in names:
+        column = physical[:, names.index(margins.solve)]
     rows = evaluate(
         design,
         model,
@@ -392,10 +396,10 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     if not all(response.usable for response in responses):
         return {}
     table = design.points(sample.count if sample.replicates == REPLICATES else POINTS).head(256)
-    inputs, found = points_of(design, table.scores), {}
+    inputs, line = points_of(design, table.scores), {}
     for value in grid(margins, VALUES):
         germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
         at = np.concatenate([inputs, germ], axis=2)
         columns = [response.scattered(response.table(at)) for response in responses]
-        found[value] = table.with_answers(rows.quantities, np.stack(columns, axis=2))
-    return found
+        line[value] = table.with_answers(rows.quantities, np.stack(columns, axis=2))
+    return line

@@ -121,7 +121,9 @@ class Tables:
     @property
     def rows(self) -> Sample:
         """The model's own rows of the sample."""
-        return self.sample if self.surrogate is None else self.surrogate.rows
+        if self.surrogate is None:
+            return self.sample
+        return self.surrogate.rows
 
     @property
     def runs(self) -> int:
@@ -155,6 +157,11 @@ class Tables:
         return whole
 
 
+def stacked(columns: Sequence[Array], count: int = 1) -> Array:
+    """Rows (n, d) of columns (n,); `count` empty rows where there are no columns."""
+    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+
+
 def evaluate(
     design: Design,
     model: Model,
@@ -177,21 +184,15 @@ def evaluate(
             names.append(name)
             columns.append(values)
     shape = points.scores.shape[:2]
-    rows = (
-        np.stack([np.broadcast_to(c, shape).ravel() for c in columns], axis=1)
-        if names
-        else np.zeros((1, 0))
-    )
+    rows = stacked([np.broadcast_to(column, shape).ravel() for column in columns])
     answers = model.evaluate(tuple(names), rows, design.columns)
     if not part or design.study.analysis.policy == "abort":
         check_failures(design, answers.status, answers.good, answers.note)
 
     def table(cells: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        return (
-            np.broadcast_to(cells, (*shape, *cells.shape[1:]))
-            if not names
-            else cells.reshape(*shape, *cells.shape[1:])
-        )
+        if not names:
+            return np.broadcast_to(cells, (*shape, *cells.shape[1:]))
+        return cells.reshape(*shape, *cells.shape[1:])
 
     answered = points.with_answers(
         design.columns,

@@ -34,7 +34,9 @@ def points_of_tests(design: Design, tables: Tables, limit: Limit) -> list[list[f
     shares[order] = _kaplan_meier(stopped[order])
     points = np.array([logs, shares, stopped.astype(float)])[:, order]
     shown: list[list[float]] = points[:, np.isfinite(points[0])].tolist()
-    return shown if shown[0] else None
+    if not shown[0]:
+        return None
+    return shown
 
 
 def _kaplan_meier(stopped: Array) -> Array:

@@ -17,7 +17,7 @@ from uqsphere.propagation.caveats import caveats_of
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.contact_law import YieldingRows, yielding_design
 from uqsphere.propagation.decision import Settled, Settling
-from uqsphere.propagation.demands import strength_of
+from uqsphere.propagation.demands import number_of_tests, strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import (
     ASSUMED,
@@ -42,7 +42,6 @@ from uqsphere.results import Answers, types
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
-from uqsphere.uq.fitting import count_tests, is_fitted
 
 #: points of a replicate that doubts are asked on at the plan
 _AT_PLAN: Final = 256
@@ -75,23 +74,20 @@ def judge(
 
     end : when the time for more rows is over, by the monotonic clock [s]
     """
-    found: list[Judged] = []
+    judged: list[Judged] = []
     yields = yielding_design(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word)
-        settling = Settling(
-            design=design,
-            model=model,
-            others=alternatives(aim),
-            yielding=None if yields is None else YieldingRows(design=yields, known={}),
-            end=end,
-        )
+        settling = Settling(design=design, model=model, others=alternatives(aim), end=end)
+        if yields is not None:
+            settling = replace(settling, yielding=YieldingRows(design=yields, known={}))
         head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
         plan = settling.once(aim, plan_of(design, head))
         line, settled = line_of(design, tables), None
         if line is not None:
             grows = tables.surrogate is None and tables.stopped != "interrupted"
-            settled = settling.accurately(aim, line) if grows else settling.once(aim, line)
+            settle = settling.accurately if grows else settling.once
+            settled = settle(aim, line)
             planned = planned_value(design)
             if grows and planned is not None and _fails_between(settled, plan, planned):
                 with suppress(Interrupted):
@@ -100,21 +96,22 @@ def judge(
             if tables.line:
                 pairs = zip(settled.line.values, settled.line.samples, strict=True)
                 tables = replace(tables, line=dict(pairs))
-        own = plan
+        alone, all_modes = plan, dict[str, Estimate]()
         if aim.modes:
-            own = settling.once(replace(aim, modes=()), plan.line)
-        found.append(
+            alone = settling.once(replace(aim, modes=()), plan.line)
+            all_modes = _at_plan(design, tables, plan)
+        judged.append(
             Judged(
                 aim=aim,
                 settling=settling,
                 line=settled,
                 plan=plan,
-                probability=_at_plan(design, tables, own),
-                all_modes=_at_plan(design, tables, plan) if aim.modes else {},
+                probability=_at_plan(design, tables, alone),
+                all_modes=all_modes,
                 planned=planned_value(design),
             )
         )
-    return found, tables
+    return judged, tables
 
 
 def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
@@ -164,7 +161,9 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
     """A probability with what other failure modes add to it in each replicate (R,)."""
     added = from_replicates(more, estimate.method, estimate.evaluations)
     if estimate.value is None or added.value is None:
-        return estimate if added.value is None else added
+        if added.value is None:
+            return estimate
+        return added
     value = min(max(estimate.value + added.value, 0.0), 1.0)
     low = (estimate.low or 0.0) + (added.low or 0.0)
     high = (1.0 if estimate.high is None else estimate.high) + (added.high or 0.0)
@@ -180,14 +179,21 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     """The decision of an aim, as the results have it."""
     settled = judged.line or judged.plan
     design, aim, governing = judged.aim.design, judged.aim, settled.governing
-    lead = governing.limit.name if governing.code != ASSUMED else aim.limits[0].name
+    lead = governing.limit.name
+    if governing.code == ASSUMED:
+        lead = aim.limits[0].name
     caveats = caveats_of(settled, judged.settling.yielding, checks)
     verdict = _verdict(judged, caveats)
-    blocked = judged.line is not None and judged.line.number is None
-    own = settled
-    if aim.modes and judged.line is not None:
-        own = judged.settling.once(replace(aim, modes=()), judged.line.line)
-    all_modes = None
+    alone, number, blocked_by = settled, None, ""
+    if judged.line is not None:
+        if aim.modes:
+            alone = judged.settling.once(replace(aim, modes=()), judged.line.line)
+        number = alone.number
+        if judged.line.number is None:
+            blocked_by = design.subject(governing.limit)
+    target = all_modes = None
+    if any(limit.has_target for limit in aim.limits):
+        target = governing.limit.target
     if judged.all_modes:
         all_modes = _range(judged.all_modes[lead])
     return types.Decision(
@@ -195,18 +201,18 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         limits=[limit.name for limit in aim.limits],
         modes=[mode.called for mode in aim.modes],
         verdict=verdict,
-        target=governing.limit.target if any(limit.has_target for limit in aim.limits) else None,
+        target=target,
         governing=design.subject(governing.limit),
         use=_use(judged),
-        blocked_by=design.subject(governing.limit) if blocked else "",
-        own=own.number if judged.line is not None else None,
+        blocked_by=blocked_by,
+        own=number,
         probability=_range(judged.probability[lead]),
         all_modes=all_modes,
         curve=_curve(settled, governing.limit),
         band=_band(settled),
         doubts=_certificate(judged),
         caveats=caveats,
-        library=_library(judged, own),
+        library=_library(judged, alone),
         next=_remedy(judged, verdict, caveats),
     )
 
@@ -228,7 +234,9 @@ def _use(judged: Judged) -> types.Use | None:
     factor = None
     planned = judged.planned
     if planned and number > 0.0 and planned > 0.0:
-        factor = planned / number if settled.least else number / planned
+        factor = number / planned
+        if settled.least:
+            factor = planned / number
     margins_found = [doubt.margin for doubt in settled.doubts if doubt.margin is not None]
     finite = [margin for margin in margins_found if math.isfinite(margin)]
     return types.Use(
@@ -244,26 +252,29 @@ def _use(judged: Judged) -> types.Use | None:
 def _best_estimate(settled: Settled) -> float | None:
     """The number by the curves as the study has them, without any doubt."""
     aim, line = settled.aim, settled.line
-    found = [
+    crossings = [
         line.crossing(
             settled.curves.base(limit)[1].mean(axis=1), limit.allowable, keeps_below=aim.survive
         )
         for limit in aim.limits
     ]
-    known = [value for value in found if value is not None]
-    if len(known) < len(found):
+    numbers = [value for value in crossings if value is not None]
+    if len(numbers) < len(crossings):
         return None
-    return max(known) if settled.least else min(known)
+    return max(numbers) if settled.least else min(numbers)
 
 
 def _curve(settled: Settled, limit: Limit) -> list[types.CurvePoint]:
     """The failure probability along the line, with the other failure modes."""
     if len(settled.line.values) < 2:
         return []
-    lead = limit if any(limit is one for one in settled.aim.limits) else settled.aim.limits[0]
-    means = settled.curves.base(lead)[1].mean(axis=1)
+    if not any(limit is asked for asked in settled.aim.limits):
+        limit = settled.aim.limits[0]
+    means = settled.curves.base(limit)[1].mean(axis=1)
+    if not settled.aim.survive:
+        means = 1.0 - means
     return [
-        types.CurvePoint(at=at, value=float(p if settled.aim.survive else 1.0 - p))
+        types.CurvePoint(at=at, value=float(p))
         for at, p in zip(settled.line.values, means, strict=True)
     ]
 
@@ -286,7 +297,7 @@ def _band(settled: Settled) -> list[types.CurvePoint]:
     return points
 
 
-def _library(judged: Judged, own: Settled) -> types.LibraryRange | None:
+def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
     """What the library's range of a failure mode that governs would make of the number."""
     settled = judged.line
     if settled is None or settled.governing.code != ASSUMED:
@@ -298,7 +309,7 @@ def _library(judged: Judged, own: Settled) -> types.LibraryRange | None:
         for law in (mode.weak, mode.strong)
     )
     return types.LibraryRange(
-        mode=mode.called, middle=settled.number, weak=weak, strong=strong, own=own.number
+        mode=mode.called, middle=settled.number, weak=weak, strong=strong, own=alone.number
     )
 
 
@@ -329,26 +340,27 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
         note = "nowhere"
     elif along is not None and math.isinf(along.margin or 0.0):
         note = "everywhere"
-    at_number = types.Range()
-    number = math.inf if settled.number is None else settled.number
-    if along is not None and math.isfinite(number):
+    at_number, number, at_plan_range = types.Range(), settled.number, types.Range()
+    if along is not None and number is not None and math.isfinite(number):
         at_number = _failure_range(aim, settled.line.at(doubt.curve, number))
-    law = strength_of(doubt.limit)
-    code = doubt.code
+    if at_plan is not None:
+        at_plan_range = _failure_range(aim, float(at_plan.curve[0]))
+    code, option = doubt.code, doubt.detail
     if code == COMPUTATION and _is_carrier(aim, doubt.limit):
         code = CARRIER
+        option = option or doubt.limit.quantity
     return types.Doubt(
         code=code,
         subject=aim.design.subject(doubt.limit),
-        option=doubt.detail or (doubt.limit.quantity if code == CARRIER else ""),
+        option=option,
         target=doubt.limit.target,
         margin=doubt.margin,
         margin_note=note,
         at_number=at_number,
-        at_plan=types.Range() if at_plan is None else _failure_range(aim, float(at_plan.curve[0])),
+        at_plan=at_plan_range,
         governs=doubt.key == settled.governing.key,
         counts=doubt.code != ASSUMED or any(doubt.limit is mode.limit for mode in aim.modes),
-        tests=count_tests(law) if isinstance(law, Law) and is_fitted(law) else None,
+        tests=number_of_tests(strength_of(doubt.limit)),
     )
 
 
@@ -378,7 +390,9 @@ def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWo
     missed = [
         target_met(estimates[limit.name], limit.target) is False for limit in judged.aim.limits
     ]
-    return "not met" if any(missed) and not any(kept) else "undecided"
+    if any(missed) and not any(kept):
+        return "not met"
+    return "undecided"
 
 
 def _keeps(judged: Judged, doubt: Doubt) -> bool:
@@ -386,7 +400,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     the plan.
     """
     if judged.line is not None and judged.planned is not None:
-        along = next((one for one in judged.line.doubts if one.key == doubt.key), doubt)
+        along = next((other for other in judged.line.doubts if other.key == doubt.key), doubt)
         if along.margin is not None:
             if math.isinf(along.margin):
                 return True
@@ -398,7 +412,9 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
         estimates = judged.all_modes or judged.probability
         return target_met(estimates[limit.name], limit.target) is True
     curve = float(doubt.curve[0])
-    return curve <= limit.allowable if judged.aim.survive else curve >= limit.allowable
+    if judged.aim.survive:
+        return curve <= limit.allowable
+    return curve >= limit.allowable
 
 
 #: the remedy of each doubt
@@ -431,13 +447,12 @@ def _remedy(
         for caveat in caveats:
             if caveat.code == held:
                 return types.Remedy(code=cure, subject=caveat.subject)
-    number = None if judged.line is None else judged.line.number
-    nowhere = judged.line is not None and (number is None or math.isinf(number))
-    if nowhere and governing.code != ASSUMED:
-        others = None
-        if judged.line is not None and number is None and len(judged.aim.limits) > 1:
+    if judged.line is not None and governing.code != ASSUMED:
+        number, others = judged.line.number, None
+        if number is None and len(judged.aim.limits) > 1:
             others = judged.settling.best(judged.line)
-        return types.Remedy(code="widen the range", subject="margins.between", at_best=others)
+        if number is None or math.isinf(number):
+            return types.Remedy(code="widen the range", subject="margins.between", at_best=others)
     if verdict == "met":
         return types.Remedy(code="nothing")
     at_best = None
@@ -470,9 +485,9 @@ def assumed_answers(judged: Sequence[Judged]) -> Answers:
     itself.
     """
     answers = Answers()
-    for one in judged:
-        for doubt in one.plan.doubts:
-            _doubt_answers(answers, one, doubt)
+    for aim in judged:
+        for doubt in aim.plan.doubts:
+            _doubt_answers(answers, aim, doubt)
     return answers
 
 
@@ -482,26 +497,28 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
     margins = design.study.margins
     at = ""
     if doubt.code in _TEXTS:
-        name = (
-            doubt.detail[:1].upper() + doubt.detail[1:]
-            if doubt.detail == "weibull"
-            else doubt.detail
-        )
+        name = doubt.detail
+        if name == "weibull":
+            name = "Weibull"
         at = "assumed: " + _TEXTS[doubt.code].format(name)
-        p = float(doubt.single[0]) if survive else 1.0 - float(doubt.single[0])
+        p = float(doubt.single[0])
+        if not survive:
+            p = 1.0 - p
         answers.row(subject, "failure_probability", at, p, unit="1", runs=runs, method="epistemic")
     if doubt.code == TESTS and doubt.opposite is not None:
         law = strength_of(doubt.limit)
-        own = isinstance(law, Law) and law.family.name == doubt.detail
-        at = "tests" if own else f"tests: {doubt.detail}"
-        ends = sorted((float(doubt.curve[0]), float(doubt.opposite[0])))
-        low, high = ends if survive else (1.0 - ends[1], 1.0 - ends[0])
+        at = f"tests: {doubt.detail}"
+        if isinstance(law, Law) and law.family.name == doubt.detail:
+            at = "tests"
+        low, high = sorted((float(doubt.curve[0]), float(doubt.opposite[0])))
         base = float(judged.plan.curves.base(doubt.limit)[1].mean())
+        if not survive:
+            low, high, base = 1.0 - high, 1.0 - low, 1.0 - base
         answers.row(
             subject,
             "failure_probability",
             at,
-            min(max(base if survive else 1.0 - base, low), high),
+            min(max(base, low), high),
             low,
             high,
             unit="1",
@@ -511,7 +528,7 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         )
     if judged.line is None or margins is None or not at:
         return
-    along = next((own for own in judged.line.doubts if own.key == doubt.key), None)
+    along = next((other for other in judged.line.doubts if other.key == doubt.key), None)
     if along is not None and along.margin is not None and math.isfinite(along.margin):
         answers.row(
             subject,

@@ -17,6 +17,7 @@ from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.propagation.checks import Check
+from uqsphere.propagation.demands import number_of_tests
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import density
 from uqsphere.propagation.failure_modes import AssumedMode, breaks_by, means_fracture
@@ -48,7 +49,6 @@ from uqsphere.results.types import (
 )
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law, random_generator
-from uqsphere.uq.fitting import count_tests, is_fitted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,7 +110,7 @@ def results_of(
         inputs={name: _input(design, name) for name in inputs},
         answers=answers.rows,
         decisions=list(decisions),
-        evidence=[EvidenceEntry(**asdict(one)) for one in design.evidence],
+        evidence=[EvidenceEntry(**asdict(evidence)) for evidence in design.evidence],
         checks=[check.entry() for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
@@ -156,16 +156,13 @@ def _description(design: Design) -> list[str]:
         first = f"{sphere}, {RIGS[study.rig].title}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
-        tests = _tests(limit)
-        strengths.append(
-            f"{limit.name}: {_strength_text(limit)}" + (f" from {tests} tests" if tests else "")
-        )
-    return [
-        first,
-        "Strength " + "; ".join(strengths)
-        if strengths
-        else "No strength: distributions and sensitivity only",
-    ]
+        text, tests = f"{limit.name}: {_strength_text(limit)}", number_of_tests(limit.strength)
+        if tests:
+            text += f" from {tests} tests"
+        strengths.append(text)
+    if not strengths:
+        return [first, "No strength: distributions and sensitivity only"]
+    return [first, "Strength " + "; ".join(strengths)]
 
 
 def _free(design: Design) -> FreeNumber | None:
@@ -189,15 +186,19 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
     finite = values[np.isfinite(values)]
     ends = np.quantile(finite, [0.05, 0.5, 0.95]) if finite.size else np.full(3, np.nan)
     low, median, high = (float(end) for end in ends)
-    expansion = tables.expansions.get(name)
+    onset = left = None
+    if name == "p_max":
+        onset = onset_of(design.study)
+    if name in tables.expansions:
+        left = tables.expansions[name].left
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
         range=(low, median, high),
         method_of_indices=source.index_method(name) if design.inputs else "",
         density=density(values),
-        onset=onset_of(design.study) if name == "p_max" else None,
-        expansion_error=None if expansion is None else expansion.left,
+        onset=onset,
+        expansion_error=left,
     )
 
 
@@ -230,7 +231,7 @@ def _limit(limit: Limit) -> LimitEntry:
         criterion=limit.criterion,
         fracture=means_fracture(limit),
         assumed=False,
-        tests=_tests(limit),
+        tests=number_of_tests(limit.strength),
         strength=_strength(limit),
         source="study",
         platens=_platens(limit),
@@ -243,7 +244,9 @@ def _platens(limit: Limit) -> str:
     if limit.tested is None or not limit.tested.forces:
         return ""
     modulus = limit.tested.platens[0]
-    return "rigid platens" if math.isinf(modulus) else f"platens with E = {1e-9 * modulus:.3g} GPa"
+    if math.isinf(modulus):
+        return "rigid platens"
+    return f"platens with E = {1e-9 * modulus:.3g} GPa"
 
 
 def _size_law(limit: Limit) -> str:
@@ -276,12 +279,6 @@ def _strength(limit: Limit) -> Strength:
     return Strength(
         text=_strength_text(limit), unit=unit, median=median, p05=p05, p95=p95, density=density
     )
-
-
-def _tests(limit: Limit) -> int | None:
-    """Number of tests behind a strength, None for one that was not fitted to tests."""
-    law = limit.strength
-    return count_tests(law) if isinstance(law, Law) and is_fitted(law) else None
 
 
 def _strength_text(limit: Limit) -> str:
@@ -325,11 +322,14 @@ def _input(design: Design, name: str) -> InputEntry:
         mean, sd = law.mean(), law.sd()
         low, high = law.ppf(np.array([0.05, 0.95]))
         ends, distribution = (float(low), float(high)), _distribution_text(law, name)
+    reference, checked = "study", True
+    if source:
+        reference, checked = source.source, source.seen
     return InputEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
-        source=source.source if source else "study",
-        source_checked=source.seen if source else True,
+        source=reference,
+        source_checked=checked,
         mean=mean,
         sd=sd,
         p05=ends[0],
@@ -352,24 +352,26 @@ def _distribution_text(law: Law, name: str) -> str:
     )
     if low and high:
         parts.append(f"{low} to {high}")
-    elif low or high:
-        parts.append(f"from {low}" if low else f"up to {high}")
+    elif low:
+        parts.append(f"from {low}")
+    elif high:
+        parts.append(f"up to {high}")
     return ", ".join(parts)
 
 
 def _versions() -> dict[str, str]:
     from uqsphere import __version__
 
-    found = {
+    versions = {
         "python": ".".join(str(part) for part in sys.version_info[:3]),
         "uqsphere": __version__,
     }
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
@@ -403,9 +405,9 @@ def written(
     live: dict[str, Any],
 ) -> Run:
     """The run, kept in its folder with its page where it has one."""
-    found = Run(results=results, folder=folder, table=samples, live=live)
+    run = Run(results=results, folder=folder, table=samples, live=live)
     if folder is None:
-        return found
+        return run
     files: dict[str, str | bytes] = {
         "study.toml": study.text,
         **{f"files/{name}": path.read_bytes() for name, path in study.files if path.is_file()},
@@ -421,4 +423,4 @@ def written(
         write_files(folder, files)  # a fault of a figure costs no results
         raise
     write_files(folder, files)
-    return found
+    return run
