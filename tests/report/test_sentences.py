@@ -94,7 +94,7 @@ def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Res
     assert len(f"{text.use}. {text.sentence}".split()) <= 45
     assert text.open == ["core tension rests on a strength of the library, not of this rock"]
     assert text.next.startswith("Measure the tensile strength (core tension)")
-    assert "at most 0.42 m/s at best" in text.next
+    assert "the number to use would then be 0.42 m/s at best" in text.next
 
 
 def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results) -> None:
@@ -173,3 +173,20 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
     row = mode_rows(results)[0]
     assert row.number("striker.speed") == "0.4 m/s"
     assert row.span("striker.speed") == "0.404 m/s to 0.66 m/s"
+
+
+def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:
+    remedy = Remedy(code="test the lower tail", subject="limits.crushing", at_best=0.42)
+    survives = decision_text(granite, decision(next=remedy)).next
+    breaks = decision_text(granite, decision(aim="break", next=remedy)).next
+    assert "the lower tail of the strength decides" in survives
+    assert "the upper tail of the strength decides" in breaks
+    assert survives.endswith("; the number to use would then be 0.42 m/s at best.")
+
+
+def test_a_failure_mode_that_is_damage_is_named_below_the_table(granite: Results) -> None:
+    doubt = Doubt(
+        code="assumed strength", subject="modes.ring crack", counts=False, target=0.01, margin=0.18
+    )
+    damaged = granite.model_copy(update={"decisions": [decision(doubts=[doubt])]})
+    assert "damage, not counted as fracture: ring crack" in summary(damaged)

@@ -38,10 +38,12 @@ from uqsphere.report.sentences import (
     STOPPED,
     as_event,
     check_text,
+    damage_modes,
     decision_texts,
     doubt_text,
     evidence_texts,
     exceedance_name,
+    listed,
     shortfall_text,
 )
 from uqsphere.results.folder import read_results, write_files
@@ -293,13 +295,23 @@ def _limits(results: Results) -> Table | None:
             cells += [row.number(free.path), best, row.span(free.path)]
         body.append((*cells, row.entry.strength.text, _strength_source(row)))
     governing = {decision.governing for decision in results.decisions}
+    notes = ["bold: governs"]
+    if free is not None:
+        notes[:0] = [
+            "to use: with all that is open and the other failure modes",
+            "best estimate: this limit by itself",
+        ]
+    if results.study.modes:
+        notes.append("* strength assumed, from the library")
+    damage = damage_modes(results)
+    if damage:
+        notes.append(f"damage, not counted as fracture: {listed(damage)}")
     return Table(
         caption="Limits and failure modes",
         head=(*head, "strength", "its source"),
         rows=body,
         marked=[k for k, row in enumerate(rows) if row.subject in governing],
-        note="to use: with all that is open and the other failure modes; best estimate: this limit "
-        "by itself; bold: governs; * strength assumed, from the library",
+        note="; ".join(notes),
     )
 
 

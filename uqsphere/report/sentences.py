@@ -256,13 +256,15 @@ class _Writer:
     def next(self) -> str:
         """What to do about the doubt that governs."""
         remedy = self.decision.next
-        text = _REMEDIES[remedy.code].format(subject=plain_name(remedy.subject))
+        tail = "upper" if self.decision.aim == "break" else "lower"
+        text = _REMEDIES[remedy.code].format(subject=plain_name(remedy.subject), tail=tail)
         if remedy.code == "measure the strength":
             text = f"Measure the {_strength_name(self.results, remedy.subject)} of this rock"
         if remedy.gains:
             return f"{text}. The number to use would be about:"
         if remedy.at_best is not None:
-            return f"{text}: {self.allowed(remedy.at_best)} at best."
+            best = self.number(remedy.at_best)
+            return f"{text}; the number to use would then be {best} at best."
         return f"{text}."
 
 
@@ -277,7 +279,7 @@ _REMEDIES: Final = {
     "measure the strength": "Measure the strength of this rock in {subject}",
     "test more": "Test more spheres for {subject}",
     "test the lower tail": (
-        "Test more spheres for {subject}: the lower tail of the strength decides"
+        "Test more spheres for {subject}: the {tail} tail of the strength decides"
     ),
     "yielding contacts": 'Let the contacts yield: [contact] law = "plastic"',
     "check the input": "Check {subject}",
@@ -325,7 +327,7 @@ def _considering(doubt: Doubt) -> str:
         "distribution": f"with a {_family(doubt.option)} distribution of its strength",
         "contact law": "with contacts that yield",
         "carrier": f"with its strength transferred by {_carrier(doubt)}",
-        "tie": "with its strength independent of the inputs",
+        "tie": "with its strength taken as independent of the inputs",
         "assumed strength": "with a strength of the library",
     }
     return clauses[doubt.code]
@@ -345,6 +347,16 @@ def doubt_text(doubt: Doubt) -> str:
     if doubt.counts:
         return heads[doubt.code]
     return f"{heads[doubt.code]} (damage, not counted)"
+
+
+def damage_modes(results: Results) -> list[str]:
+    """Failure modes that damage the sphere and are not counted as its fracture."""
+    names = dict[str, None]()
+    for decision in results.decisions:
+        for doubt in decision.doubts:
+            if not doubt.counts:
+                names[plain_name(doubt.subject)] = None
+    return list(names)
 
 
 def _family(option: str) -> str:

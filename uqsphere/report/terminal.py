@@ -17,7 +17,14 @@ from uqsphere.report.format import (
     table_of,
     value,
 )
-from uqsphere.report.sentences import NO_LIMIT, STOPPED, decision_texts, exceedance_name
+from uqsphere.report.sentences import (
+    NO_LIMIT,
+    STOPPED,
+    damage_modes,
+    decision_texts,
+    exceedance_name,
+    listed,
+)
 from uqsphere.results.types import Kind, Results
 
 #: lines at most, rows of each table, and columns of indices
@@ -67,6 +74,9 @@ def _modes(results: Results, width: int) -> list[str]:
     lines = ["", *table(head, rows[:ROWS], width)]
     if results.study.modes:
         lines.append("* assumed: library strength, not measured on this rock")
+    damage = damage_modes(results)
+    if damage:
+        lines += textwrap.wrap(f"damage, not counted as fracture: {listed(damage)}", width)
     return lines
 
 
@@ -119,6 +129,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> lis
     widths[0] = max(min(widths[0], room), 8)
     lines = []
     for row in cells:
-        texts = [text[:w].ljust(w) for text, w in zip(row, widths, strict=True)]
+        first = row[0] if len(row[0]) <= widths[0] else f"{row[0][: widths[0] - 1]}…"
+        texts = [text.ljust(w) for text, w in zip((first, *row[1:]), widths, strict=True)]
         lines.append("  ".join(texts).rstrip())
     return lines
