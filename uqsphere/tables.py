@@ -341,9 +341,9 @@ class Table:
         texts = [row[at] for row in self.rows]
         bad, certain = np.logical_or.reduce([*self._no_data.values()]), _decimal_mark(texts)
 
-        def refuse(said: str, wrong: Flags) -> None:
+        def refuse(message: str, wrong: Flags) -> None:
             nonlocal bad
-            self.refuse(key, f"{column}: {said}", wrong & ~bad)
+            self.refuse(key, f"{column}: {message}", wrong & ~bad)
             bad = bad | wrong
 
         mark = self.decimal or certain or self._mark
@@ -386,13 +386,13 @@ class Table:
         values = [float(text.replace(",", ".")) if good else math.nan for text, good in pairs]
         return np.array(values)
 
-    def refuse(self, key: str, said: str, wrong: Flags) -> None:
+    def refuse(self, key: str, message: str, wrong: Flags) -> None:
         """Note that rows are wrong, (n,), which say what the others do not; each line is told of
         once for one fault.
         """
         if wrong.any():
-            lines = [*self.faults.get((key, said), []), *np.array(self.lines)[wrong].tolist()]
-            self.faults[key, said] = list(dict.fromkeys(lines))
+            lines = [*self.faults.get((key, message), []), *np.array(self.lines)[wrong].tolist()]
+            self.faults[key, message] = list(dict.fromkeys(lines))
 
     def flags(
         self, column: str, key: str = "", words: Mapping[str, bool] = _FLAGS, meant: str = "0 or 1"
@@ -408,11 +408,12 @@ class Table:
 
     def check(self) -> None:
         """Raise TableError with every fault noted so far."""
-        for said, wrong in self._no_data.items():
-            self.refuse("", said, wrong)
+        for message, wrong in self._no_data.items():
+            self.refuse("", message, wrong)
         if self.faults:
             messages = [
-                f"{self.name}: {_lines(lines)}: {said}" for (_, said), lines in self.faults.items()
+                f"{self.name}: {_lines(lines)}: {message}"
+                for (_, message), lines in self.faults.items()
             ]
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -245,21 +244,6 @@ def checked_rows(
         if isinstance(row, np.ndarray)
     }
     return [*check_validity(scene, answers), *check_ranges(scene, answers, quantities)], graded
-
-
-def rows_under_plastic_contact(
-    study: Study, names: Sequence[str], rows: Array, columns: Sequence[str]
-) -> EvaluatedRows | None:
-    """Rows with faces that yield, where the study takes them for elastic; None where it does not,
-    or none would.
-    """
-    if study.options.get("contact.law", "hertz") != "hertz":
-        return None
-    yielding = replace(study, options={**study.options, "contact.law": "plastic"})
-    partners = scene_at(yielding, names, rows).partners
-    if all(partner is None or partner.face is None for partner in partners):
-        return None
-    return evaluate_scene(yielding, names, rows, columns)
 
 
 def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:

@@ -31,11 +31,11 @@ def shipped_studies() -> dict[str, Path]:
     """
     package = Path(__file__).parent.parent
     for folder in (package / "templates", package.parent / "studies"):
-        found = {
+        studies = {
             path.stem: path
             for path in sorted(folder.glob("*.toml"))
             if not path.stem.startswith("lab_")
         }
-        if found:
-            return found
+        if studies:
+            return studies
     return {}

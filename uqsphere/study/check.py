@@ -169,19 +169,19 @@ def _rig(draft: Draft) -> Faults:
     """The tables of the rig."""
     data, rig = draft.data, draft.rig
     if not set(data) & set(SCENE):
-        said = (
+        raise Fault(
             "missing: neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], "
-            "[outputs])"
+            "[outputs]); 'uqsphere new -o FILE' writes a study to start from",
+            "sphere",
         )
-        raise Fault(f"{said}; 'uqsphere new -o FILE' writes a study to start from", "sphere")
     for table in data:
         homes = [shown(name) for name, its_tables in RIG_TABLES.items() if table in its_tables]
         if homes and shown(rig) not in homes:
-            said = (
+            yield Fault(
                 f"table [{table}] is used only with rig.kind = {one_of(homes)}; this study has "
-                f"{shown(rig)}. Remove it"
+                f"{shown(rig)}. Remove it",
+                table,
             )
-            yield Fault(said, table)
     needed = {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *data}
     if draft.document.pulse.shape == "measured":
         needed.discard("striker")
@@ -210,8 +210,11 @@ def _box(draft: Draft) -> Faults:
             "names",
         )
     for name in sorted({"status", "censored", *inputs} & {*names}):
-        said = f"{shown(name)} is the name of an input already, or of a column of the model"
-        yield Fault(said, "outputs", "names")
+        yield Fault(
+            f"{shown(name)} is the name of an input already, or of a column of the model",
+            "outputs",
+            "names",
+        )
 
 
 def _library(draft: Draft) -> Faults:
@@ -359,14 +362,18 @@ def _model(draft: Draft) -> Faults:
     )
     for key, word in (("fidelity", "linear"), ("compare_with_paper", True)):
         if rig.by_wave and draft.plastic and getattr(model, key) == word:
-            said = (
+            yield Fault(
                 'the linear model and the paper know Hertz only, contact.law is "plastic": leave '
-                "one out"
+                "one out",
+                "model",
+                key,
             )
-            yield Fault(said, "model", key)
     if model.whole_record and model.first_loading_only:
-        said = "whole_record continues after the first loading. Remove first_loading_only"
-        yield Fault(said, "model", "whole_record")
+        yield Fault(
+            "whole_record continues after the first loading. Remove first_loading_only",
+            "model",
+            "whole_record",
+        )
     if model.fidelity != "full" and not rig.by_wave and not light:
         yield Fault(
             f'the rig {shown(draft.rig)} supports only fidelity = "full". Remove fidelity',
@@ -565,13 +572,13 @@ def _dependence(draft: Draft) -> Faults:
     for index, tie in enumerate(ties):
         for at, name in enumerate(tie.of):
             if name not in random:
-                said = unknown("random input", name, random)
+                message = unknown("random input", name, random)
                 if name in draft.numbers:
-                    said = (
+                    message = (
                         f"{shown(name)} is a fixed number here: give it a distribution, or leave "
                         "it out"
                     )
-                yield Fault(said, "dependence", index, "of", at)
+                yield Fault(message, "dependence", index, "of", at)
                 return
     for index, tie in enumerate(ties):
         try:

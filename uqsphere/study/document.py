@@ -470,11 +470,10 @@ class Words(Table):
 
 
 #: the tables of the scene: their words stand above, their numbers are those of `INPUTS`
-_scene: dict[str, Any] = {
-    name: (kind, kind.model_construct())
-    for name in SCENE
-    if (kind := _with_numbers(name, table_in(Words.model_fields[name].annotation)))
+_kinds: Final = {
+    name: _with_numbers(name, table_in(Words.model_fields[name].annotation)) for name in SCENE
 }
+_scene: dict[str, Any] = {name: (kind, kind.model_construct()) for name, kind in _kinds.items()}
 Document: Final = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
 
 

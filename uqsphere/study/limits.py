@@ -380,14 +380,14 @@ def warn_of_tests(
 
 def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
     """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
-    known = {
+    of_library = {
         name: (material.properties["E"].value, material.properties["nu"].value)
         for name, material in library()["bars"].items()
     }
     choices = {
         "bars": (draft.mean("bars.E"), draft.mean("bars.nu")),
         "rigid": (math.inf, 0.3),
-        **known,
+        **of_library,
     }
     with within("platens"):
         if isinstance(raw, Mapping) and set(raw) == {"E", "nu"}:
@@ -395,7 +395,7 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
         if not isinstance(raw, str) or raw not in choices:
             raise Fault(
                 f"platens must be {one_of([*choices, 'a table of E and nu'])}, not {shown(raw)}"
-                f"{suggestion(raw, known)}"
+                f"{suggestion(raw, of_library)}"
             )
         if math.isnan(choices[raw][0]):
             raise Fault(

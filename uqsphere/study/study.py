@@ -316,11 +316,11 @@ class Study:
     def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
         beside = {"path", "text", "warnings", "caveats", "overrides", "files"}
-        found: dict[str, Json] = {
+        content: dict[str, Json] = {
             e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside
         }
         # the order of the random variables decides which point of a sequence goes to which of them
-        return {**found, "order": list(self.laws())}
+        return {**content, "order": list(self.laws())}
 
 
 # completion in a shell reads the signature

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -419,7 +419,7 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
         for end in (table.lower, table.upper)
     ]
     warn_of_rows(cells, rows, columns["column"], stopped, draft, place)
-    law = fit(columns["column"], stopped, table, table.fit, *bounds)
+    law = fit(columns["column"], stopped, table, table.fit, bounds)
     return Number(value=law, synthetic=table.synthetic)
 
 
@@ -512,8 +512,7 @@ def fit(
     stopped: Flags,
     table: Observations,
     kind: str | None,
-    lower: float | None = None,
-    upper: float | None = None,
+    bounds: Sequence[float | None] = (None, None),
     *,
     slope: float = 1.0,
 ) -> Law:
@@ -533,8 +532,7 @@ def fit(
         return fitted_law(
             data[~stopped].tolist(),
             kind,
-            lower,
-            upper,
+            *bounds,
             censored=data[stopped].tolist(),
             unbiased=table.unbiased,
             modulus=modulus,
