@@ -12,7 +12,7 @@ import pytest
 
 from uqsphere.report.figures import indices_of
 from uqsphere.report.format import value
-from uqsphere.report.page import page
+from uqsphere.report.page import _assumptions, page
 from uqsphere.results.types import Results
 
 REPORTS = sorted((Path(__file__).parents[2] / "reports").glob("*/results.json"))
@@ -104,3 +104,17 @@ def test_inputs_of_the_sobol_chart_are_in_one_order_for_all_quantities() -> None
     assert len(first.inputs) == first.total.shape[1] == 4
     largest = np.fmax(first.total[0], second.total[0])
     assert (np.diff(largest) <= 0.0).all()
+
+
+def test_other_assumptions_are_told_as_fracture_probabilities_where_the_sphere_must_break() -> None:
+    """92 % break at the plan: a Weibull strength in its place must not read as 8 %."""
+    path = next(path for path in REPORTS if "quartz" in path.parent.name)
+    results = Results.model_validate_json(path.read_text("utf-8"))
+    (decision,) = results.decisions
+    assert decision.aim == "break"
+    broken = 1.0 - decision.probability.value
+    table = _assumptions(results)
+    assert table is not None
+    for *_, text in table.rows:
+        share = float(text.partition(" ")[0].replace("\u00a0", " ").split()[0]) / 100.0
+        assert abs(share - broken) < 0.1

@@ -20,6 +20,7 @@ from uqsphere.report.format import (
     DASH,
     ModeRow,
     capital,
+    complement,
     estimate,
     index,
     keep_units,
@@ -47,7 +48,7 @@ from uqsphere.report.sentences import (
     shortfall_text,
 )
 from uqsphere.results.folder import read_results, write_files
-from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Results
+from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Range, Results
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -410,18 +411,21 @@ def _indices(results: Results) -> Table | None:
 
 
 def _assumptions(results: Results) -> Table | None:
-    """Failure probabilities under other assumptions, one at a time."""
+    """Fracture probabilities under other assumptions, one at a time."""
     rows, answers = [], table_of(results)
     for mode in mode_rows(results):
         for row in answers.where(mode.subject, Kind.FAILURE_PROBABILITY):
             if str(row.at).startswith("assumed: "):
                 what = str(row.at).removeprefix("assumed: ")
-                rows.append((label(mode.subject), what, probability(row)))
+                event = Range(value=row.value, low=row.low, high=row.high, note=row.note)
+                if mode.entry.aim == "break":
+                    event = complement(event)
+                rows.append((label(mode.subject), what, probability(event)))
     if not rows:
         return None
     return Table(
-        caption="Sensitivity of the failure probability to assumptions (one at a time)",
-        head=("limit", "assumed", "failure probability"),
+        caption=f"{exceedance_name(results)} under other assumptions, one at a time",
+        head=("limit", "assumed", exceedance_name(results).lower()),
         rows=rows,
     )
 

@@ -257,7 +257,10 @@ class _Writer:
         """What to do about the doubt that governs."""
         remedy = self.decision.next
         tail = "upper" if self.decision.aim == "break" else "lower"
-        text = _REMEDIES[remedy.code].format(subject=plain_name(remedy.subject), tail=tail)
+        subject = plain_name(remedy.subject)
+        if remedy.code == "leave the model's range":
+            subject = subject.replace("_", " ")
+        text = _REMEDIES[remedy.code].format(subject=subject, tail=tail)
         if remedy.code == "measure the strength":
             text = f"Measure the {_strength_name(self.results, remedy.subject)} of this rock"
         if remedy.gains:
