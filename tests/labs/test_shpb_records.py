@@ -112,6 +112,7 @@ def test_a_clean_record(tmp_path: Path) -> None:
     assert test.balanced > 0.9
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_force_in_most_of_many_records(tmp_path: Path) -> None:
     inside = 0
     for seed in range(40):

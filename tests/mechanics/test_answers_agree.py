@@ -89,6 +89,7 @@ def random_scene(rig: str, kind: str, law: str) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["hertz", "plastic"])
 @pytest.mark.parametrize(("rig", "kind"), CASES)
 def test_answers_of_a_row_agree(rig: str, kind: str, law: str) -> None:

@@ -155,6 +155,7 @@ def test_a_row_without_meaning_is_refused():
         as_printed.compare_with_paper(replace(SCENE, columns=columns))
 
 
+@pytest.mark.slow
 def test_a_study_prints_the_comparison_in_its_run_and_its_history(tmp_path, capsys):
     import uqsphere
     from uqsphere.cli import main

@@ -29,6 +29,7 @@ from uqsphere.mechanics.scene import Scene, answered
 SHORT = {"mu": (3e-4, 1e3, True), "theta": (1e-4, 30.0, True), "ratio": (0.1, 10.0, True)}
 
 
+@pytest.mark.slow
 def test_no_hard_scene_is_wrong_and_silent() -> None:
     found = against_reference(design(22, 5, narrower=SHORT), budget=300, rtol=1e-10)
     assert found.silent == (), report(found)

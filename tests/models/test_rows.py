@@ -461,6 +461,7 @@ SHIPPED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_quantity_asked_for_by_itself_is_that_among_all(name: str) -> None:
     study = load_study(shipped_studies()[name])

@@ -124,6 +124,7 @@ def test_a_strength_is_integrated_exactly() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_rare_event_is_searched_for() -> None:
     high = {"high": {"quantity": "y", "strength": 26.0, "aim": "survive", "target": 1e-6}}
     run = uqsphere.run(study(limits=high), linear)
@@ -134,6 +135,7 @@ def test_a_rare_event_is_searched_for() -> None:
     assert np.allclose([point["a"], point["b"]], [26.0 * 3 / 25, 26.0 * 4 / 25], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_many_limits_on_one_quantity_share_their_searches() -> None:
     limits, truth = {}, {}
     for k, beta in enumerate(np.linspace(2.4, 6.0, 40)):
@@ -213,6 +215,7 @@ def test_nothing_random_is_answered_by_one_run() -> None:
     assert run.probability("high")["value"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_later_echo_that_is_harder_is_counted_or_leaves_the_verdict_open() -> None:
     """A striker of 30 mm: the run of the whole record has the peak of the history, the other says
     what it misses.
@@ -299,6 +302,7 @@ def test_a_strength_of_another_distribution_and_without_its_tie() -> None:
         assert found[at] == pytest.approx(np.trapezoid(below * stats.norm.pdf(z), z), rel=0.05), at
 
 
+@pytest.mark.slow
 def test_contacts_that_yield_turn_a_verdict_of_hertz_with_their_own_numbers() -> None:
     given = (
         *FIXED,

@@ -13,6 +13,7 @@ from uqsphere.results.types import Results
 REPORTS = sorted((Path(__file__).parents[2] / "reports").glob("*/results.json"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
 def test_a_run_shows_itself_as_its_page_does(path: Path) -> None:
     results = Results.model_validate_json(path.read_bytes())

@@ -254,6 +254,7 @@ def corrected(response: Response, seed: int) -> Corrected:
     return Corrected(response=response, table=response.table(points))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", coverage_models(), ids=lambda model: model.name)
 def test_few_rows_answer_with_intervals_that_hold(model) -> None:
     hits, n = [], 128
@@ -329,6 +330,7 @@ def test_an_expansion_that_runs_away_does_not_take_the_variance(seed: int) -> No
     assert max(sds) < 1.5 * response.outputs.std()
 
 
+@pytest.mark.slow
 def test_a_plateau_keeps_its_quantiles() -> None:
     # the median was read off residuals that were spread over the whole table
     held = []
@@ -339,6 +341,7 @@ def test_a_plateau_keeps_its_quantiles() -> None:
     assert sum(held) >= 4
 
 
+@pytest.mark.slow
 def test_a_probability_is_not_exact_where_no_row_changes_sides() -> None:
     # 0.10136 (0.10069 to 0.10204) from 64 runs for 0.1
     widths, held = [], []

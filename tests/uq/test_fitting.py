@@ -257,6 +257,7 @@ TRUTHS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TRUTHS)
 def test_ranges_cover_a_small_probability_as_often_as_they_promise(kind: str) -> None:
     """Five tests, the probability of lying below the true 1 % quantile; Student's intervals would
