@@ -16,6 +16,7 @@ from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.outputs import SceneAnswers
+from uqsphere.mechanics.rigs import RIGS
 from uqsphere.mechanics.scene import Scene
 from uqsphere.models.scene import solve_scene
 from uqsphere.study import Study, load_study
@@ -275,7 +276,7 @@ def _difference(values: Array, expected: Array) -> Array:
 def bench_study_text(path: Path, *, rows: int = 256) -> str:
     """The table of a study, with the versions."""
     study = load_study(path)
-    if study.black_box or study.rig == "platens":
+    if study.black_box or RIGS[study.rig].by_press:
         raise UsageError(
             f"{path} has nothing to integrate: bench needs a study of a wave, a blow or a weight"
         )

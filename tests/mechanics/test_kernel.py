@@ -161,6 +161,9 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
     scene = random_scene(300, 11)
     exact = solve(scene, tolerance=1e-11)
     assert (exact.status == 0).all()
+    # behind the first loss a light sphere rattles, and what it does there hangs on every digit
+    kept = exact.record <= exact.values["time_to_first_loss"] * (1.0 + 1e-9)
+    assert kept.sum() > 100
     medians = []
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
         found = solve(scene, tolerance=tolerance)
@@ -173,14 +176,14 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
             "force_imbalance",
             "energy",
         ):
-            error = relative(found.values[name], exact.values[name]) / tolerance
+            error = relative(found.values[name], exact.values[name])[kept] / tolerance
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows
             assert np.quantile(error, 0.98) < SOLVER, (name, tolerance)
             assert np.median(error) < 1.0
         late = relative(found.values["time_to_first_loss"], exact.values["time_to_first_loss"])
         assert np.quantile(late, 0.95) < SOLVER * tolerance
         medians.append(np.median(relative(found.values["p_max"], exact.values["p_max"])))
-        assert found.steps.mean() < 600
+        assert found.steps[kept].mean() < 600
     assert (np.diff(np.log10(medians)) < -1.0).all()
 
 

@@ -4,6 +4,8 @@ something were.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import example
@@ -138,5 +140,8 @@ def test_the_largest_difference_of_forces_is_found_where_one_of_them_ends() -> N
         scene for scene in plan if np.isclose(scene.scales.mass_number, 4.8793376446694).any()
     )
     place = np.flatnonzero(np.isclose(scene.scales.mass_number, 4.8793376446694))
-    found = against_reference([scene.at(place)], budget=4000)
+    one = scene.at(place)
+    # up to just behind the first loss, where one of the forces ends: the record goes on for long
+    first = float(solve(one, quantities=("time_to_first_loss",)).values["time_to_first_loss"][0])
+    found = against_reference([replace(one, horizon=1.0001 * first)], budget=4000)
     assert found.errors[0, found.names.index("force_imbalance")] < 1.0

@@ -586,7 +586,7 @@ def look_closer(
     )
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
     again = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | (wanted != 0))
-    rough = np.zeros(n, dtype=bool)
+    rough, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["rigs"].shape[1] == 0:
         rough = (status == tracked.OK) & _counts_on(answers)
     while True:
@@ -600,7 +600,7 @@ def look_closer(
             )
             moved = np.fmax(lost - grazed, blur)
             doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
-        again = (again | doubt | rough) & (closest > _FINEST)
+        again = (again | doubt | (rough & ~compared)) & (closest > _FINEST)
         if not again.any():
             break
         for each in np.unique(closest[again]):
@@ -614,6 +614,7 @@ def look_closer(
             done = look.status == tracked.OK
             durations = answers[picked, tracked.ANSWER_DURATION]
             change = np.abs(look.answers[:, tracked.ANSWER_DURATION] / durations - 1.0)
+            compared[picked] = True
             rough[picked] &= ~(done & (change <= _FIRM * tolerance))
             answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
             closest[picked[~done]] = _FINEST
