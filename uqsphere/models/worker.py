@@ -66,6 +66,14 @@ def serve(parent: int) -> None:
     """Answer what comes by the standard input, on what was the standard output."""
     requests, replies = _channels()
     _end_with(parent)
+    try:
+        _answer_all(requests, replies)
+    except (BrokenPipeError, EOFError):
+        os._exit(0)  # the parent is gone: nothing is left to flush
+
+
+def _answer_all(requests: BinaryIO, replies: BinaryIO) -> None:
+    """Answer until the parent closes its end."""
     _send(replies, "started")
     packed = pickle.load(requests)
     with contextlib.suppress(UqsphereError):  # the first call reports it again
