@@ -57,7 +57,7 @@ def execute(command: str, capsys: pytest.CaptureFixture[str]) -> str:
             code = int(end.code or 0)
     out, err = capsys.readouterr()
     assert code in MEANT, f"{command}: exit code {code}\n{err}"
-    notes = re.compile(r"^(compiling |warning: |[\d,]+ runs, )")
+    notes = re.compile(r"^([Cc]ompiling |warning: |[\d,]+ runs, )")
     return "".join(line for line in err.splitlines(keepends=True) if not notes.match(line)) + out
 
 
