@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import uqsphere
@@ -205,6 +206,7 @@ TEXTS = {
     "slow": BOX + "[analysis]\nbudget = { evaluations = 64 }\n",
     "tied": BOX + '[[dependence]]\nof = ["a", "b"]\nkendall = 0.5\n',
     "measured": MEASURED,
+    "workbook": MEASURED.replace("pulse.csv", "pulse.xlsx"),
     "gauges": BASES["bars"] + '[[gauges]]\nbar = "incident"\nposition = "0.3 m"\n',
     "trapezoid": BASES["bars"].replace(
         "[bars]", '[model]\nhorizon = "300 us"\n[bars]\ninfinite = true'
@@ -280,6 +282,10 @@ def effects(name: str, settings: tuple[str, ...], folder: Path) -> str:
     path, text = Path("studies") / f"{name}.toml", None
     if name in TEXTS:
         (folder / "pulse.csv").write_text(PULSE, encoding="utf-8")
+        with pd.ExcelWriter(folder / "pulse.xlsx") as book:
+            for sheet, factor in (("first", 1.0), ("second", 0.9)):
+                table = pd.DataFrame({"t": range(101), "a": factor * np.array(WAVE)})
+                table.to_excel(book, sheet_name=sheet, index=False)
         (folder / "model.py").write_text(SLOW, encoding="utf-8")
         (folder / "other.csv").write_text(PULSE.replace(",0.9", ",0.8"), encoding="utf-8")
         path, text = folder / "study.toml", TEXTS[name]
@@ -343,6 +349,7 @@ for shape in ("rectangular", "half_sine", "ramp", "step"):
     case("pulse.shape", "trapezoid", f"pulse={{ shape = '{shape}'{keys} }}")
 case("pulse.preset", "preset", "pulse={ preset = 'short' }")
 case("pulse.file", "measured", "pulse.file=other.csv")
+case("pulse.sheet", "workbook", "pulse.sheet=second")
 case("pulse.columns", "measured", 'pulse.columns=["t", "b"]')
 case("pulse.units", "measured", 'pulse.units=["us", "mV"]')
 case("pulse.factor", "measured", "pulse.factor=0.002")
@@ -386,6 +393,7 @@ for measure in ("morris", "delta", "pawn", "hdmr"):
     case("analysis.measures", "box", f'analysis.measures=["{measure}"]')
 case("analysis.second_order", "box", "analysis.second_order=true")
 case("analysis.failure_modes", "granite", "analysis.failure_modes=given")
+case("analysis.damage_counts", "granite", "analysis.damage_counts=true")
 case("analysis.on_failure", "failing", "analysis.on_failure=drop", before=BOUND)
 case("analysis.cost", "box", "analysis.cost=10 s")
 case("analysis.time_limit", "slow", "analysis.time_limit=0.3 s", before=BOUND)

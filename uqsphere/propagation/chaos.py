@@ -92,7 +92,7 @@ class Expansion:
         """
         coefficients, variance = (
             np.where(which, self.fit.plain_form.coefficients, 0.0),
-            self.known.sd**2,
+            self.known.sd * self.known.sd,
         )
         own = share * variance + 2.0 * ((self.terms @ coefficients) * self.residuals).mean(axis=1)
         rest = self.residuals - self.residuals.mean()
@@ -172,7 +172,7 @@ def _runs_away(expansion: Expansion) -> bool:
     squares = ((expansion.values - expansion.known.mean) ** 2).mean(axis=1)
     room = float(stdtrit(len(squares) - 1, 0.5 + 0.5 * REJECTED)) * spread(squares)
     integration = 1e-9 + 4.0 * expansion.known.error
-    variance = expansion.known.sd**2
+    variance = expansion.known.sd * expansion.known.sd
     return bool(abs(variance - squares.mean()) > room + integration * variance)
 
 

@@ -166,7 +166,7 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
             which = active[:, i] & active[:, j] & (many == 2)
             share = 0.0
             if known.sd > 0.0:
-                share = float((form.coefficients[which] ** 2).sum()) / known.sd**2
+                share = float((form.coefficients[which] ** 2).sum()) / (known.sd * known.sd)
             own = expansion.projection(which, share)
             index = _index(expansion, own, np.zeros_like(everything), everything)
             rows[f"{design.inputs[i]},{design.inputs[j]}"] = (index,)

@@ -271,7 +271,8 @@ def _bounded(response: Response) -> Response:
     whole = float(response.outputs.var())
     if response.constant or not whole > 0.0:
         return response
-    variances = np.array([known.sd**2 for known in response.known])
+    with np.errstate(over="ignore"):  # a fold that runs away may have no finite variance
+        variances = np.square([known.sd for known in response.known])
     missing = np.array([fold.fit.cross_validation_error * whole for fold in response.folds])
     allowed = _Allowed.by(response, variances)
     sound = [k for k in range(FOLDS) if allowed.permits(k, variances[k], missing[k])]
