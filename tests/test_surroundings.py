@@ -207,7 +207,13 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.mark.parametrize("name", CASES)
+#: an interpreter that compiles every file anew
+SLOW = {"-O -W error"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in CASES]
+)
 def test_surroundings(tmp_path: Path, name: str, finished: Path) -> None:
     command, code, says, files = CASES[name]
     ended, text = shell(

@@ -92,6 +92,7 @@ def test_page_says_what_happens(
     assert ran >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:`newshape`:DeprecationWarning")
 @pytest.mark.parametrize(
     "notebook", sorted((ROOT / "docs").glob("*.ipynb")), ids=lambda path: path.stem

@@ -43,7 +43,7 @@ def test_scales_that_overflow_have_a_status_and_no_number(name: str, value: floa
         ("sphere_nu", 0.4999),
         ("sphere_E", 1e6),
         ("sphere_E", 1e12),
-        ("sphere_radius", 1e-4),
+        pytest.param("sphere_radius", 1e-4, marks=pytest.mark.slow),
         ("striker_speed", 1e-6),
         ("striker_speed", 100.0),
         ("sphere_density", 1.0),
@@ -105,6 +105,7 @@ def _of_sweep(seed: int, stratum: int, mu: float) -> Scene:
     return scene.at(np.abs(scene.scales.mass_number / mu - 1.0).argsort()[:1])
 
 
+@pytest.mark.slow
 def test_a_first_loss_that_errors_decide_is_found_by_a_closer_look() -> None:
     """A light sphere that swings: once at 1e-6 the loss came at 560.98 t_c, at 1e-8 at 559.343."""
     scene = _of_sweep(2, 6, 6.46e-4)

@@ -39,6 +39,7 @@ def test_no_hard_scene_is_wrong_and_silent() -> None:
     assert (found.status[found.judged] == 0).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_kernel_against_itself_over_the_whole_range_of_mass_and_pulse() -> None:
     found = against_itself(
         design(55, 3, narrower={"theta": (1e-4, 30.0, True)}), quantities=("p_max", "energy")
@@ -47,6 +48,7 @@ def test_kernel_against_itself_over_the_whole_range_of_mass_and_pulse() -> None:
     assert answered(found.status).mean() > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
 def test_other_tolerances_hold_too(tolerance: float) -> None:
     found = against_reference(
