@@ -350,7 +350,9 @@ def test_waves_that_were_cut_out_are_moved_to_the_faces_too(tmp_path: Path) -> N
         for test in (moved, raw)
     )
     assert off < 0.5 * before
-    assert all(peak.value == pytest.approx(PEAK, rel=0.06) for peak in moved.peaks.values())
+    for peak in moved.peaks.values():
+        assert peak.value == pytest.approx(PEAK, rel=0.07)
+        assert peak.low < PEAK < peak.high
 
 
 def test_two_gauges_of_a_bar_and_a_dead_one(tmp_path: Path) -> None:

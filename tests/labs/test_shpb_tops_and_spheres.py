@@ -74,15 +74,24 @@ def test_a_round_top_keeps_its_largest_force(length: float, noise: float) -> Non
     assert sum(peak.low <= 1.0 <= peak.high for peak in peaks) >= 34
 
 
-def test_a_force_that_drops_when_the_specimen_breaks() -> None:
+def breaks(time: np.ndarray) -> np.ndarray:
+    """A ramp of 60 us that ends within 5 us, when the specimen breaks."""
+    return np.clip(np.minimum(time / 60e-6, (65e-6 - time) / 5e-6), 0.0, 1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.01, 0.02])
+@pytest.mark.parametrize("length", [40e-6, 80e-6, 120e-6, 200e-6, None])
+def test_a_sharp_top_lies_in_its_interval(length: float | None, noise: float) -> None:
+    """Triangles without a plateau, and a force that drops when the specimen breaks."""
     rng = np.random.default_rng(3)
 
-    def breaks(time: np.ndarray) -> np.ndarray:
-        return np.clip(np.minimum(time / 60e-6, (65e-6 - time) / 5e-6), 0.0, 1.0)
+    def shape(time: np.ndarray) -> np.ndarray:
+        return breaks(time) if length is None else trapezoid(time, 0.5 * length, length)
 
-    peaks = [largest_force(course(breaks, 0.003, rng, 0.5e-6)) for _ in range(40)]
-    assert all(peak.value < 1.04 for peak in peaks)
-    assert sum(peak.low <= 1.0 <= peak.high for peak in peaks) >= 34
+    peaks = [largest_force(course(shape, noise, rng)) for _ in range(100)]
+    assert np.mean([peak.value for peak in peaks]) == pytest.approx(1.0, abs=0.045)
+    assert np.mean([peak.high - peak.low for peak in peaks]) < 0.08 + 2.0 * noise
+    assert sum(peak.low <= 1.0 <= peak.high for peak in peaks) >= 90
 
 
 # --- whole records --------------------------------------------------------------------------------

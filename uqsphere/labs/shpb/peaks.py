@@ -1,7 +1,7 @@
 """The largest force of a record, from the samples around it.
 
 A flat top gives its mean.  Any other top gives the largest running mean over as few samples as its
-noise allows, or a parabola over a third of the top where that is no higher.  No value is above the
+noise allows, and what this mean misses by a mean over twice as many.  No value is above the
 smoothed samples: a parabola overshoots where a ramp meets a plateau.
 """
 
@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_filter
 from scipy.special import ndtri
 
 from uqsphere.arrays import Array
@@ -82,9 +81,11 @@ class Force:
 
 @dataclass(frozen=True, kw_only=True)
 class _Top:
-    """An estimate of the largest force: value and scatter [N], and its sample."""
+    """An estimate of the largest force: value, its ends without noise, scatter [N]; its sample."""
 
     value: float
+    low: float
+    high: float
     scatter: float
     at: int
 
@@ -98,18 +99,11 @@ def largest_force(course: Force) -> Peak:
     count = behind - first
     width = min(max(5, 2 * (count // 6) + 1), len(force) - 1 + len(force) % 2)
     top = _flat_top(course, count, width)
-    lost = 0.0
     if top is None:
-        samples = _samples_of_mean(course, float(medians[highest]), width)
-        top = _highest_mean(course, samples)
-        # what a mean over twice as many samples misses, this one may miss too
-        lost = max(top.value - _highest_mean(course, 2 * samples + 1).value, 0.0)
-        parabola = _parabola(course, medians, width)
-        if top.value - 2.0 * top.scatter - _QUIET * top.value < parabola.value < top.value:
-            top = parabola
+        top = _pointed_top(course, _samples_of_mean(course, float(medians[highest]), width))
     systematic = max(float(course.sd[top.at]) ** 2 - noise**2, 0.0)
     half = NORMAL * math.sqrt(systematic + top.scatter**2)
-    high, doubts = top.value + half + lost, []
+    high, doubts = top.high + half, []
     single = float(force.max())
     if single > top.value + 5.0 * noise + 0.05 * top.value:
         doubts.append(
@@ -125,7 +119,7 @@ def largest_force(course: Force) -> Peak:
         high = math.inf
     return Peak(
         value=top.value,
-        low=top.value - half,
+        low=top.low - half,
         high=high,
         time=float(course.time[top.at]),
         doubts=tuple(doubts),
@@ -140,9 +134,15 @@ def _stretch(values: Array, level: float, at: int) -> tuple[int, int]:
     return first, int(behind[0]) if len(behind) else len(values)
 
 
+def _medians(force: Array) -> Array:
+    """Running medians of three samples."""
+    return np.asarray(median_filter(force, 3, mode="nearest"))
+
+
 def _means(force: Array, samples: int) -> Array:
     """Running means over an odd number of samples, of medians of three."""
-    padded = np.pad(median_filter(force, 3, mode="nearest"), samples // 2, mode="edge")
+    samples = min(samples, len(force) - 1 + len(force) % 2)
+    padded = np.pad(_medians(force), samples // 2, mode="edge")
     return np.convolve(padded, np.full(samples, 1.0 / samples), mode="valid")
 
 
@@ -153,27 +153,31 @@ def _samples_of_mean(course: Force, level: float, width: int) -> int:
     return int(min(max(3, 2 * (min(wanted, 1e9) // 2) + 1), most))
 
 
-def _highest_mean(course: Force, samples: int) -> _Top:
-    """The highest running mean, less what the highest of several equal ones exceeds them by."""
-    samples = min(samples, len(course.force) - 1 + len(course.force) % 2)
+def _pointed_top(course: Force, samples: int) -> _Top:
+    """The top of a force that is round or sharp, from running means over n and 2n samples.
+
+    What the mean over n misses is all of their difference at a sharp top, where it grows with n,
+    and a third of it at a round one, where it grows with n² (L. F. Richardson, 1927).  The middle
+    of both is the value, never above the highest median of three samples; they are its ends.
+    """
     means = _means(course.force, samples)
-    return _without_luck(course, means, samples, course.scatter(samples))
-
-
-def _parabola(course: Force, medians: Array, width: int) -> _Top:
-    """The highest point of parabolas through `width` samples, fitted twice."""
-    curve = savgol_filter(savgol_filter(medians, width, 2), width, 2)
-    # the middle of a parabola through `width` samples has 9/4 of the variance of their mean
-    return _without_luck(course, curve, width, course.scatter(width / 2.25))
-
-
-def _without_luck(course: Force, curve: Array, samples: int, scatter: float) -> _Top:
-    """The top of a curve, less the mean excess of the largest of m equal values (Blom)."""
-    at = int(np.argmax(curve))
-    near = float((curve > curve[at] - 2.0 * scatter).sum())
+    at, highest = int(np.argmax(means)), float(means.max())
+    missed = max(highest - float(_means(course.force, 2 * samples + 1).max()), 0.0)
+    # the largest of m equal means exceeds them by luck (Blom)
+    scatter = course.scatter(samples)
+    near = float((means > highest - 2.0 * scatter).sum())
     equal = 1.0 + near / (samples * max(1.0, course.memory / samples))
-    excess = scatter * float(ndtri((equal - 0.375) / (equal + 0.25)))
-    return _Top(value=float(curve[at]) - excess, scatter=scatter, at=at)
+    value = highest - scatter * float(ndtri((equal - 0.375) / (equal + 0.25)))
+    ends = (value + missed / 3.0, value + missed)
+    value = min(value + 2.0 / 3.0 * missed, float(_medians(course.force).max()))
+    # means over n and 2n share half of their samples
+    return _Top(
+        value=value,
+        low=min(value, ends[0]),
+        high=max(value, ends[1]),
+        scatter=scatter * math.sqrt((4.0 / 3.0) ** 2 + (1.0 / 3.0) ** 2),
+        at=at,
+    )
 
 
 def _flat_top(course: Force, count: int, width: int) -> _Top | None:
@@ -201,4 +205,5 @@ def _flat_top(course: Force, count: int, width: int) -> _Top | None:
         return None
     if math.sqrt(11.25) * scatter > _FLAT * top:
         return None
-    return _Top(value=float(flat.mean()), scatter=scatter, at=inner.start + number // 2)
+    value = float(flat.mean())
+    return _Top(value=value, low=value, high=value, scatter=scatter, at=inner.start + number // 2)
