@@ -16,19 +16,13 @@ LAYERS = (
     "models",
     "results",
     "propagation",
-    "report",
+    "report exchange",
     "bench analysis labs",
     "cli",
     "__init__ __main__",
 )
-#: a run draws its own page, and an opened run its plots; a study hands rows that were answered
-#: elsewhere to a run
-LATE = {
-    ("results", "report"),
-    ("propagation", "report"),
-    ("study", "results"),
-    ("study", "propagation"),
-}
+#: a run draws its own page, and an opened run its plots
+LATE = {("results", "report"), ("propagation", "report")}
 
 
 def test_rooms_import_only_what_stands_before_them() -> None:

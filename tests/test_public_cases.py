@@ -284,14 +284,15 @@ def test_rows_that_repeat_count_once() -> None:
     assert thrice["first"]["a"].value == pytest.approx(once["first"]["a"].value, abs=1e-6)
     assert thrice["first"]["a"].evaluations == 40
     study = Study(inputs=AB, outputs="y")
-    rows = study.design(64).assign(y=lambda rows: np.exp(rows["a"]) + np.sin(40.0 * rows["b"]))
+    rows = uqsphere.design(study, 64)
+    rows = rows.assign(y=np.exp(rows["a"]) + np.sin(40.0 * rows["b"]))
     with pytest.warns(UserWarning, match="64 of 128 rows repeat another"):
-        twice = study.analyse(pd.concat([rows, rows]))
-    assert twice.answers.equals(study.analyse(rows).answers)
+        twice = uqsphere.analyse(study, pd.concat([rows, rows]))
+    assert twice.answers.equals(uqsphere.analyse(study, rows).answers)
     with pytest.raises(UsageError, match="'a': 7 cannot come from its distribution"):
-        study.analyse(rows.assign(a=rows["a"].where(rows.index > 0, 7.0)))
+        uqsphere.analyse(study, rows.assign(a=rows["a"].where(rows.index > 0, 7.0)))
     with pytest.raises(UsageError, match="complex numbers"):
-        study.analyse(rows.assign(y=rows["y"] + 1j))
+        uqsphere.analyse(study, rows.assign(y=rows["y"] + 1j))
     with pytest.raises(UsageError, match="found bool"):
         A.failure_probability(lambda r: r["a"] > 0.5, AB)
 

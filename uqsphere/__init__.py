@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere import analysis
+    from uqsphere.exchange import analyse, design, joint, sample, to_salib
     from uqsphere.models.evaluate import evaluate
     from uqsphere.propagation import run
     from uqsphere.propagation.plan import fragility_curves
@@ -23,13 +24,18 @@ if TYPE_CHECKING:
 __all__ = [
     "Run",
     "Study",
+    "analyse",
     "analysis",
+    "design",
     "evaluate",
     "fragility_curves",
     "history",
+    "joint",
     "load_study",
     "open_run",
     "run",
+    "sample",
+    "to_salib",
 ]
 
 __version__ = "0.2.0"
@@ -38,12 +44,17 @@ __version__ = "0.2.0"
 _HOMES = {
     "Run": "uqsphere.results",
     "Study": "uqsphere.study",
+    "analyse": "uqsphere.exchange",
+    "design": "uqsphere.exchange",
     "evaluate": "uqsphere.models.evaluate",
     "fragility_curves": "uqsphere.propagation.plan",
     "history": "uqsphere.report.history",
+    "joint": "uqsphere.exchange",
     "load_study": "uqsphere.study",
     "open_run": "uqsphere.results",
     "run": "uqsphere.propagation",
+    "sample": "uqsphere.exchange",
+    "to_salib": "uqsphere.exchange",
 }
 
 

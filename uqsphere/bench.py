@@ -14,6 +14,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
+from uqsphere.exchange import sample
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.rigs import RIGS
@@ -222,7 +223,7 @@ def bench_study(study: Study, *, rows: int = 256) -> pd.DataFrame:
     from uqsphere.propagation.design import Design
 
     design = Design.of(study)
-    drawn = design.judged.sample(max(rows, 2))
+    drawn = sample(design.judged, max(rows, 2))
     inputs = [name for name in design.inputs if name in drawn.columns]
     scene = scene_at(design.judged, inputs, drawn[inputs].to_numpy())
     groups: dict[str, Sequence[str]] = {name: (name,) for name in design.columns}

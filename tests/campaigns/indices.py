@@ -24,7 +24,7 @@ def compare(name: str, base: int) -> list[list[str]]:
     own.
     """
     study = uqsphere.load_study(shipped_studies()[name])
-    few, pairs = study.design(256), study.to_salib(base)
+    few, pairs = uqsphere.design(study, 256), uqsphere.to_salib(study, base)
     names = pairs.problem["names"]
     of_few = uqsphere.evaluate(study, few, quantities=QUANTITIES)
     of_pairs = uqsphere.evaluate(

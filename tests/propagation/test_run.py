@@ -438,12 +438,12 @@ def test_a_density_holds_the_whole_probability() -> None:
 
 def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None:
     given = study(outputs=["y", "w"], dependence=[{"of": ["a", "b"], "spearman": 0.4}])
-    rows = given.design(200)
-    assert rows.head(50).equals(given.design(50))
-    assert [*given.sample(3).columns] == ["a", "b"]
-    assert given.sample(3).equals(given.sample(3))
+    rows = uqsphere.design(given, 200)
+    assert rows.head(50).equals(uqsphere.design(given, 50))
+    assert [*uqsphere.sample(given, 3).columns] == ["a", "b"]
+    assert uqsphere.sample(given, 3).equals(uqsphere.sample(given, 3))
     rows["y"], rows["w"] = linear(rows)["y"], np.exp(rows["a"] + 0.3 * rows["b"])
-    run = given.analyse(rows.sample(frac=1.0, random_state=1)[["w", "b", "y", "a"]])
+    run = uqsphere.analyse(given, rows.sample(frac=1.0, random_state=1)[["w", "b", "y", "a"]])
     rho = 2.0 * math.sin(math.pi * 0.4 / 6.0)
     sd = math.sqrt(25.0 + 24.0 * rho)
     assert holds(run, "y", "sd", sd)
@@ -461,14 +461,14 @@ def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None
         (rows.assign(a=rows["a"] + 1.0), "does not follow"),
     ):
         with pytest.raises(UsageError, match=says):
-            given.analyse(wrong)
+            uqsphere.analyse(given, wrong)
     with pytest.raises(TooManyFailures, match="y = nan at"):
-        given.analyse(lost)
-    rows = study().design(200)
+        uqsphere.analyse(given, lost)
+    rows = uqsphere.design(study(), 200)
     lost = rows.assign(y=linear(rows)["y"].where(rows["a"] < 1.5))
     with pytest.raises(TooManyFailures, match='takes a larger share, such as "7 %"'):
-        study(analysis={"on_failure": "drop"}).analyse(lost)
-    loose = study(analysis={"on_failure": "10 %"}).analyse(lost).sobol("y")
+        uqsphere.analyse(study(analysis={"on_failure": "drop"}), lost)
+    loose = uqsphere.analyse(study(analysis={"on_failure": "10 %"}), lost).sobol("y")
     assert loose["method"]["a"].endswith("of the 93.5 % of rows that answered")
 
 

@@ -51,7 +51,7 @@ def test_columns_and_rows_go_by_their_names(columns: list[str], rows: list[int])
     )
     assert found.index.tolist() == rows
     assert found["y"].reindex(FRAME.index).tolist() == OUTPUT.tolist()
-    run = study.analyse(moved.assign(y=OUTPUT).iloc[rows])
+    run = uqsphere.analyse(study, moved.assign(y=OUTPUT).iloc[rows])
     assert run.sobol("y")["total"].to_dict() == pytest.approx(
         {k: truth[f"total {k}"] for k in "abc"}, abs=1e-9
     )
@@ -167,7 +167,7 @@ def test_one_check_of_rows_at_every_door_names_the_likely_cause(change: Any, cau
             door(rows, OUTPUT, LAWS)
     study = uqsphere.Study(inputs=LAWS, outputs="y")
     with pytest.raises(UsageError, match=cause):
-        study.analyse(rows.assign(y=OUTPUT))
+        uqsphere.analyse(study, rows.assign(y=OUTPUT))
 
 
 def test_a_typo_in_a_limit_function_is_refused_after_four_calls() -> None:

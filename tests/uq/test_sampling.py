@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import qmc
 
 from uqsphere.uq import points
-from uqsphere.uq.points import MOST_DIMENSIONS, _seed, sobol_points
+from uqsphere.uq.points import _seed, sobol_points
 from uqsphere.uq.sample import Sample
 
 
@@ -73,10 +73,12 @@ def test_empty_and_refused_sizes() -> None:
     for bad in (
         {"count": -1},
         {"count": 1, "start": -1},
-        {"count": 1, "dimension": MOST_DIMENSIONS + 1},
+        {"count": 1, "dimension": -1},
     ):
         with pytest.raises(ValueError, match="must not be negative"):
             draw(**bad)
+    with pytest.raises(ValueError, match="21201"):
+        draw(1, dimension=21202)
     with pytest.raises(ValueError, match="seed"):
         draw(1, seed=-1)
 
@@ -141,14 +143,3 @@ def test_every_stream_of_random_numbers_is_listed_once_where_they_are_made() -> 
     missing = [task for task in sorted(tasks) if task not in (points.__doc__ or "")]
     assert len(tasks) > 15
     assert not missing
-
-
-def test_points_do_not_need_the_private_file_of_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = draw(40, start=7)
-
-    def missing(*_: object) -> None:
-        raise FileNotFoundError
-
-    monkeypatch.setattr(points, "_directions", missing)
-    points._scrambled.cache_clear()
-    assert np.array_equal(draw(40, start=7), expected)

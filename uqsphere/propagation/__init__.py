@@ -77,7 +77,8 @@ def run(
         a text; by default a bar in a notebook and on a terminal
     stop : asked between evaluations; once it is true the run ends with what is there
     fresh : forget what an earlier run of the study left in the folder
-    rows : table of inputs and outputs that are known already, in place of a model (`Study.analyse`)
+    rows : table of inputs and outputs that are known already, in place of a model
+        (`uqsphere.analyse`)
 
     Returns
     -------

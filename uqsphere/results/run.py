@@ -175,7 +175,8 @@ class Run:
         made = self.live["pairs"](quantity) if self.live else None
         if made is None:
             raise UsageError(
-                f"no pairs of runs of {quantity!r}: study.to_salib() makes rows of the same design"
+                f"no pairs of runs of {quantity!r}: "
+                "uqsphere.to_salib(study) makes rows of the same design"
             )
         return made
 

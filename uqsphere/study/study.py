@@ -11,12 +11,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-import numpy as np
 from pydantic import BaseModel
 
-from uqsphere.arrays import special
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
@@ -25,16 +23,8 @@ from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG
 from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, ModelChoice
 from uqsphere.study.values import Tested
-from uqsphere.uq import Dependence, Joint, Law, make_joint, random_generator, sobol_points
+from uqsphere.uq import Dependence, Joint, Law, make_joint
 from uqsphere.uq.families import Family
-
-if TYPE_CHECKING:
-    from chaospy import Distribution
-    from pandas import DataFrame
-
-    from uqsphere.results import Run
-    from uqsphere.uq.interop import SalibDesign
-
 
 #: failure probability that is allowed where a study says nothing at all
 DEFAULT_TARGET: Final = 0.01
@@ -241,71 +231,6 @@ class Study:
         """
         laws = self.laws()
         return make_joint(tuple(laws), tuple(laws.values()), self.dependence)
-
-    def joint(self) -> Distribution:
-        """The joint law of the random inputs as a distribution of chaospy;
-        `uqsphere.uq.interop.joint_to_chaospy`.
-        """
-        from uqsphere.uq.interop import joint_to_chaospy
-
-        return joint_to_chaospy(self.inputs().only(tuple(self.random)))
-
-    def sample(self, count: int) -> DataFrame:
-        """Independent rows of every random number, strengths too, SI: the same for the same
-        seed.
-        """
-        from pandas import DataFrame
-
-        joint = self.inputs()
-        normals = random_generator(seed=self.seed, task="study sample").standard_normal(
-            (count, len(joint.names))
-        )
-        return DataFrame(joint.physical(normals), columns=list(joint.names))
-
-    def design(self, count: int) -> DataFrame:
-        """Rows of the random inputs for a solver elsewhere, SI: points of a scrambled Sobol'
-        sequence, spread evenly.
-
-        More rows continue fewer.  Their answers, in columns by the names of the outputs, are for
-        `analyse`.
-
-        >>> uniform = {"dist": "uniform", "lower": 0.0, "upper": 1.0}
-        >>> Study(inputs={"x": uniform}, outputs="y").design(4).shape
-        (4, 1)
-        """
-        from pandas import DataFrame
-
-        joint = self.inputs().only(tuple(self.random))
-        points = sobol_points(
-            dimension=len(joint.names), count=count, seed=self.seed, task="slow", replicate=0
-        )
-        return DataFrame(
-            joint.physical(np.asarray(special.ndtri(points))), columns=list(joint.names)
-        )
-
-    def analyse(self, frame: DataFrame, *, out: str | Path | None = None) -> Run:
-        """The run of a black-box study whose rows were answered elsewhere: every analysis, without
-        calling a model.
-
-        frame : random inputs and outputs by their names, 16 rows or more drawn as the study says
-            (`design`, `sample`, measurements); a row without an answer is nan, and counts as
-            `analysis.on_failure` says.
-
-        An event rarer than 3 in the number of rows is in no interval, and the answers say so.
-        """
-        from uqsphere.propagation import run
-
-        return run(self, rows=frame, out=out)
-
-    def to_salib(self, count: int = 1024, *, second: bool = False) -> SalibDesign:
-        """The study's own design of Sobol' indices as a problem and rows of SALib;
-        `uqsphere.uq.interop.to_salib`.
-        """
-        from uqsphere.uq.interop import to_salib
-
-        return to_salib(
-            self.inputs().only(tuple(self.random)), count, second=second, seed=self.seed
-        )
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean;

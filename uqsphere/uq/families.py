@@ -289,6 +289,10 @@ FAMILIES: Final = {
 
 #: draws of a fit, which a study reads from a file
 DRAWN: Final = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)
+#: a law by the functions of a distribution of another package
+BY_FUNCTIONS: Final = Family(name="functions", observed=lambda law: forms.by_functions(law.source))
+#: the families that a study has no keys for
+_UNLISTED: Final = {family.name: family for family in (DRAWN, BY_FUNCTIONS)}
 
 
 # --- laws of others: every continuous law of SciPy by its name, such as `scipy.johnsonsu` ---------
@@ -329,3 +333,8 @@ def family_named(name: str) -> Family | None:
     if name.startswith(PREFIX):
         return _of_scipy(name)
     return FAMILIES.get(name)
+
+
+def family_of(name: str) -> Family | None:
+    """A family by its name, those included that a study has no keys for."""
+    return _UNLISTED.get(name) or family_named(name)

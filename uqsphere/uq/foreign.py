@@ -1,6 +1,8 @@
-"""Laws of SciPy, chaospy and SALib, and observations, as laws of this package: of a family of its
-own where there is one, else of SciPy's.  No package is imported here: the class of what is given
-says where it is from.
+"""Distributions of SciPy, chaospy and SALib, and observations, as laws of this package.
+
+A common distribution becomes a family of this package, any other of SciPy a family by its name, any
+other of chaospy a law by its own functions, whose tails are checked.  No package is imported here:
+the class of a distribution says where it is from.
 """
 
 from __future__ import annotations
@@ -13,118 +15,65 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import PREFIX, family_named
+from uqsphere.uq.families import BY_FUNCTIONS, PREFIX, family_named
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
-from uqsphere.uq.law import Law, discrete_law, make_law
+from uqsphere.uq.law import Law, checked, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike: TypeAlias = Any
 #: the keys of a law in a study: `dist`, parameters and bounds
 Table: TypeAlias = dict[str, Any]
 
-#: families of this package by SciPy's names, from shapes, loc and scale
-TABLES: Final[Mapping[str, Callable[..., Table]]] = {
-    "norm": lambda loc, scale: {"dist": "normal", "mean": loc, "sd": scale},
-    "lognorm": lambda s, _, scale: {"dist": "lognormal", "log_mean": math.log(scale), "log_sd": s},
-    "uniform": lambda loc, scale: {"dist": "uniform", "lower": loc, "upper": loc + scale},
-    "loguniform": lambda a, b, _, scale: {
-        "dist": "loguniform",
-        "lower": scale * a,
-        "upper": scale * b,
-    },
-    "triang": lambda c, loc, scale: {
-        "dist": "triangular",
-        "mode": loc + c * scale,
-        "lower": loc,
-        "upper": loc + scale,
-    },
-    "beta": lambda a, b, loc, scale: {
-        "dist": "beta",
-        "lower": loc,
-        "upper": loc + scale,
-        "alpha": a,
-        "beta": b,
-    },
-    "gamma": lambda a, _, scale: {"dist": "gamma", "shape": a, "scale": scale},
-    "weibull_min": lambda c, loc, scale: {
-        "dist": "weibull",
-        "modulus": c,
-        "scale": scale,
-        "threshold": loc,
-    },
-    "gumbel_r": lambda loc, scale: {"dist": "gumbel", "location": loc, "scale": scale},
-    "invweibull": lambda c, loc, scale: {
-        "dist": "frechet",
-        "shape": c,
-        "scale": scale,
-        "location": loc,
-    },
-    "expon": lambda _, scale: {"dist": "exponential", "rate": 1.0 / scale},
-    "rayleigh": lambda _, scale: {"dist": "rayleigh", "scale": scale},
-    "t": lambda df, loc, scale: {"dist": "student_t", "dof": df, "location": loc, "scale": scale},
-    "truncnorm": lambda a, b, loc, scale: {
-        "dist": "normal",
-        "mean": loc,
-        "sd": scale,
-        "lower": loc + scale * a,
-        "upper": loc + scale * b,
-    },
+#: families of this package by SciPy's names, and the keys of its shapes, loc and scale; "-": none,
+#: so that a loc must be 0
+DIRECT: Final = {
+    "norm": ("normal", "mean sd"),
+    "gumbel_r": ("gumbel", "location scale"),
+    "weibull_min": ("weibull", "modulus threshold scale"),
+    "invweibull": ("frechet", "shape location scale"),
+    "t": ("student_t", "dof location scale"),
+    "gamma": ("gamma", "shape - scale"),
+    "rayleigh": ("rayleigh", "- scale"),
+    "lognorm": ("lognormal", "log_sd - log_mean"),
+    "expon": ("exponential", "- rate"),
+}
+#: the parameters that are functions of SciPy's scale
+OF_SCALE: Final[Mapping[str, Callable[[float], float]]] = {
+    "log_mean": math.log,
+    "rate": lambda scale: 1.0 / scale,
 }
 
-#: those of them that have no place for a loc other than 0
-UNSHIFTED: Final = ("lognorm", "loguniform", "gamma", "expon", "rayleigh")
 
-#: SciPy's names of chaospy's laws in standard form, which have the same shapes
+def _between(name: str, lower: float, upper: float, **parameters: float) -> Table:
+    return {"dist": name, "lower": lower, "upper": upper, **parameters}
+
+
+#: bounded families by SciPy's names, from its shapes, loc and scale
+BOUNDED: Final[Mapping[str, Callable[..., Table]]] = {
+    "uniform": lambda loc, scale: _between("uniform", loc, loc + scale),
+    "loguniform": lambda a, b, loc, scale: _between("loguniform", loc + scale * a, loc + scale * b),
+    "triang": lambda c, loc, scale: _between("triangular", loc, loc + scale, mode=loc + c * scale),
+    "beta": lambda a, b, loc, scale: _between("beta", loc, loc + scale, alpha=a, beta=b),
+    "truncnorm": lambda a, b, loc, scale: _between(
+        "normal", loc + scale * a, loc + scale * b, mean=loc, sd=scale
+    ),
+}
+
+#: SciPy's names of the distributions of chaospy that are laws of this package, by their standard
+#: form there
 CHAOSPY: Final = {
     "normal": "norm",
     "log_normal": "lognorm",
     "uniform": "uniform",
+    "log_uniform": "loguniform",
     "beta_": "beta",
     "triangle": "triang",
     "gamma": "gamma",
-    "inverse_gamma": "invgamma",
-    "log_gamma": "loggamma",
-    "double_gamma": "dgamma",
-    "generalized_gamma": "gengamma",
-    "chi": "chi",
-    "chi_squared": "ncx2",
-    "student_t": "t",
     "weibull": "weibull_min",
-    "frechet": "weibull_min",
-    "double_weibull": "dweibull",
     "log_weibull": "gumbel_r",
-    "exponential_weibull": "exponweib",
-    "generalized_extreme": "genextreme",
-    "gompertz": "gompertz",
-    "fisk": "fisk",
-    "burr": "burr12",
-    "mielke": "mielke",
-    "pareto1": "pareto",
-    "pareto2": "lomax",
-    "cauchy": "cauchy",
-    "levy": "levy",
-    "folded_cauchy": "foldcauchy",
-    "wrapped_cauchy": "wrapcauchy",
-    "laplace": "laplace",
-    "log_laplace": "loglaplace",
-    "logistic": "genlogistic",
-    "generalized_half_logistic": "genhalflogistic",
-    "folded_normal": "foldnorm",
-    "power_normal": "powernorm",
-    "power_log_normal": "powerlognorm",
-    "exponential_power": "exponpow",
-    "generalized_exponential": "genexpon",
-    "truncexpon": "truncexpon",
-    "fatigue_life": "fatiguelife",
-    "nakagami": "nakagami",
-    "wald": "recipinvgauss",
-    "alpha": "alpha",
-    "anglit": "anglit",
-    "bradford": "bradford",
-    "reciprocal": "loguniform",
-    "tukey_lambda": "tukeylambda",
+    "student_t": "t",
 }
 
 #: the way out for laws of several numbers
@@ -134,71 +83,69 @@ EACH: Final = (
 
 #: SALib's distributions by their names, from the two to four numbers that it calls bounds
 SALIB: Final[Mapping[str, Callable[..., Table]]] = {
-    "unif": lambda a, b: {"dist": "uniform", "lower": a, "upper": b},
-    "logunif": lambda a, b: {"dist": "loguniform", "lower": a, "upper": b},
+    "unif": lambda a, b: _between("uniform", a, b),
+    "logunif": lambda a, b: _between("loguniform", a, b),
     "norm": lambda m, s: {"dist": "normal", "mean": m, "sd": s},
-    "truncnorm": lambda a, b, m, s: {"dist": "normal", "mean": m, "sd": s, "lower": a, "upper": b},
+    "truncnorm": lambda a, b, m, s: _between("normal", a, b, mean=m, sd=s),
     "lognorm": lambda m, s: {"dist": "lognormal", "log_mean": m, "log_sd": s},
-    "triang": lambda a, b, c: {
-        "dist": "triangular",
-        "lower": a,
-        "upper": b,
-        "mode": a + c * (b - a),
-    },
+    "triang": lambda a, b, c: _between("triangular", a, b, mode=a + c * (b - a)),
 }
 
 
-def law_table(given: LawLike) -> Table:
-    """The table by which a study file has a law: that of a distribution of SciPy or chaospy, or of
-    a law.
+def law_table(distribution: LawLike) -> Table:
+    """The table by which a study file has a law, or a distribution of SciPy or chaospy.
 
-    Raises LawError for what is no such distribution, or has no table: observations.
+    Raises LawError for anything else, and for a law that has no table: observations, or functions
+        of chaospy.
     """
-    if isinstance(given, Mapping):
-        return dict(given)
-    law = as_law(given)
+    if isinstance(distribution, Mapping):
+        return dict(distribution)
+    law = as_law(distribution)
     if law.family.name == "discrete":
         return {"dist": "discrete", "values": list(law.data)}
-    if law.data or law.draws:
+    if law.family.observed is not None or law.data:
         raise LawError(
             "a study file has no table for it: write a sample or the observations to a CSV and "
             "name that, "
             '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis'
         )
     ends = {"lower": law.lower, "upper": law.upper}
-    return {
-        "dist": law.family.name,
-        **law.parameters,
-        **{key: end for key, end in ends.items() if math.isfinite(end)},
-    }
+    bounds = {key: end for key, end in ends.items() if math.isfinite(end)}
+    return {"dist": law.family.name, **law.parameters, **bounds}
 
 
-def as_law(given: LawLike) -> Law:
-    """A law from a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), SciPy, chaospy, or
-    observations (n,).
+def as_law(distribution: LawLike) -> Law:
+    """A law from a law, its table, SciPy, chaospy, or observations.
 
-    A distribution is taken by its own parameters, so that both tails keep their digits.
-    Observations become a kernel density.
+    Parameters
+    ----------
+    distribution : a law, its table (`{"dist": "normal", "mean": 0, "sd": 1}`), a frozen
+        distribution of scipy.stats or one of chaospy, taken by its own parameters so that both
+        tails keep their digits, or observations (n,), which become a kernel density
 
-    Raises LawError for anything else, several numbers at once, discrete laws, and laws whose tails
-    contradict themselves.
+    Raises
+    ------
+    LawError
+        For anything else, several numbers at once, discrete laws of unequal probabilities, and
+        laws whose tails contradict themselves.
 
     >>> from scipy import stats
     >>> law = as_law(stats.norm(1.0, 0.1))
     >>> law.family.name, float(law.isf(np.array([1e-30]))[0].round(9))
     ('normal', 2.146402469)
     """
-    if isinstance(given, Law):
-        return given
-    if isinstance(given, Mapping):
-        return _of_table(given)
-    origin, kind = type(given).__module__.partition(".")[0], type(given).__name__
+    if isinstance(distribution, Law):
+        return distribution
+    if isinstance(distribution, Mapping):
+        return _of_table(distribution)
+    kind = type(distribution).__name__
+    origin = type(distribution).__module__.partition(".")[0]
     if origin == "scipy":
-        return _of_scipy(given, kind)
-    if origin == "chaospy" and hasattr(given, "inv"):
-        return _of_chaospy(given, kind)
+        return _of_scipy(distribution, kind)
+    if origin == "chaospy" and hasattr(distribution, "inv"):
+        return _of_chaospy(distribution, kind)
     try:
-        values = np.asarray(given, dtype=float)
+        values = np.asarray(distribution, dtype=float)
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.ndim == 1 and values.size >= 2:
@@ -207,10 +154,10 @@ def as_law(given: LawLike) -> Law:
     raise LawError(f"found {kind}: give {ways}")
 
 
-def _of_table(given: Mapping[str, Any]) -> Law:
-    numbers = {key: value for key, value in given.items() if key != "dist"}
-    if given.get("dist") == "discrete" and set(numbers) <= {"values", "weights"}:
-        return discrete_law(given.get("values", ()), given.get("weights"))
+def _of_table(table: Mapping[str, Any]) -> Law:
+    numbers = {key: value for key, value in table.items() if key != "dist"}
+    if table.get("dist") == "discrete" and set(numbers) <= {"values", "weights"}:
+        return discrete_law(table.get("values", ()), table.get("weights"))
     for key, value in numbers.items():
         if not isinstance(value, int | float | np.number):
             raise LawError(
@@ -218,66 +165,77 @@ def _of_table(given: Mapping[str, Any]) -> Law:
                 key,
             )
     bounds = numbers.pop("lower", None), numbers.pop("upper", None)
-    return make_law(str(given.get("dist")), numbers, *bounds)
+    return make_law(str(table.get("dist")), numbers, *bounds)
 
 
-def _of_scipy(given: Any, kind: str) -> Law:
-    frozen = getattr(given, "dist", None)
-    if any("discrete" in base.__name__.lower() for base in type(given).__mro__):
-        return _steps(f"{getattr(frozen, 'name', kind)} of SciPy", given.support(), given.pmf)
+def _of_scipy(distribution: Any, kind: str) -> Law:
+    frozen = getattr(distribution, "dist", None)
+    if any("discrete" in base.__name__.lower() for base in type(distribution).__mro__):
+        name = f"{getattr(frozen, 'name', kind)} of SciPy"
+        return _steps(name, distribution.support(), distribution.pmf)
     if frozen is not None:
-        shapes, loc, scale = frozen._parse_args(*given.args, **given.kwds)
+        shapes, loc, scale = frozen._parse_args(*distribution.args, **distribution.kwds)
         return _by_name(frozen.name, *shapes, loc, scale)
     if kind in ("Normal", "StandardNormal"):
-        return _by_name("norm", given.mean(), given.standard_deviation())
+        return _by_name("norm", distribution.mean(), distribution.standard_deviation())
     if kind == "Uniform":
-        return _by_name("uniform", given.support()[0], np.subtract(*given.support()[::-1]))
+        lower, upper = distribution.support()
+        return _by_name("uniform", lower, upper - lower)
     raise LawError(
         f"{kind} of SciPy: freeze a law with its parameters, as scipy.stats.norm(1.0, 0.1), or "
-        "give "
-        f"observations; {EACH}"
+        f"give observations; {EACH}"
     )
 
 
-def _of_chaospy(given: Any, kind: str) -> Law:
-    if len(given) != 1:
+def _of_chaospy(distribution: Any, kind: str) -> Law:
+    """A distribution of chaospy by its parameters where it is one of ours, else by its
+    functions.
+    """
+    if len(distribution) != 1:
         raise LawError(f"a joint distribution of chaospy: {EACH}")
-    if given.interpret_as_integer:
-        return _steps(f"{kind} of chaospy", (given.lower, given.upper), given.pdf)
+    if distribution.interpret_as_integer:
+        bounds = distribution.lower, distribution.upper
+        return _steps(f"{kind} of chaospy", bounds, distribution.pdf)
     if kind == "Trunc":
-        law, own = as_law(given._dist), given._parameters
-        if law.family.bounded:
+        inner, parameters = distribution._dist, distribution._parameters
+        law = as_law(inner)
+        if law.family.bounded or law.family.observed is not None:
+            # chaospy's own functions of a law with two new ends are wrong
             raise LawError(
-                f"{given}: give the law that is truncated by its table, with lower and upper"
+                f"{distribution}: give the law that is truncated by its table, with lower and upper"
             )
         # chaospy's own end of the law, some 8 standard deviations out, truncates nothing
-        return as_law(
-            law_table(law)
-            | {key: _number(own[key]) for key in own if own[key] != getattr(given._dist, key)}
-        )
-    shift, scale, standard = 0.0, 1.0, given
+        ends = {key: _number(end) for key, end in parameters.items() if end != getattr(inner, key)}
+        return as_law(law_table(law) | ends)
+    shift, scale, standard = 0.0, 1.0, distribution
     while hasattr(standard, "_dist"):
-        first, second = map(
-            _number, standard._parameters.values()
-        )  # lower and upper, or shift and scale
+        # lower and upper, or shift and scale
+        first, second = map(_number, standard._parameters.values())
         shift += scale * first
         scale *= second - first if "lower" in standard._parameters else second
         standard = standard._dist
-    kind, shapes = type(standard).__name__, standard._parameters.values()
-    if kind == "log_uniform":
-        return _by_name("loguniform", *map(np.exp, shapes), shift, scale)
-    if kind == "trunc_normal":
+    name, shapes = type(standard).__name__, standard._parameters.values()
+    if name == "trunc_normal" and (shift, scale) == (0.0, 1.0):
         return as_law(SALIB["truncnorm"](*map(_number, shapes)))
-    if kind not in CHAOSPY:
-        raise LawError(f"{given}: give the law of scipy.stats, or observations")
-    return _by_name(CHAOSPY[kind], *shapes, shift, scale)
+    if name not in CHAOSPY:
+        return checked(Law(family=BY_FUNCTIONS, source=distribution))
+    if name == "log_uniform":
+        shapes = [math.exp(_number(end)) for end in shapes]
+    return _by_name(CHAOSPY[name], *shapes, shift, scale)
 
 
-def _by_name(name: str, *given: Any) -> Law:
+def _by_name(name: str, *parameters: Any) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
-    numbers = list(map(_number, given))
-    if name in TABLES and not (name in UNSHIFTED and numbers[-2]):
-        return as_law(TABLES[name](*numbers))
+    numbers = list(map(_number, parameters))
+    shifted = numbers[-2] != 0.0
+    if name in BOUNDED and not (name == "loguniform" and shifted):
+        return as_law(BOUNDED[name](*numbers))
+    if name in DIRECT:
+        family_name, keys = DIRECT[name]
+        table = dict(zip(keys.split(), numbers, strict=True))
+        if not table.pop("-", 0.0):
+            values = {key: OF_SCALE.get(key, float)(value) for key, value in table.items()}
+            return as_law({"dist": family_name, **values})
     family = family_named(PREFIX + name)
     if family is None:
         raise LawError(
@@ -291,7 +249,8 @@ def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Ar
     low, high = map(_number, ends)
     if 1.0 <= high - low < 1e4:
         values: Array = np.arange(math.ceil(low), math.floor(high) + 1, dtype=float)
-        if np.ptp(shares := np.ravel(share(values))) <= 1e-9 * shares.max():
+        shares = np.ravel(share(values))
+        if np.ptp(shares) <= 1e-9 * shares.max():
             return discrete_law(values.tolist())
     table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
     raise LawError(

@@ -279,26 +279,57 @@ def form_of(name: str, law: Any, key: str) -> Form:
         missing = 1.0
     elif not math.isfinite(variance):
         missing = 2.0
-    for quantile, share, called in ((law.ppf, law.cdf, "lower"), (law.isf, law.sf, "upper")):
+    form = Form(
+        tails=lambda y: (law.cdf(y), law.sf(y)),
+        quantile=either(law.ppf, law.isf),
+        pdf=law.pdf,
+        moments=(mean, math.sqrt(variance)),
+    )
+    check_tails(form, name, key)
+    for quantile in (law.ppf, law.isf):
+        far = np.abs(quantile(np.array([1e-6, 1e-12])))
+        orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
+    return replace(form, orders=(orders[0], orders[1]))
+
+
+def by_functions(distribution: Any) -> Form:
+    """The form of a distribution of chaospy by its `cdf`, `inv` and `pdf`; its tails are known to
+    1e-9, and end where it ends.
+
+    Raises LawError where `inv` and `cdf` do not belong to each other.
+    """
+
+    def function(name: str) -> Function:
+        return lambda y: np.asarray(getattr(distribution, name)(y), dtype=float)
+
+    cdf, inverse = function("cdf"), function("inv")
+    form = Form(
+        tails=lambda y: (cdf(y), 1.0 - cdf(y)),
+        quantile=lambda p, q: inverse(p),
+        pdf=function("pdf"),
+    )
+    check_tails(form, f"{type(distribution).__name__} of chaospy", "")
+    orders = []
+    for p in (np.array([1e-6, 1e-12]), np.array([1.0 - 1e-6, 1.0 - 1e-12])):
+        growth = math.log10(max(np.divide(*np.abs(inverse(p))[::-1]), 1.0))
+        # p^(-1/order): of a tail that falls faster the quantiles grow little
+        orders.append(round(6.0 / growth, 3) if growth > math.log10(_HEAVY) else math.inf)
+    return replace(form, orders=(orders[0], orders[1]))
+
+
+def check_tails(form: Form, name: str, key: str) -> None:
+    """Raise LawError, for a key, where a quantile in a tail has another probability."""
+    for tail, called in enumerate(("lower", "upper")):
+        probabilities = (_TAILS, 1.0 - _TAILS)
         with np.errstate(all="ignore"):
-            places = quantile(_TAILS)
+            places = form.quantile(probabilities[tail], probabilities[1 - tail])
             # what both may differ by, as a share: a tenth of the smallest error that a run can ask
             # of a probability
-            wrong = ~(np.abs(share(places) / _TAILS - 1.0) < 1e-4)
+            wrong = ~(np.abs(form.tails(places)[tail] / _TAILS - 1.0) < 1e-4)
         if np.isnan(places).all():
             raise LawError(f"{name} has no law with these shapes", key)
         if wrong.any():
             raise LawError(
                 f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} "
-                "on: "
-                "its quantile there has another probability"
+                "on: its quantile there has another probability"
             )
-        far = np.abs(quantile(np.array([1e-6, 1e-12])))
-        orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
-    return Form(
-        tails=lambda y: (law.cdf(y), law.sf(y)),
-        quantile=either(law.ppf, law.isf),
-        pdf=law.pdf,
-        orders=(orders[0], orders[1]),
-        moments=(mean, math.sqrt(variance)),
-    )

@@ -10,12 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import DRAWN, FAMILIES, Family, family_named
+from uqsphere.uq.families import FAMILIES, Family, family_named, family_of
 from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, no_density, truncated
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
@@ -31,7 +31,8 @@ class Law:
     observations of an empirical law (kept when a family was fitted to them); `censored` are those
     that are known only to be larger than this.  `draws` are those of a fit (`observed`), with the
     parameter `tests`: how many it rests on.  An empirical law has the parameter `bandwidth`: of the
-    Gaussian kernel, 0 for the step function. Make one with `make_law` or `fitted_law`, which
+    Gaussian kernel, 0 for the step function.  `source` is a distribution of another package whose
+    functions stand for the law.  Make one with `make_law` or `fitted_law`, which
     validate.
 
     >>> law = Law(family=FAMILIES["gumbel"], parameters={"location": 0.0, "scale": 1.0})
@@ -48,6 +49,7 @@ class Law:
     censored: tuple[float, ...] = ()
     draws: tuple[tuple[float, ...], ...] = ()
     given: Mapping[str, float] = field(default_factory=dict, compare=False)
+    source: Any = None
 
     def __repr__(self) -> str:
         numbers = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
@@ -247,8 +249,7 @@ class Law:
 
 
 def _named(name: str, state: Mapping[str, object]) -> Law:
-    family = DRAWN if name == DRAWN.name else family_named(name)
-    return Law(family=family, **state)  # type: ignore[arg-type]
+    return Law(family=family_of(name), **state)  # type: ignore[arg-type]
 
 
 def make_law(
