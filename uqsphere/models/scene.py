@@ -17,6 +17,7 @@ from uqsphere.materials import library
 from uqsphere.models.rows import EvaluatedRows, where_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
+from uqsphere.study.study import scene_with
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.as_printed import PaperLine
@@ -33,8 +34,6 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
 
     Raises UsageError for a name that is no number of a scene.
     """
-    from uqsphere.mechanics.scene import Scene
-
     for name in values:
         if name not in INPUTS:
             raise UsageError(f"{name!r} is not a number of a scene (allowed: {', '.join(INPUTS)})")
@@ -55,21 +54,8 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         columns["striker.speed"] = (
             2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
         )
-    options = study.options
-    return Scene(
-        columns=columns,
-        rig=study.rig,
-        options={name: str(word) for name, word in options.items()},
-        shape=str(options.get("pulse.shape", "rectangular")),
-        infinite=bool(options.get("bars.infinite")),
-        rigid_contact=bool(options.get("bars.rigid_contact")),
-        first_loading_only=study.model.first_loading_only,
-        whole_record=study.model.whole_record,
-        horizon=study.model.horizon,
-        demands=study.demands,
-        contact_law=str(options.get("contact.law", "hertz")),
-        hardness_at_onset=options.get("contact.hardness") == "onset",
-        record=study.record,
+    return scene_with(
+        columns, study.options, study.model, record=study.record, demands=study.demands
     )
 
 

@@ -1,9 +1,9 @@
-"""From the tables of a file to a `Study`: library values, defaults, and what the tables say of each
-other.
+"""From the tables of a file to a `Study`: library values, defaults, and contradictions between
+tables.
 
 Every check is a generator of faults, and may raise its last one.  Checks stand in stages: a stage
-is looked at once those before it have found nothing, so that its checks may rely on what they have
-read, and no fault is told twice.
+is run once those before it have found nothing, so that its checks may rely on what they have read,
+and each fault is reported once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from uqsphere.documents import Fault, Place, faults_of, one_of, shown, suggestion, unknown, within
 from uqsphere.errors import as_text
-from uqsphere.materials import MATERIAL_KINDS, library
+from uqsphere.materials import MATERIAL_KINDS, Material, library
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.outputs import OUTPUTS
@@ -33,7 +33,7 @@ from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.plausibility import warn_of_slips
-from uqsphere.study.study import Limit, Study, default_target, strength_name
+from uqsphere.study.study import Limit, Study, default_target, scene_with, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
@@ -46,9 +46,9 @@ _KINDS: Final = {
     "insert": ("plates", "bars"),
 }
 _NO_SPHERE: Final = (
-    "A rock is no sphere: corners and edges break at less, flat lumps at other forces and "
-    "energies than a sphere of "
-    "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
+    "Real particles are not spheres: angular or flaky ones break at other, often lower, forces and "
+    "energies than a sphere of equal mass. Enter a measured ratio (breaking load of the sphere / "
+    "of the particle) as limits.NAME.model_factor."
 )
 #: keys of tables that are no numbers of the scene, as `uqsphere.mechanics.forms` has those
 FORMS: Final[Mapping[str, Mapping[str, str]]] = {
@@ -130,16 +130,16 @@ def tables(draft: Draft) -> Faults:
         draft.document = Document.model_validate(draft.data, context=draft)
     except ValidationError as error:
         yield from faults_of(Document, error)
-    else:
-        draft.rig, law = draft.document.rig.kind, draft.document.contact.law
-        draft.law_given = law is not None
-        draft.known = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
-        for table in [name for name in draft.data if name in SCENE]:
-            for key in draft.data[table]:
-                number = getattr(getattr(draft.document, table), key)
-                if isinstance(number, Number):
-                    draft.numbers[numbers_of(table)[key].name] = number
-        draft.plastic = law == "plastic" or (law is None and _yielding_is_known(draft))
+        return
+    draft.rig, law = draft.document.rig.kind, draft.document.contact.law
+    draft.law_given = law is not None
+    draft.known = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
+    for table in [name for name in draft.data if name in SCENE]:
+        for key in draft.data[table]:
+            number = getattr(getattr(draft.document, table), key)
+            if isinstance(number, Number):
+                draft.numbers[numbers_of(table)[key].name] = number
+    draft.plastic = law == "plastic" or (law is None and _yielding_is_known(draft))
 
 
 def _yielding_is_known(draft: Draft) -> bool:
@@ -149,17 +149,26 @@ def _yielding_is_known(draft: Draft) -> bool:
     model = draft.document.model
     if draft.box or model.fidelity != "full" or model.compare_with_paper:
         return False
-    if not draft.numbers.keys().isdisjoint(("sphere.onset_pressure", "contact.onset_pressure")):
+    onsets = {"sphere.onset_pressure", "contact.onset_pressure"}
+    onsets |= {f"{table}.yield_strength" for table in SCENE if table != "sphere"}
+    if onsets & draft.numbers.keys():
         return True
     for table in SCENE:
-        name = getattr(getattr(draft.document, table), "material", None)
+        material = _materials(table).get(_material_name(draft, table))
         key = "onset_pressure" if table == "sphere" else "yield_strength"
-        materials = [library()[kind].get(str(name)) for kind in _KINDS.get(table, MATERIAL_KINDS)]
-        if f"{table}.{key}" in draft.numbers:
-            return True
-        if any(material is not None and key in material.properties for material in materials):
+        if material is not None and key in material.properties:
             return True
     return False
+
+
+def _material_name(draft: Draft, table: str) -> str:
+    return getattr(getattr(draft.document, table), "material", None) or ""
+
+
+def _materials(table: str) -> dict[str, Material]:
+    """The materials of the library that a table may name."""
+    kinds = _KINDS.get(table, MATERIAL_KINDS)
+    return dict(chain(*(library()[kind].items() for kind in kinds)))
 
 
 # --- 2: which tables and numbers there are --------------------------------------------------------
@@ -170,9 +179,8 @@ def _rig(draft: Draft) -> Faults:
     data, rig = draft.data, draft.rig
     if not set(data) & set(SCENE):
         raise Fault(
-            "missing: neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], "
-            "[outputs]); 'uqsphere new -o FILE' writes a study to start from",
-            "sphere",
+            "the study has neither a scene ([sphere], [bars], [striker]) nor a black box "
+            "([inputs], [outputs]). 'uqsphere new -o FILE' writes a study to start from"
         )
     for table in data:
         homes = [shown(name) for name, its_tables in RIG_TABLES.items() if table in its_tables]
@@ -186,7 +194,7 @@ def _rig(draft: Draft) -> Faults:
     if draft.document.pulse.shape == "measured":
         needed.discard("striker")
     for table in needed:
-        yield Fault(f"the table [{table}] is missing: the rig {shown(rig)} needs it", table)
+        yield Fault(f"the rig {shown(rig)} requires a table [{table}]. Add it", table)
 
 
 def _box(draft: Draft) -> Faults:
@@ -195,23 +203,25 @@ def _box(draft: Draft) -> Faults:
     scene = [name for name in (*SCENE, "model", "gauges") if name in draft.data]
     for name in scene:
         yield Fault(
-            f"[{name}] describes a scene, [inputs] and [outputs] a black box. Remove one of them",
+            f"[{name}] describes a scene, but [inputs] and [outputs] describe a black box. Remove "
+            "one or the other",
             name,
         )
     if not inputs and not scene:
         yield Fault(
-            "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution",
+            "[inputs] is missing or empty. Add an input, for example x1 = 1.0, or a distribution",
             "inputs",
         )
     if not names and not scene:
         yield Fault(
-            'the names of the outputs are missing: add [outputs] with names = ["y"]',
+            'the names of the outputs are missing. Add [outputs] with names = ["y"]',
             "outputs",
             "names",
         )
     for name in sorted({"status", "censored", *inputs} & {*names}):
         yield Fault(
-            f"{shown(name)} is the name of an input already, or of a column of the model",
+            f"{shown(name)} is already the name of an input, or of a column of the samples. Rename "
+            "the output",
             "outputs",
             "names",
         )
@@ -220,16 +230,15 @@ def _box(draft: Draft) -> Faults:
 def _library(draft: Draft) -> Faults:
     """Numbers that a material gives and the file does not."""
     for table in SCENE:
-        name = getattr(getattr(draft.document, table), "material", None)
-        if name is None:
+        name, materials = _material_name(draft, table), _materials(table)
+        if not name and "material" not in draft.data.get(table, ()):
             continue
         kinds = _KINDS.get(table, MATERIAL_KINDS)
-        materials = dict(chain(*(library()[kind].items() for kind in kinds)))
         if name not in materials:
             near = suggestion(name, materials)
             for kind in MATERIAL_KINDS[::-1]:
                 if name in library()[kind]:
-                    near = f" ({shown(name)} is for {kind})"
+                    near = f"; {shown(name)} is a material for {kind}"
             yield Fault(
                 f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(materials)}{near}",
                 table,
@@ -238,17 +247,13 @@ def _library(draft: Draft) -> Faults:
             continue
         if table != "insert":
             draft.materials[table] = name
-        for key, entry in materials[name].properties.items():
-            path = getattr(numbers_of(table).get(key), "name", None)
-            if (
-                path is None
-                or path in draft.numbers
-                or (key in LAW and not (table == "sphere" and draft.plastic))
-            ):
-                continue
-            draft.numbers[path] = Number(value=entry.value)
-            draft.sources[path] = entry
-        E = materials[name].properties.get("E")
+        properties, numbers = materials[name].properties, numbers_of(table)
+        for key, entry in properties.items():
+            elastic = key in LAW and not (table == "sphere" and draft.plastic)
+            if key in numbers and numbers[key].name not in draft.numbers and not elastic:
+                draft.numbers[numbers[key].name] = Number(value=entry.value)
+                draft.sources[numbers[key].name] = entry
+        E = properties.get("E")
         if E is not None and E.value < 1e8:
             draft.warn((table, "material"), f"{name} is not an elastic solid: {E.note}")
 
@@ -256,27 +261,21 @@ def _library(draft: Draft) -> Faults:
 # --- 3: what each table needs by its kind ---------------------------------------------------------
 
 
-def _forms(draft: Draft) -> Faults:
-    """Words that choose an equation, defaults, what each table needs by its kind, and what belongs
-    to another kind.
-    """
+def _words(draft: Draft) -> Faults:
+    """Words that choose an equation, and defaults."""
     document, numbers, options = draft.document, draft.numbers, draft.options
-    options |= {
-        f"{table}.kind": getattr(document, table).kind
-        for table in ("target", "anvil")
-        if table in draft.data
-    }
+    for table in ("target", "anvil"):
+        if table in draft.data:
+            options[f"{table}.kind"] = getattr(document, table).kind
     if document.hammer.shape is not None:
         options["hammer.shape"] = "ball"
     usual = {
         f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers
     }
     pulse, shape = document.pulse, str(document.pulse.shape)
-    if not RIGS[draft.rig].by_wave:
-        options["rig.kind"] = draft.rig
-        if RIGS[draft.rig].sphere_moves:
-            usual["rig.angle"] = 0.5 * math.pi
-    else:
+    if RIGS[draft.rig].by_wave:
+        usual["bars.incident_end"] = END_COEFFICIENTS["free"]
+        usual["bars.receiving_end"] = END_COEFFICIENTS["absorbing"]
         if pulse.preset is not None:
             shape, values = PRESETS[pulse.preset]
             usual |= {f"pulse.{key}": value for key, value in values.items()}
@@ -291,61 +290,60 @@ def _forms(draft: Draft) -> Faults:
             "bars.rigid_contact": document.bars.rigid_contact,
             "pulse.shape": shape,
         }
-        usual |= {
-            "bars.incident_end": END_COEFFICIENTS["free"],
-            "bars.receiving_end": END_COEFFICIENTS["absorbing"],
-        }
+    else:
+        options["rig.kind"] = draft.rig
+        if RIGS[draft.rig].sphere_moves:
+            usual["rig.angle"] = 0.5 * math.pi
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
     if draft.plastic:
         options["contact.law"] = "plastic"
+    yield from _keys_by_kind(draft, shape)
+
+
+def _keys_by_kind(draft: Draft, shape: str) -> Faults:
+    """What each table lacks for its kind, and what belongs to another kind."""
     kinds = forms.kinds_of(
         draft.rig,
         shape,
-        timed="pulse.duration" in numbers,
-        infinite=document.bars.infinite,
-        options=options,
+        timed="pulse.duration" in draft.numbers,
+        infinite=draft.document.bars.infinite,
+        options=draft.options,
     ) | {"model": draft.rig}
-    for table in (name for name in FORMS if name in draft.data):
-        kind, raw, entries = kinds.get(table, ""), draft.data[table], numbers_of(table)
-        needs, _, others = FORMS[table].get(kind, "").partition(";")
-        takes, anywhere = (
-            re.findall(r"\w+", text) for text in (needs + others, " ".join(FORMS[table].values()))
-        )
-        for key in raw:
-            if key in anywhere and key not in takes:
-                homes = [
-                    shown(form)
-                    for form, text in FORMS[table].items()
-                    if form and key in re.findall(r"\w+", text)
-                ]
-                of = f"[{table}]"
-                if kind:
-                    of += f" with {shown(kind)}"
-                if homes:
-                    of += f", but with {one_of(homes)}"
-                yield Fault(f"{key} is not a key of {of}. Remove it", table, key)
-        for keys in forms.needs_of(needs):
-            there = [
+    for table in FORMS.keys() & draft.data.keys():
+        kind, present, entries = kinds.get(table, ""), draft.data[table], numbers_of(table)
+        of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
+        takes = {form: re.findall(r"\w+", keys) for form, keys in FORMS[table].items()}
+        for key in present:
+            homes = [form for form, keys in takes.items() if key in keys]
+            if not homes or kind in homes:
+                continue
+            only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
+            yield Fault(f"{key} is not a key of {of}{only}. Remove it", table, key)
+        for keys in forms.needs_of(FORMS[table].get(kind, "")):
+            held = [
                 key
                 for key in keys
-                if key in raw or (key in entries and entries[key].name in numbers)
+                if key in present or (key in entries and entries[key].name in draft.numbers)
             ]
-            if len(there) == 2:
-                yield Fault(f"give only one of {one_of(keys)}", table, keys[1])
-            if not there:
-                missing = f"{one_of(keys)} is missing"
-                if keys[0] in entries:
-                    missing += f" ({entries[keys[0]].meaning})"
-                units = [getattr(entries.get(key), "display", "") for key in keys]
-                ways = [
-                    f'{key} = "{f"… {u}".rstrip()}"' for key, u in zip(keys, units, strict=True)
-                ]
-                if keys[0] in ("E", "nu", "density"):
-                    ways.append('material = "…" to take it from')
-                if keys[0].endswith("ing_length"):
-                    ways.append("infinite = true")
-                yield Fault(f"{missing}: add {' or '.join(ways)}", table, keys[0])
+            if len(held) == 2:
+                yield Fault(f"give only one of {one_of(keys)}. Remove the other", table, keys[1])
+            if not held:
+                yield Fault(_missing(keys, table), table, keys[0])
+
+
+def _missing(keys: list[str], table: str) -> str:
+    """The message for a number, or one of several, that a table lacks."""
+    entries, ways = numbers_of(table), []
+    for key in keys:
+        unit = getattr(entries.get(key), "display", "")
+        ways.append(f'{key} = "{f"… {unit}".rstrip()}"')
+    if keys[0] in ("E", "nu", "density"):
+        ways.append('material = "…" to take it from')
+    if keys[0].endswith("ing_length"):
+        ways.append("infinite = true")
+    meaning = f" ({entries[keys[0]].meaning})" if keys[0] in entries else ""
+    return f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}"
 
 
 # --- 4: what contradicts, random numbers at their nominal means -----------------------------------
@@ -363,14 +361,14 @@ def _model(draft: Draft) -> Faults:
     for key, word in (("fidelity", "linear"), ("compare_with_paper", True)):
         if rig.by_wave and draft.plastic and getattr(model, key) == word:
             yield Fault(
-                'the linear model and the paper know Hertz only, contact.law is "plastic": leave '
-                "one out",
+                f'{key} = {shown(word)} requires contact.law = "hertz", not "plastic". Change one '
+                "of them",
                 "model",
                 key,
             )
     if model.whole_record and model.first_loading_only:
         yield Fault(
-            "whole_record continues after the first loading. Remove first_loading_only",
+            "whole_record and first_loading_only contradict each other. Remove one of them",
             "model",
             "whole_record",
         )
@@ -392,54 +390,56 @@ def _model(draft: Draft) -> Faults:
         )
     if "insert" in draft.data and draft.document.bars.rigid_contact:
         yield Fault(
-            "rigid_contact = true leaves out inserts too. Remove one of them", "insert", "E"
+            "bars.rigid_contact = true leaves inserts out of the contact stiffness too. Remove "
+            "[insert] or rigid_contact",
+            "insert",
+            "E",
         )
 
 
 def _scene(draft: Draft) -> Faults:
-    """Whether the numbers make faces that yield, and a pulse that is over before it comes back."""
-    document, numbers, options = draft.document, draft.numbers, draft.options
-    shape, horizon = str(options.get("pulse.shape", "rectangular")), document.model.horizon
-    of_contact = any(f"contact.{key}" in numbers for key in LAW)
-    at_onset = draft.mean("contact.pile_up") == 1.0 and "contact.hardness" not in numbers
-    if at_onset:
+    """The scene of one row, and whether its numbers make faces that yield."""
+    numbers, options, model = draft.numbers, draft.options, draft.document.model
+    shape = options.get("pulse.shape")
+    if shape == "step" and model.horizon is None:
+        yield Fault(
+            "a step pulse never ends. End the evaluation window in [model], for example horizon = "
+            '"3 ms"',
+            "model",
+            "horizon",
+        )
+        model = model.model_copy(update={"horizon": 1.0})
+    if draft.mean("contact.pile_up") == 1.0 and "contact.hardness" not in numbers:
         options["contact.hardness"] = "onset"
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
     if shape == "measured":
         with within("pulse"):
-            draft.record = pulse_of(document.pulse, draft)
+            draft.record = pulse_of(draft.document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
-
-    def scene_now() -> Scene:
-        return Scene(
-            columns=columns,
-            rig=draft.rig,
-            options={name: str(word) for name, word in options.items()},
-            shape=shape,
-            infinite=document.bars.infinite,
-            rigid_contact=document.bars.rigid_contact,
-            horizon=horizon or 1.0,
-            contact_law="plastic" if draft.plastic else "hertz",
-            hardness_at_onset=at_onset,
-            record=draft.record,
-        )
-
     try:
-        draft.scene = scene = scene_now()
+        scene = scene_with(columns, options, model, record=draft.record)
         faces = _yielding_faces(scene)
         valid = faces and all(face.valid[0] for face in faces.values())
         if draft.plastic and not draft.law_given and not valid:
+            del options["contact.law"]
             draft.plastic, faces = False, {}
-            options.pop("contact.law", None)
-            draft.scene = scene = scene_now()
+            scene = scene_with(columns, options, model, record=draft.record)
     except ValueError as error:
         raise Fault(
-            f"{error}. Remove them, or write shape = {one_of(STRIKER_SHAPES)}", "striker"
+            f"{error}. Remove these keys, or set pulse.shape to "
+            f"{one_of(map(shown, STRIKER_SHAPES))}",
+            "striker",
         ) from None
+    draft.scene = scene
     if draft.plastic and not faces:
         bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in scene.there)
         names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
-        yield Fault(f"nothing says what yields: give {names}", "contact", "law")
+        yield Fault(
+            f"the plastic law needs the pressure at which a contact yields. Add {names}",
+            "contact",
+            "law",
+        )
+    of_contact = any(f"contact.{key}" in numbers for key in LAW)
     for softer, face in faces.items():
         if not face.valid[0]:
             law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
@@ -448,52 +448,53 @@ def _scene(draft: Draft) -> Faults:
             )
             values = re.sub("(nan|inf) GPa", "missing", values)
             yield Fault(
-                f"found {values}; hardness of the onset or more, and b = C H/p_y - 1 = 0 or 0.2 "
-                "to 100 are required; pile_up = 1 and no hardness make it 0",
+                "hardness must be at least the onset pressure, and b = C H/p_y - 1 must be 0 or "
+                f"between 0.2 and 100, not {values}. Without hardness, pile_up = 1 sets b to 0",
                 "contact" if of_contact else softer,
                 "hardness",
             )
-    if not RIGS[draft.rig].by_wave:
+
+
+def _pulse(draft: Draft) -> Faults:
+    """Whether the bars cover the sphere, and the pulse is over before it comes back."""
+    scene, shape = draft.scene, str(draft.options.get("pulse.shape"))
+    if scene is None or not scene.by_wave:
         return
     across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
     if across > bars:
         yield Fault(
-            "the sphere is larger than its bars: take bars of "
-            f"{format_value(across, 'bars.diameter')} or more",
+            "the sphere diameter exceeds the bar diameter; bars.diameter must be at least "
+            f"{format_value(across, 'bars.diameter')}",
             "sphere",
             "radius",
         )
-    if shape == "step" and horizon is None:
-        yield Fault(
-            'a step pulse never ends: add an end, horizon = "3 ms", to [model]', "model", "horizon"
-        )
     if not scene.pulse.valid[0]:
-        place, why = (
-            ("pulse", "rise"),
-            "shorten rise and fall, half of both exceeds the width of the pulse",
-        )
+        width = format_value(scene.scales.duration[0], "pulse.duration")
+        place = ("pulse", "rise")
+        why = f"half of rise and fall exceeds the width of the pulse, {width}. Shorten them"
         if shape == "two_peak":
-            place, why = (
-                ("pulse", "t2"),
-                "the first peak must come before the second, and that before the pulse ends",
+            place = ("pulse", "t2")
+            why = (
+                "the first peak must come before the second, and the second before the end of the "
+                f"pulse, {width}"
             )
         elif scene.striker_ratio is not None:
             place = ("striker", "")
-            why = (
-                f"{why}; or the striker's impedance, {scene.striker_ratio[0]:.3g} times that of "
-                "the bars, exceeds 9"
+            why += (
+                f", or reduce the impedance of the striker: {scene.striker_ratio[0]:.3g} times "
+                "that of the bars, at most 9"
             )
-        raise Fault(f"{why}, {format_value(scene.scales.duration[0], 'pulse.duration')}", *place)
+        raise Fault(why, *place)
     lasts, trip = scene.pulse.end[0], scene.round_trips[0, 0]
     if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
         place = ("striker", "length")
-        if "pulse.duration" in numbers:
+        if "pulse.duration" in draft.numbers:
             place = ("pulse", "duration")
         place = {"step": ("pulse", "shape"), "measured": ("pulse", "file")}.get(shape, place)
         width, back = (format_value(time, "pulse.duration") for time in (lasts, trip))
         raise Fault(
-            f"the whole pulse lasts {width}, longer than the round trip of {back} in the incident "
-            "bar, whose far end cannot reflect before the striker has left it: shorten the pulse, "
+            f"the pulse lasts {width}, longer than the round trip of {back} in the incident bar, "
+            "whose far end cannot reflect while the striker touches it. Shorten the pulse, "
             'lengthen the bar, or set incident_end = "absorbing"',
             *place,
         )
@@ -509,29 +510,29 @@ def _yielding_faces(scene: Scene) -> dict[str, Face]:
 
 
 def _gauges(draft: Draft) -> Faults:
+    """Gauges stand on bars that there are."""
     rod = draft.document.rod.gauge
-    places: list[tuple[Place, str, float]] = []
-    if rod is not None:
-        places.append((("rod", "gauge"), "rod", rod))
-    places += [
+    places: list[tuple[Place, str, float]] = [
         (("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)
     ]
+    if rod is not None:
+        places.append((("rod", "gauge"), "rod", rod))
     for place, bar, position in places:
-        path, what = f"bars.{bar}_length", f"{bar} bar"
+        path, name = f"bars.{bar}_length", f"{bar} bar"
         if bar == "rod":
-            path, what = "rod.length", bar
+            path, name = "rod.length", bar
         length = draft.mean(path)
         if (bar == "rod") != ("rod" in RIGS[draft.rig].tables):
             yield Fault(
-                f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell",
+                f"the rig has no {name}. Gauges stand on the bars, or on the rod of a load_cell",
                 *place,
                 "bar",
             )
         elif position > length:
-            where, end = format_value(position, path), format_value(length, path)
+            here, end = format_value(position, path), format_value(length, path)
             yield Fault(
-                f"{where} is beyond the far end of the {what} ({end}): the distance counts "
-                "from the sphere",
+                f"the distance from the sphere must be at most {end}, the length of the {name}, "
+                f"not {here}",
                 *place,
             )
 
@@ -549,8 +550,7 @@ def _limits(draft: Draft) -> Faults:
 
 def _slips(draft: Draft) -> Faults:
     """Numbers far from the library's."""
-    if not draft.box:
-        warn_of_slips(draft)
+    warn_of_slips(draft)
     yield from ()
 
 
@@ -570,16 +570,16 @@ def _dependence(draft: Draft) -> Faults:
         if isinstance(number.value, Law)
     }
     for index, tie in enumerate(ties):
-        for at, name in enumerate(tie.of):
-            if name not in random:
+        with within("dependence", index):
+            for at, name in enumerate(tie.of):
+                if name in random:
+                    continue
                 message = unknown("random input", name, random)
                 if name in draft.numbers:
                     message = (
-                        f"{shown(name)} is a fixed number here: give it a distribution, or leave "
-                        "it out"
+                        f"{shown(name)} is a fixed number. Give it a distribution, or remove it"
                     )
-                yield Fault(message, "dependence", index, "of", at)
-                return
+                raise Fault(message, "of", at)
     for index, tie in enumerate(ties):
         try:
             make_joint(list(random), list(random.values()), ties[: index + 1])
@@ -588,22 +588,23 @@ def _dependence(draft: Draft) -> Faults:
             if key == "spearman" and tie.spearman is None:
                 key = "kendall"
             raise Fault(error.message, "dependence", index, key) from None
+    yield from ()
 
 
 def _margins(draft: Draft) -> Faults:
     """The free number, and that it can be moved from one end to the other."""
-    table, noun = draft.document.margins, "number"
+    table, noun = draft.document.margins, "a number"
     if table is None:
         return
     if draft.box:
-        noun = "input"
+        noun = "an input"
     if not draft.limits:
-        yield Fault("margins need a limit: add a table [limits.NAME]", "margins")
+        yield Fault("[margins] requires a limit. Add a table [limits.NAME]", "margins")
     solve = re.sub(r"^insert\.", "bars.insert_", table.solve)
     names = [name for name in draft.numbers if not name.endswith(".model_factor")]
     if solve not in names:
         raise Fault(
-            f"{shown(table.solve)} is no {noun} of this study, which has {one_of(names[:30])}"
+            f"{shown(table.solve)} is not {noun} of this study, which has {one_of(names[:30])}"
             f"{suggestion(solve, names)}",
             "margins",
             "solve",
@@ -617,16 +618,22 @@ def _margins(draft: Draft) -> Faults:
         with within("margins", "between", index):
             ends.append(value_of(raw, entry))
     if not ends[0] < ends[1]:
-        found = " and ".join(map(shown, table.between))
-        raise Fault(f"must be [low, high], not {found}. Swap the values", "margins", "between")
+        raise Fault(
+            f"must be [low, high], not [{', '.join(map(shown, table.between))}]. Swap the values",
+            "margins",
+            "between",
+        )
     for limit in draft.limits.values():
         if solve == "sphere.radius" and limit.tested is not None:
             with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
                 compare_sizes(limit, radii, draft, ("margins", "between"))
-    wanted = tuple(sorted(table.for_probability))
     draft.margins = table.model_copy(
-        update={"solve": solve, "between": tuple(ends), "for_probability": wanted}
+        update={
+            "solve": solve,
+            "between": tuple(ends),
+            "for_probability": tuple(sorted(table.for_probability)),
+        }
     )
     if not isinstance(number.value, Law) or solve in strengths:
         return
@@ -636,19 +643,19 @@ def _margins(draft: Draft) -> Faults:
         except LawError as error:
             place: Place = ("between", index) if "mean" in number.value.given else ("solve",)
             yield Fault(
-                f"with this mean {solve} has no law: {error.message} (SI); give it by mean and sd "
-                "or cov, or as a fixed number",
+                f"{solve} has no distribution with this mean: {error.message} (SI). Describe it by "
+                "mean and sd or cov, or as a fixed number",
                 "margins",
                 *place,
             )
 
 
-#: what is looked at together, of a scene and of a black box
+#: checks that are run together, of a scene and of a black box
 STAGES: Final = (
     (tables,),
     (_rig, _library),
-    (_forms,),
-    (_model, _scene, _gauges),
+    (_words,),
+    (_model, _scene, _pulse, _gauges),
     (_limits, _analysis),
     (_dependence, _margins, _slips),
 )

@@ -1,5 +1,5 @@
-"""[limits.NAME]: what is held against which strength, and strengths from the forces at which
-spheres broke in tests.
+"""[limits.NAME]: a demand and its strength, and strengths from the forces at which spheres broke in
+tests.
 """
 
 from __future__ import annotations
@@ -27,26 +27,23 @@ from uqsphere.units import UNITS
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
 
-#: which energy a strength in J/kg means, and the quantity that is held against it
+#: the energy that a strength in J/kg is based on, and the demand that is compared with it
 _ENERGIES: Final = {
     "contact": "specific_energy",
     "sphere": "specific_energy_sphere",
     "input": "specific_impact_energy",
 }
 _PRESSURES: Final = (
-    'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, '
-    "as nearly all "
-    'tabulated contact strengths are; "pressure" if it is a true pressure, which never exceeds '
-    "the hardness: the "
-    "probabilities can differ by decades"
+    'strength_is is missing. Set it to "hertz" if the strength was computed from a failure force '
+    'by Hertz, as nearly all tabulated contact strengths are, or to "pressure" if it is a true '
+    "pressure, which never exceeds the hardness. The probabilities can differ by decades"
 )
-#: ratio of diameters of tests and sphere that is told, and beyond which nothing but a size law
-#: carries a strength
+#: ratio of the diameters of tests and sphere above which a warning is given, and above which a size
+#: law is required
 _SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
-#: a criterion rises at least with this power of the force
+#: a criterion increases at least with this power of the force
 _RISES: Final = 0.05
-#: at equal strength a force goes with this power of the diameter, but for flaws; with its square
-#: where nothing is said
+#: at equal strength the force goes with this power of the diameter, without flaws (default: 2)
 _POWERS: Final = {
     "ring_crack": 1.0,
     "ring_crack_toughness": 1.0,
@@ -66,14 +63,13 @@ _FACTOR: Final = replace(
 
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
-    """One limit: what is held against its strength, the strength, the factor; raises Fault."""
+    """One limit: demand, strength and model factor; raises Fault."""
     place = ("limits", name)
     limit = _demand(draft, name, table)
     if table.fracture and table.criterion is None and limit.quantity not in PATHS:
-        paths = one_of(sorted(PATHS))
         raise Fault(
-            f"exceeding {limit.quantity} breaks no sphere: fracture = true is for a criterion or "
-            f"one of {paths}",
+            f"{limit.quantity} is not a fracture quantity; fracture = true needs a criterion or "
+            f"one of {one_of(sorted(PATHS))}",
             "fracture",
         )
     with within("model_factor"):
@@ -82,20 +78,20 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
         strength = _strength(draft, table, limit, (*place, "strength"))
     if limit.needs_modulus:
         fitted, modulus = modulus_of(strength.value), limit.parameters.get("modulus")
-        if fitted is None and modulus is None:
-            raise Fault(
-                "modulus is missing: give it here or by a strength that is a Weibull distribution",
-                "modulus",
-            )
         if fitted is None:
+            if modulus is None:
+                raise Fault(
+                    "modulus is missing. Add it, or use a strength with a Weibull distribution",
+                    "modulus",
+                )
             draft.warn(
                 place,
-                "the strength of a weakest link is a Weibull distribution of its modulus; with "
-                "another the probability is not that of the flaws",
+                "a weakest-link strength has a Weibull distribution with the modulus of the "
+                "limit; with another distribution P_f does not follow from the flaws",
             )
         elif modulus is not None and abs(fitted - modulus) > 1e-9 * modulus:
             raise Fault(
-                f"modulus is {modulus:g}, but the strength has the modulus {fitted:g}. Remove "
+                f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
                 "modulus",
                 "modulus",
             )
@@ -108,67 +104,52 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
 
 def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     """A limit without its strength; raises Fault."""
-    quantity, criterion, meant = table.quantity, table.criterion, table.strength_is
+    quantity, criterion = table.quantity, table.criterion
     if quantity is not None and quantity not in draft.known:
         raise Fault(unknown("quantity", quantity, draft.known), "quantity")
     if criterion is not None and draft.box:
-        raise Fault("a criterion belongs to the impact model: name a quantity instead", "criterion")
+        raise Fault(
+            "a criterion needs the impact model. Set quantity to an output of the black box",
+            "criterion",
+        )
     if criterion == "specific_energy":
         if table.energy_is is None and not RIGS[draft.rig].by_wave:
             raise Fault(
-                f"energy_is is missing: write what the strength means, {one_of(_ENERGIES)}",
+                "energy_is is missing. Set it to the energy that the strength is based on: "
+                f"{one_of(map(shown, _ENERGIES))}",
                 "energy_is",
             )
         criterion = _ENERGIES[table.energy_is or "contact"]
     values_of = {part: getattr(table, part) for part in PARAMETERS}
     parameters = {part: value for part, value in values_of.items() if value is not None}
     entry = CRITERIA.get(str(criterion))
-    needs: tuple[str, ...] = ()
-    way, takes = "add criterion = …", needs
-    if entry:
-        needs, takes = entry.parameters, (*entry.parameters, *entry.optional)
-        way = f"the criterion {criterion} takes {one_of(takes)}"
-    for part in parameters:
-        if part not in takes:
+    if entry is None:
+        for part in parameters:
             raise Fault(
-                f"{part} belongs to another criterion (uqsphere list criteria): {way}", part
-            )
-    for part in needs:
-        # the modulus may stand in the strength, which is read later
-        if part not in (*parameters, "modulus"):
-            raise Fault(
-                f"{part} is missing: the criterion {criterion} needs the "
-                f"{PARAMETERS[part].meaning}",
+                f"{part} is used only with a criterion (uqsphere list criteria). Add criterion = …",
                 part,
             )
-    if entry and entry.quantity and not parameters:
-        quantity, criterion = entry.quantity, None
-    compared, pressure = (
-        str(criterion or quantity),
-        quantity in ("p_max", "first_peak") and criterion is None,
-    )
-    if draft.plastic and not draft.law_given and quantity == "p_max" and pressure and meant is None:
-        meant = "hertz"  # as nearly all tabulated strengths of contacts are
-    if meant and not pressure and (compared, meant) != ("p_hertz", "hertz"):
-        raise Fault(
-            f"strength_is belongs to a limit on p_max or first_peak, not on {compared}: "
-            "leave it out",
-            "strength_is",
-        )
-    if draft.plastic and draft.law_given and pressure and meant is None:
-        raise Fault(_PRESSURES, "strength_is")
-    if draft.plastic and pressure and meant == "pressure" and values.is_tests(table.strength):
-        raise Fault(
-            'forces at failure become pressures by Hertz: write strength_is = "hertz"',
-            "strength_is",
-        )
-    if draft.plastic and quantity == "first_peak" and meant == "hertz":
-        raise Fault(
-            "first_peak is a true pressure where faces yield: write strength_is = "
-            '"pressure", or quantity = "p_max"',
-            "strength_is",
-        )
-    if draft.plastic and meant == "hertz":
+    else:
+        takes = (*entry.parameters, *entry.optional)
+        for part in parameters:
+            if part not in takes:
+                raise Fault(
+                    f"{part} is not a key of the criterion {criterion}, which takes "
+                    f"{one_of(takes)}. Remove it",
+                    part,
+                )
+        for part in entry.parameters:
+            # the strength, which is read later, may have the modulus
+            if part not in (*parameters, "modulus"):
+                raise Fault(
+                    f"{part} is missing. Add it: the {PARAMETERS[part].meaning} is required by the "
+                    f"criterion {criterion}",
+                    part,
+                )
+        if entry.quantity and not parameters:
+            quantity, criterion = entry.quantity, None
+    compared = str(criterion or quantity)
+    if _is_hertz(draft, table, compared) and draft.plastic:
         compared = "p_hertz"
     return Limit(
         name=name,
@@ -183,8 +164,37 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     )
 
 
+def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
+    """Whether a strength is a pressure by Hertz, which a yielding contact does not reach; raises
+    Fault.
+    """
+    meant, pressure = table.strength_is, compared in ("p_max", "first_peak")
+    if meant and not pressure and (compared, meant) != ("p_hertz", "hertz"):
+        raise Fault(
+            f"strength_is is used only with p_max and first_peak, not with {compared}. Remove it",
+            "strength_is",
+        )
+    if not (draft.plastic and pressure):
+        return meant == "hertz"
+    if meant is None:
+        if draft.law_given:
+            raise Fault(_PRESSURES, "strength_is")
+        return compared == "p_max"  # as nearly all tabulated contact strengths are
+    if meant == "pressure" and values.is_tests(table.strength):
+        raise Fault(
+            'forces at failure become pressures by Hertz. Set strength_is = "hertz"', "strength_is"
+        )
+    if meant == "hertz" and compared == "first_peak":
+        raise Fault(
+            'first_peak is a true pressure if contacts yield. Set strength_is = "pressure", or '
+            'quantity = "p_max"',
+            "strength_is",
+        )
+    return meant == "hertz"
+
+
 def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
-    """A strength: a number or law in the unit of the demand, or what tests tell of it; raises
+    """A strength: a number or distribution in the unit of the demand, or one from tests; raises
     Fault.
     """
     if draft.box:
@@ -209,12 +219,15 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
 
 
 def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Number:
-    """The law of the strength from forces at failure, and the tests themselves; raises Fault."""
+    """The distribution of the strength from forces at failure, and the tests themselves; raises
+    Fault.
+    """
     if limit.criterion is None and not follows_force(limit.quantity):
         raise Fault(
-            f"a force at failure does not measure {limit.quantity}. Name a criterion", "force"
+            f"forces at failure do not determine {limit.quantity}. Use a criterion (uqsphere list "
+            "criteria)",
+            "force",
         )
-    name = f"limits.{limit.name}."
     kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
     sphere = _sphere(draft, platens)
     cells, rows, columns, stopped = values.observations(
@@ -222,7 +235,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     )
     force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
     values.warn_of_rows(cells, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
-    warn_of_tests(table, force, diameter, radii[0], draft, place)
+    hint = _warn_of_tests(table, force, diameter, draft, place)
 
     power, mean = _POWERS.get(limit.criterion or limit.quantity, 2.0), float(diameter.mean())
     # flaws lie in the surface around a contact, or in the volume
@@ -232,7 +245,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         law = values.fit(force * (mean / diameter) ** exponent, stopped, table, kind)
         return law, power and power - flaws / (modulus_of(law) or math.inf)
 
-    law, exponent = _agreeing(by_size, power)
+    law, exponent = _fixed_point(by_size, power)
     tested = Tested(
         diameter=mean,
         forces=tuple(force.tolist()),
@@ -246,9 +259,9 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     if not RIGS[draft.rig].by_press and "rate_0" not in limit.parameters:
         draft.warn(
             place,
-            "slow tests, quick rig: struck rocks bore 1.24 to 2.12 times as much; that is "
-            "conservative "
-            "for survive, not for break; rate_0 of the criterion accounts for it (110 to 760 1/s)",
+            "the tests were quasi-static, the rig loads dynamically. Dynamic rock strengths were "
+            "1.24 to 2.12 times the quasi-static ones. Ignoring this is conservative for aim = "
+            '"survive" only; set rate_0 (110 to 760 1/s) to include it',
         )
 
     def value(modulus: float, factor: float = 1.0) -> Array:
@@ -260,37 +273,30 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     if not np.isfinite(value(8.0)).all():
         raise Fault(
-            f"some tests lie beyond what {limit.quantity} can reach: raise largest_energy, or "
-            "the hardness"
+            f"some tests exceed the largest possible {limit.quantity}. Raise largest_energy or the "
+            "hardness"
         )
     if not (slopes > _RISES).all():
-        hint = ""
-        for code, path, text in draft.caveats:
-            if code == "unit" and name in path:
-                hint = f" ({text})"
         raise Fault(
-            f"{limit.quantity} hardly rises with the force of such tests, so that no force tells "
-            f"its strength: take another criterion{hint}"
+            f"{limit.quantity} is insensitive to the force of such tests, so the strength cannot "
+            f"be inferred. Use another criterion{hint and f' ({hint})'}"
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:
         law = values.fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
         return law, modulus_of(law) or modulus
 
-    if limit.needs_modulus:
-        law, _ = _agreeing(by_value, 8.0)
-    else:
-        law, _ = by_value(8.0)
+    law, _ = _fixed_point(by_value, 8.0) if limit.needs_modulus else by_value(8.0)
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
-def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tuple[Law, float]:
-    """A law that needs a number, and the number that it gives: of the size law, of a weakest link;
-    raises Fault.
+def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> tuple[Law, float]:
+    """A distribution that depends on a number, and the number that follows from it: exponent of the
+    size law, modulus of a weakest link; raises Fault.
     """
     from scipy.optimize import fixed_point
 
-    start = fitted(number)[1]  # what is wrong with the tests themselves is said first
+    start = fitted(start)[1]  # a fault of the tests themselves is reported first
     try:
         agreed = fixed_point(
             lambda x: fitted(float(x))[1], start, xtol=1e-11, maxiter=200, method="iteration"
@@ -298,15 +304,16 @@ def _agreeing(fitted: Callable[[float], tuple[Law, float]], number: float) -> tu
         return fitted(float(agreed))
     except (Fault, RuntimeError):
         raise Fault(
-            "no modulus agrees with itself: check the diameters, or give the key modulus"
+            "the fit of Weibull modulus and size effect did not converge. Check the diameters, or "
+            "set modulus"
         ) from None
 
 
 def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: Place) -> None:
     """Warn of tests of another diameter than the sphere's, of its first radius [m].
 
-    Raises Fault where no size law, of the tests or of the criterion itself, carries them to one of
-        the radii.
+    Raises Fault if no size law, of the tests or of the criterion itself, scales them to one of the
+    radii.
     """
     tested = limit.tested
     if tested is None:
@@ -322,91 +329,85 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
         f"sphere of {2e3 * radius:.4g} mm"
     )
     if refused:
-        way = 'take fit = "weibull"'
+        way = 'set fit = "weibull"'
         if tested.law is None:
-            way = "fit anew with this size as strength_at"
+            way = "fit again with strength_at of this size"
         raise Fault(
-            f"{sizes}, and no size law over more than 50 %: test spheres of this size, or {way}",
+            f"{sizes}, and no size law covers more than 50 %. Test spheres of this size, or {way}",
             str(place[-1]),
         )
     if ratios[0] > _SIZES_TOLD:
-        carrier = "nothing"
+        scaling = "not scaled"
         if linked:
-            carrier = "the weakest link"
+            scaling = "scaled by the weakest link"
         elif tested.law is None and tested.exponent:
-            carrier = "its size_exponent"
-        draft.warn(place, f"{sizes}: {carrier} carries the strength")
+            scaling = "scaled by its size_exponent"
+        draft.warn(place, f"{sizes}: the strength is {scaling}")
 
 
-def warn_of_tests(
-    table: Observations, force: Array, diameter: Array, radius: float, draft: Draft, place: Place
-) -> None:
+def _warn_of_tests(
+    table: Observations, force: Array, diameter: Array, draft: Draft, place: Place
+) -> str:
     """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them
-    usual.
+    usual; returns the warning, or an empty text.
     """
-    size, tension = diameter / (2.0 * radius), np.median(0.9 * force / np.square(diameter))
+    size = diameter / (2.0 * draft.mean("sphere.radius"))
     far = (size > 3.0) | (size < 1.0 / 3.0)
-    first = int(np.argmax(far))
-    for key, typical, (low, high), units, unit, text in (
-        (
-            "diameter",
-            size[first],
-            (1.0 / 3.0, 3.0),
-            UNITS["length"],
-            table.diameter_unit,
-            f"{far.sum()} of {len(far)} diameters are more than three times off the sphere's, "
-            f"the first {1e3 * diameter[first]:.4g} mm",
-        ),
-        (
-            "force",
-            tension,
-            _TENSION,
-            UNITS["force"],
-            table.force_unit,
-            f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * _TENSION[0]:g} to "
-            f"{1e-6 * _TENSION[1]:g} MPa",
-        ),
-    ):
-        if not low <= typical <= high:
-            scale = typical / units.get(unit or "", math.nan)
-            likely = [name for name in _UNITS if low < scale * units.get(name, 0.0) < high]
-            hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
-            draft.warn((*place, key), f"{table.file}: {text}: {hint}", holds="unit")
-            return
+    tension = float(np.median(0.9 * force / np.square(diameter)))
+    if far.any():
+        first = int(np.argmax(far))
+        key, units, unit = "diameter", UNITS["length"], table.diameter_unit
+        actual, (low, high) = float(size[first]), (1.0 / 3.0, 3.0)
+        text = (
+            f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
+            f"of three, the first is {1e3 * diameter[first]:.4g} mm"
+        )
+    elif not _TENSION[0] <= tension <= _TENSION[1]:
+        key, units, unit = "force", UNITS["force"], table.force_unit
+        actual, (low, high) = tension, _TENSION
+        text = (
+            f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
+            "MPa"
+        )
+    else:
+        return ""
+    scale = actual / units.get(unit or "", math.nan)
+    likely = [name for name in _UNITS if low < scale * units.get(name, 0.0) < high]
+    hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
+    message = f"{table.file}: {text}: {hint}"
+    draft.warn((*place, key), message, holds="unit")
+    return message
 
 
 # --- the sphere in the tests ----------------------------------------------------------------------
 
 
 def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
-    """E [Pa], infinite if rigid, and nu of what a strength was measured between; raises Fault."""
-    of_library = {
+    """E [Pa], infinite if rigid, and nu of the platens of the tests; raises Fault."""
+    materials = {
         name: (material.properties["E"].value, material.properties["nu"].value)
         for name, material in library()["bars"].items()
     }
     choices = {
         "bars": (draft.mean("bars.E"), draft.mean("bars.nu")),
         "rigid": (math.inf, 0.3),
-        **of_library,
+        **materials,
     }
     with within("platens"):
         if isinstance(raw, Mapping) and set(raw) == {"E", "nu"}:
             return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])
         if not isinstance(raw, str) or raw not in choices:
             raise Fault(
-                f"platens must be {one_of([*choices, 'a table of E and nu'])}, not {shown(raw)}"
-                f"{suggestion(raw, of_library)}"
+                f"must be {one_of([*map(shown, choices), 'a table of E and nu'])}, not {shown(raw)}"
+                f"{suggestion(raw, choices)}"
             )
         if math.isnan(choices[raw][0]):
-            raise Fault(
-                'there are no bars here: write what it was measured between, platens = "rigid" '
-                "or a material"
-            )
+            raise Fault('this rig has no bars. Set platens to "rigid" or to a material')
     return choices[raw]
 
 
 def _radii(draft: Draft) -> tuple[float, ...]:
-    """The mean radius of the sphere [m], and the 1 % and 99 % quantiles of its scatter."""
+    """The mean radius of the sphere [m], and its 1 % and 99 % quantiles if it is random."""
     law, mean = draft.numbers["sphere.radius"].value, draft.mean("sphere.radius")
     if not isinstance(law, Law):
         return (mean,)
@@ -417,23 +418,22 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     """The sphere of the tests at its means, as `uqsphere.mechanics.crushing` takes it."""
     assert draft.scene is not None
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
-    # what stores energy beside the sphere in the contacts of the study's rig
+    # the counter-bodies of the study's rig store energy in the contacts too
     modulus = float(np.mean([partner.modulus[0] for partner in draft.scene.there]))
     sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / modulus - (1.0 - nu * nu) / E}
-    # what yields is the same as in the rig if its partner is the platens, else the sphere
-    alike = next(
-        (p for p in draft.scene.there if np.allclose(draft.elastic(p.table), platens, rtol=1e-9)),
-        None,
-    )
-    face = sphere_body(draft.scene.columns) if alike is None else alike.face
-    if (
-        not draft.plastic
-        or face is None
-        or not np.isfinite(face.onset + face.hardness + face.pile_up).all()
-    ):
+    # the platens may be the partner in the rig; then the same body yields, else the sphere
+    alike = [
+        partner
+        for partner in draft.scene.there
+        if np.allclose(draft.elastic(partner.table), platens, rtol=1e-9)
+    ]
+    face: Any = sphere_body(draft.scene.columns)
+    takes = 1.0
+    if alike:
+        face, takes = alike[0].face, float(alike[0].takes[0])
+    if not draft.plastic or face is None:
         return sphere
-    law = {
-        key: float(value[0])
-        for key, value in zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
-    }
-    return {**sphere, **law, "takes": 1.0 if alike is None else float(alike.takes[0])}
+    law = [float(value[0]) for value in (face.onset, face.hardness, face.pile_up)]
+    if not np.isfinite(law).all():
+        return sphere
+    return {**sphere, **dict(zip(LAW, law, strict=True)), "takes": takes}

@@ -11,10 +11,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel
 
+from uqsphere.arrays import Array
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
@@ -25,6 +26,10 @@ from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, Mod
 from uqsphere.study.values import Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint
 from uqsphere.uq.families import Family
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.scene import Scene
+
 
 #: failure probability that is allowed where a study says nothing at all
 DEFAULT_TARGET: Final = 0.01
@@ -304,6 +309,34 @@ def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -
     if not targets and margins is not None:
         targets = list(margins.for_probability)
     return min(targets, default=DEFAULT_TARGET)
+
+
+def scene_with(
+    columns: Mapping[str, Array],
+    options: Mapping[str, str | bool | int],
+    model: ModelChoice,
+    *,
+    record: MeasuredPulse | None,
+    demands: Mapping[str, tuple[str, Mapping[str, float]]] | None = None,
+) -> Scene:
+    """The scenes of some columns (n,) under the words of a study; raises ValueError as `Scene`."""
+    from uqsphere.mechanics.scene import Scene
+
+    return Scene(
+        columns=columns,
+        rig=str(options.get("rig.kind", DEFAULT_RIG)),
+        options={name: str(word) for name, word in options.items()},
+        shape=str(options.get("pulse.shape", "rectangular")),
+        infinite=bool(options.get("bars.infinite")),
+        rigid_contact=bool(options.get("bars.rigid_contact")),
+        first_loading_only=model.first_loading_only,
+        whole_record=model.whole_record,
+        horizon=model.horizon,
+        demands=demands or {},
+        contact_law=str(options.get("contact.law", "hertz")),
+        hardness_at_onset=options.get("contact.hardness") == "onset",
+        record=record,
+    )
 
 
 def strength_name(limit: str) -> str:

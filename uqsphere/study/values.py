@@ -122,16 +122,14 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     """
     if isinstance(raw, str) and quantity.name.endswith(("_end", ".end")):
         if raw not in END_COEFFICIENTS:
-            raise Fault(
-                f"{unknown('end', raw, END_COEFFICIENTS)}; a number from -1 to 1 is known too"
-            )
+            raise Fault(unknown("end", raw, [*END_COEFFICIENTS, "a number from -1 to 1"]))
         return END_COEFFICIENTS[raw]
     try:
         value = parse_value(raw, quantity.dimension, likely_unit(raw, quantity))
     except UnitError as error:
         raise Fault(str(error)) from None
     if bounded and not quantity.allows(value):
-        raise Fault(f"found {shown(raw)}: {format_bounds(quantity)}")
+        raise Fault(f"{format_bounds(quantity)}, not {shown(raw)}")
     return value
 
 
@@ -152,29 +150,29 @@ def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Nu
 def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -> None:
     """Warn of a value (SI) outside the usual range of its quantity."""
     if not quantity.plausible[0] <= value <= quantity.plausible[1]:
-        found, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
-        text = f"{found} is unusual (usual: {low} to {high}); is the unit right?"
-        draft.warn(place, text, holds="unit")
+        text, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        message = f"{text} is unusual (usual: {low} to {high}). Is the unit right?"
+        draft.warn(place, message, holds="unit")
 
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
     kind, family = raw.get("dist"), None
+    if kind is None:
+        raise Fault(
+            'a table of a number needs a distribution or a file. Add, for example, dist = "normal"'
+            f" (known: {one_of(FAMILIES)}){suggestion(next(iter(raw), ''), ['dist'])}"
+        )
     if isinstance(kind, str):
         family = family_named(kind)
     if family is None:
-        near = suggestion(kind, FAMILIES) or suggestion(next(iter(raw), ""), ["dist"])
-        raise Fault(
-            f'a distribution is required, such as {{ dist = "normal", … }}, known: '
-            f"{one_of(FAMILIES)}{near}",
-            *raw.keys() & {"dist"},
-        )
+        raise Fault(unknown("distribution", kind, FAMILIES), "dist")
     keys = (*family.keys, "lower", "upper")
     parameters: dict[str, float] = {}
     for key in (key for key in raw if key != "dist"):
         if key not in keys:
             raise Fault(
-                f"{shown(key)} does not belong to the distribution {family.name}, which takes "
+                f"{shown(key)} is not a parameter of the distribution {family.name}, which takes "
                 f"{one_of(keys)}{suggestion(key, keys)}",
                 key,
             )
@@ -201,19 +199,19 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
         raise Fault(
-            f"the distribution has its mean at {format_value(centre, name)}: "
+            f"the mean of the distribution is {format_value(centre, name)}, but "
             f"{format_bounds(quantity)}"
         )
     for key, end in ends.items():
         if law.family.bounded and not quantity.lower <= end <= quantity.upper:
-            raise Fault(f"{format_value(end, name)}: {format_bounds(quantity)}", key)
+            raise Fault(f"{format_bounds(quantity)}, not {format_value(end, name)}", key)
     cov = law.given.get("cov", 0.0)
     if law.mean():
         cov = max(law.sd() / abs(law.mean()), cov)
     if cov > 1.0:
-        text = f"the coefficient of variation is {cov:.3g}: is that intended?"
+        text = f"the coefficient of variation is {cov:.3g}. Is that intended?"
         if "cov" in law.given:
-            text += ' 15 % is written "15 %" or 0.15'
+            text += ' Write 15 % as "15 %" or 0.15'
         draft.warn(place, text)
     mean = law.given.get("mean")
     if mean is not None and not law.lower <= mean <= law.upper:
@@ -229,11 +227,11 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     outside = float(law.cdf(np.array([low]))[0] + law.sf(np.array([quantity.upper]))[0])
     if outside > NOTABLE:
         if name in INPUTS:
-            effect = "these samples count as failed evaluations; "
+            effect = "These samples count as failed model runs. "
         draft.warn(
             place,
-            f"a share of {outside:.2g} of the distribution lies where it has no meaning "
-            f"({format_bounds(quantity)}); {effect}truncate it with lower or upper",
+            f"{100.0 * outside:.2g} % of the distribution lies outside the valid range "
+            f"({format_bounds(quantity)}). {effect}Truncate it with lower or upper",
         )
 
 
@@ -397,8 +395,8 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     if raw.get("dist") == "discrete":
         if place[0] == "limits":
             raise Fault(
-                "strengths and model factors have a density, or are a column: discrete is for "
-                "inputs",
+                "a strength or a model factor needs a density or a column of observations; "
+                "discrete is for inputs",
                 "dist",
             )
         weighted = declared(Discrete, raw)
@@ -411,7 +409,8 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
         return _drawn(table.draws, table, quantity, draft)
     if is_tests(raw):
         raise Fault(
-            "forces at failure belong to the strength of a limit of the impact model", "force"
+            "forces at failure are used only for the strength of a limit of the impact model",
+            "force",
         )
     cells, rows, columns, stopped = observations(table, draft, column=quantity.dimension)
     bounds = [
@@ -438,7 +437,7 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
         words = cells.texts("distribution", "draws")
         cells.refuse(
             "draws",
-            f"distribution: {one_of(kinds)} is required",
+            f"distribution must be {one_of(kinds)}",
             np.array([w not in kinds for w in words]),
         )
         for key, dimension in dimensions.items():
@@ -453,7 +452,7 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
         wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
         cells.refuse(
             "draws",
-            "scale and shape above 0, least from 0, bound from 0 to below 1 are required",
+            "scale and shape must be above 0, least at least 0, bound at least 0 and below 1",
             wrong,
         )
     draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
@@ -480,7 +479,7 @@ def observations(
     """
     for key in ("file", *dimensions):
         if getattr(table, key) is None and key in _EXAMPLES:
-            raise Fault(f'{key} is missing: add {key} = "{_EXAMPLES[key]}"')
+            raise Fault(f'{key} is missing. Add it, for example {key} = "{_EXAMPLES[key]}"')
     columns = {}
     with opened(str(table.file), draft, "file", table.decimal, table.sheet) as cells:
         for key, dimension in dimensions.items():
@@ -497,10 +496,8 @@ def observations(
             stopped = cells.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
         if table.count is not None:
             many = cells.numbers(table.count, key="count")
-        cells.refuse(
-            "count", "counts are whole numbers from 1 on", (many < 1.0) | (many % 1.0 > 0.0)
-        )
-        cells.refuse("count", "more than two million tests", np.cumsum(many) > 2e6)
+        cells.refuse("count", "count must be a positive integer", (many < 1.0) | (many % 1.0 > 0.0))
+        cells.refuse("count", "at most two million tests are allowed", np.cumsum(many) > 2e6)
         for key in columns.keys() & {"force", "diameter"}:
             cells.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
     rows = np.repeat(np.arange(len(cells)), many.astype(int))
@@ -521,11 +518,12 @@ def fit(
     """
     modulus = None if table.modulus is None else table.modulus / slope
     if modulus is None and (len(data) < 2 or stopped.all()):
-        found = f"found {len(data)} observation"
-        if len(data) > 1:
-            found = f"all {len(data)} tests were stopped"
+        reason = f"all {len(data)} tests are right-censored"
+        if len(data) < 2:
+            reason = f"the file has {len(data)} observation"
         raise Fault(
-            f"{found}: two failures or more are required, or a known Weibull modulus: modulus = …",
+            f"{reason}; a fit needs at least two failures, or a known Weibull modulus (modulus = "
+            "…)",
             "file",
         )
     with _blamed("fit", "lower", "upper", otherwise="file"):
@@ -552,8 +550,8 @@ def warn_of_rows(
     ]
     if lines:
         notes.append(
-            f"{cells.name}: {', '.join(lines[:5])}: far from the other rows; a slip of the decimal "
-            "point?"
+            f"{cells.name}: {', '.join(lines[:5])}: far from the other rows. Is the decimal point "
+            "right?"
         )
     if (~stopped).sum() >= 6:
         with suppress(ValueError):
@@ -562,11 +560,11 @@ def warn_of_rows(
             if p < _UNLIKELY:
                 notes.append(
                     f"{cells.name}: neither a Weibull nor a lognormal distribution fits (p = "
-                    f"{p:.2g}): mixed or faulty rows?"
+                    f"{p:.2g}). Are rows mixed or faulty?"
                 )
     if len(x) < _FEW:
         notes.append(
-            f"{len(x)} observations: what so few leave open is large; {_FEW} or more are a start"
+            f"only {len(x)} observations: the epistemic uncertainty is large. Use at least {_FEW}"
         )
     for text in notes:
         draft.warn((*place, "file"), text)
@@ -574,7 +572,7 @@ def warn_of_rows(
 
 # --- the pulse of a clean record ------------------------------------------------------------------
 
-_MENDED: Final = "uqsphere shpb records cuts, mends and writes such a file"
+_MENDED: Final = "To cut and mend a record, use uqsphere shpb records"
 
 
 def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
@@ -585,7 +583,9 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
         columns = table.columns or tuple(cells.headings[:2])
         if len(columns) != 2:
             raise Fault(
-                f"found {len(columns)} column: time, then strain or volts are required", "columns"
+                "a column of time and one of strain or volts are required, not "
+                f"{len(columns)} column",
+                "columns",
             )
         time_unit, unit = table.units or (None, None)
         volts = unit in UNITS["voltage"] or (
@@ -595,26 +595,30 @@ def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
         dimension = "voltage" if volts else "strain"
         strain = (table.factor or 1.0) * cells.numbers(columns[1], dimension, unit)
         cells.refuse(
-            "", "the time must rise from row to row", np.diff(time, prepend=-np.inf) <= 0.0
+            "", "the time must increase from row to row", np.diff(time, prepend=-np.inf) <= 0.0
         )
     if volts and table.factor is None:
-        raise Fault("factor is missing: the strain of one volt, such as factor = 1e-3", "factor")
+        raise Fault(
+            "factor, the strain of one volt, is missing. Add it, for example factor = 1e-3",
+            "factor",
+        )
     if not volts and table.factor is not None:
         raise Fault(
-            "factor is the strain of one volt, and this column is a strain. Remove factor", "factor"
+            "factor is used only with a column of volts; this one is a strain. Remove factor",
+            "factor",
         )
     notes = list(cells.notes)
     if -strain.min() > strain.max():
         strain = -strain
-        notes.append("the largest strain is negative: compression is taken as positive")
+        notes.append("the largest strain is negative: its sign is changed, compression is positive")
     try:
         pulse, misfit = measured_pulse(time, strain)
     except ValueError as error:
-        raise Fault(f"{error}; {_MENDED}", "file") from None
+        raise Fault(f"{error}. {_MENDED}", "file") from None
     if misfit > 0.02:
         notes.append(
-            f"its cubics leave {misfit:.2g} of the peak: sharp edges are rounded, or the record "
-            f"is noisy; {_MENDED}"
+            f"the fitted pulse deviates by {100.0 * misfit:.2g} % of the peak: sharp edges are "
+            f"rounded, or the record is noisy. {_MENDED}"
         )
     for note in notes:
         draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
