@@ -28,3 +28,8 @@ class _Special:
 
 
 special = _Special()
+
+
+def is_labelled(value: Any) -> bool:
+    """Whether something is an array of xarray."""
+    return all(hasattr(value, name) for name in ("dims", "coords", "to_series", "sel"))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, is_labelled
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs
@@ -36,34 +36,31 @@ class ModelFile:
     def load(self) -> BlackBox:
         """The function. This runs the file.
 
-        Raises ModelError where the file raises, UsageError where it has no such function.
+        Raises ModelError if the file raises, UsageError if it has no such function.
         """
-        module = ModuleType(f"uqsphere_black_box_{self.path.stem}")
+        path, module = as_text(self.path), ModuleType(f"uqsphere_black_box_{self.path.stem}")
         module.__file__ = str(self.path)
         sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
-        folder = str(self.path.parent)
-        if folder not in sys.path:
-            sys.path.append(folder)  # what stands beside it can be imported, as in a script
+        if str(self.path.parent) not in sys.path:
+            sys.path.append(str(self.path.parent))  # as in a script
         try:
             exec(compile(self.source, str(self.path), "exec"), module.__dict__)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # SystemExit, and what a library calls its own
+        except BaseException as error:  # SystemExit, and exceptions of the model's own
             raise ModelError(
-                f"{as_text(self.path)} raised {describe_error(error)} while it was loaded"
+                f"{path} raised {describe_error(error)} while it was loaded"
             ) from error
-        function = getattr(module, self.name, None)
-        if not callable(function):
+        members = vars(module)
+        if not callable(members.get(self.name)):
             functions = [
-                key
-                for key, value in vars(module).items()
-                if inspect.isfunction(value) and key[0] != "_"
+                key for key in members if key[0] != "_" and inspect.isfunction(members[key])
             ]
             raise UsageError(
-                f"{as_text(self.path)} has no function {self.name!r}, only "
+                f"{path} has no function {self.name!r}; its functions: "
                 f"{', '.join(functions) or 'none'}"
             )
-        return function  # type: ignore[no-any-return]
+        return members[self.name]  # type: ignore[no-any-return]
 
 
 def read_model(reference: str) -> ModelFile:
@@ -73,7 +70,7 @@ def read_model(reference: str) -> ModelFile:
     """
     file, _, name = reference.rpartition(":")
     if not file.endswith(".py") or not name.isidentifier():
-        raise UsageError(f"a model is given as FILE.py:FUNCTION, not {as_text(reference, 120)!r}")
+        raise UsageError(f"the model must be FILE.py:FUNCTION, not {as_text(reference, 120)!r}")
     try:
         return ModelFile(Path(file).resolve(), name, Path(file).read_bytes())
     except OSError as error:
@@ -83,10 +80,10 @@ def read_model(reference: str) -> ModelFile:
 
 
 def identity_of(box: ModelFile | BlackBox) -> bytes:
-    """What tells a model from another: of a file its content, of a function its value and the file
-    that it is from.
+    """What distinguishes a model from others: the content of its file; of a function its value and
+    the file that it is from.
 
-    Empty for a function that cannot be pickled.  What either reads or imports besides is not seen.
+    Empty for a function that cannot be pickled.  Files that either reads or imports do not count.
     """
     if isinstance(box, ModelFile):
         return box.name.encode() + b"\0" + box.source
@@ -116,10 +113,10 @@ def call_black_box(
     """Answers (n, q) of a model to rows (n, d), in one call.
 
     names : d inputs, the columns of `rows`.
-    outputs : q outputs, in the order in which the study has them.
+    outputs : q outputs, in the order of the study.
 
-    Raises ModelRaised with what the model raised, and where; ModelError where it returned something
-        of the wrong form.
+    Raises ModelRaised with what the model raised, and where; ModelError if it returned something of
+    the wrong form.
     """
     columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
     try:
@@ -127,22 +124,22 @@ def call_black_box(
             returned = box(columns)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # SystemExit, and what a library calls its own
+    except BaseException as error:  # SystemExit, and exceptions of the model's own
         raise ModelRaised(f"the model raised {describe_error(error)}") from error
     try:
         return _answers(returned, len(rows), outputs)
     except (ModelError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # what was returned computes its content as it likes
+    except BaseException as error:  # reading a foreign object can raise anything
         raise ModelError(
-            f"what the model returned cannot be read: {describe_error(error)}"
+            f"the return value of the model cannot be read: {describe_error(error)}"
         ) from error
 
 
 def _answers(returned: Any, count: int, outputs: Sequence[str]) -> Array:
     """What a model returned as an array (n, q); raises ModelError for the wrong form."""
     returned = by_index(returned, count)
-    if _is_labelled(returned):
+    if is_labelled(returned):
         returned = _by_label(returned, outputs)
     if not isinstance(returned, Mapping) and not hasattr(returned, "columns"):  # nor a DataFrame
         shape = getattr(returned, "shape", ())
@@ -170,7 +167,7 @@ def by_index(value: Any, count: int) -> Any:
     """A Series, DataFrame or labelled array (n,) in the order of the rows, if its index numbers
     them; anything else as it is.
     """
-    if _is_labelled(value) and len(value.dims) == 1:
+    if is_labelled(value) and len(value.dims) == 1:
         value = value.to_series()
     if hasattr(value, "iloc") and len(value) == count:
         labels = np.asarray(value.index)
@@ -179,20 +176,14 @@ def by_index(value: Any, count: int) -> Any:
     return value
 
 
-def _is_labelled(value: Any) -> bool:
-    """Whether something is an array of xarray."""
-    return all(hasattr(value, name) for name in ("dims", "coords", "to_series", "sel"))
-
-
 def _by_label(array: Any, outputs: Sequence[str]) -> dict[str, Any]:
     """The columns of a labelled array of two dimensions, by the coordinate that names the outputs;
     raises ModelError without one.
     """
-    for dimension in array.dims:
-        if dimension in array.coords:
-            labels = [str(label) for label in np.asarray(array.coords[dimension])]
-            if set(outputs) <= set(labels) and len(set(labels)) == len(labels):
-                return {name: array.isel({dimension: labels.index(name)}) for name in outputs}
+    for dimension in filter(array.coords.__contains__, array.dims):
+        labels = [str(label) for label in np.asarray(array.coords[dimension])]
+        if set(outputs) <= set(labels) and len(set(labels)) == len(labels):
+            return {name: array.isel({dimension: labels.index(name)}) for name in outputs}
     raise ModelError(
         f"the model's {type(array).__name__} must have a coordinate with "
         f"{', '.join(map(repr, outputs))}. Return a dict of arrays instead"
@@ -203,29 +194,23 @@ def _column(value: Any, name: str, count: int) -> Array:
     """One output as numbers (n,); what a mask hides, and None, is NaN."""
     try:
         answers = np.asanyarray(value)
-        kind = str(answers.dtype)
-        if kind == "object" and any(map(np.iscomplexobj, answers.ravel().tolist())):
-            kind = "complex"
-        elif answers.dtype.kind in "fiubO":
-            kind = ""
-        if kind:
-            raise TypeError(
-                f"its type is {kind}. Return the real part or the absolute value of complex numbers"
-            )
+        objects = answers.ravel().tolist() if answers.dtype == object else [answers]
+        if any(map(np.iscomplexobj, objects)):
+            raise TypeError("its type is complex. Return the real part or the absolute value")
+        if answers.dtype.kind not in "fiubO":
+            raise TypeError(f"its type is {answers.dtype}")
         mask = np.ma.getmaskarray(answers)  # type: ignore[no-untyped-call]
         column: Array = np.where(mask, np.nan, np.ma.filled(answers, 0)).astype(float)
-    except BaseException as error:  # what was returned computes its content as it likes
+    except BaseException as error:  # reading a foreign object can raise anything
         raise ModelError(
             f"the model's {name!r} is not an array of numbers: {describe_error(error)}"
         ) from error
     if count == 1 and column.ndim == 0:
         return column[None]
     if column.shape != (count,):
-        message = (
+        way = ". Wrap a function of one row with numpy.vectorize" if column.ndim == 0 else ""
+        raise ModelError(
             f"the model's {name!r} must have shape ({count},), one number for each row of its "
-            f"inputs, not {column.shape}"
+            f"inputs, not {column.shape}{way}"
         )
-        if column.ndim == 0:
-            message += ". Wrap a function of one row with numpy.vectorize"
-        raise ModelError(message)
     return column

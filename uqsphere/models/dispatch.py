@@ -164,7 +164,7 @@ class Calls:
         deaths = sum(isinstance(one, Died) for one in self._failures.values())
         if deaths >= _DEATHS and 2 * deaths > model.evaluations + model.reused:
             raise ModelError(
-                f"{failure} {self._where(row)}, and did so in {deaths} rows, more than it answered"
+                f"{failure} {self._where(row)}, in {deaths} rows, more than it answered"
             ) from failure
 
     def _ask_about_silence(self, heard: bool) -> None:
@@ -198,7 +198,7 @@ def _has_failed(future: Future[Timed]) -> bool:
 def _unusable(columns: Sequence[str], answers: Array) -> str:
     """The first of the answers (q,) to a row that is not finite, or too large."""
     j = int(np.argmin(np.abs(answers) <= LARGEST_ANSWER))
-    text = f"{columns[j]} = {answers[j]:g}"
+    text = f"the model returned {columns[j]} = {answers[j]:g}"
     if np.isfinite(answers[j]):
         text += ", too large"
     return text

@@ -63,11 +63,11 @@ def evaluate(
 
     if not isinstance(study, Study):
         raise UsageError(
-            f"evaluate needs a study of uqsphere.load_study, not {type(study).__name__}"
+            f"study must be a Study, as load_study returns it, not {type(study).__name__}"
         )
     if not isinstance(frame, (pd.DataFrame, Mapping)):
         raise UsageError(
-            f"rows must be a DataFrame or a dict of arrays by name, not {type(frame).__name__}"
+            f"frame must be a DataFrame or a dict of arrays by name, not {type(frame).__name__}"
         )
     if tolerance is not None:
         if not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
@@ -108,7 +108,7 @@ def _warn_of_unusual(names: Sequence[str], rows: Array) -> None:
         if far.size:
             usual = f"{format_value(low, name)} to {format_value(high, name)}"
             warnings.warn(
-                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}). Numbers are "
+                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}). Values are "
                 "in SI; is the unit right?",
                 stacklevel=3,
             )
@@ -119,4 +119,4 @@ def _warn_of_range(study: Study, names: Sequence[str], rows: Array, columns: Seq
     results, _ = checked_rows(study, names, rows[:_CHECKED], columns)
     for result in results:
         if result.grade == _FAILURE:
-            warnings.warn(f"outside the range of the model: {result.text}", stacklevel=3)
+            warnings.warn(f"outside the validity range of the model: {result.text}", stacklevel=3)

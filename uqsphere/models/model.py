@@ -78,7 +78,7 @@ class Model:
         study, box = self.study, cast(Any, self.model)
         if study.black_box and box is None:
             raise UsageError(
-                "a black-box study needs its model: --model FILE.py:FUNCTION, in Python model=..."
+                "a black-box study needs a model. Add --model FILE.py:FUNCTION, in Python model=..."
             )
         if not study.black_box and box is not None:
             raise UsageError(
@@ -211,7 +211,7 @@ class Model:
             f"the model gave two answers to the same row ({answer[j]:.6g} and {alone[j]:.6g} as "
             f"{columns[j]!r} {where_of(names, row[0])}): it is not deterministic, or the answer to "
             "a row depends on the other rows of the call, or a file that it reads or imports has "
-            "changed since answers were stored (--fresh drops those)"
+            "changed since answers were stored (--fresh discards those)"
         )
         return True
 

@@ -36,7 +36,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     """
     for name in values:
         if name not in INPUTS:
-            raise UsageError(f"{name!r} is not a number of a scene (allowed: {', '.join(INPUTS)})")
+            raise UsageError(f"{name!r} is not an input of a scene (allowed: {', '.join(INPUTS)})")
     n = (
         rows
         if rows is not None

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, is_labelled
 from uqsphere.errors import UsageError
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
@@ -78,11 +78,6 @@ def as_answers(y: Any) -> Any:
     if np.iscomplexobj(y):
         raise UsageError("y must be real, found complex numbers: choose their real part or size")
     return y
-
-
-def is_labelled(value: Any) -> bool:
-    """Whether something is an array of xarray."""
-    return all(hasattr(value, name) for name in ("dims", "coords", "to_series", "sel"))
 
 
 def check_rows(x: Array, joint: Joint) -> None:

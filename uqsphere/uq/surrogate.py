@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, is_labelled
 from uqsphere.errors import UsageError
 from uqsphere.uq.chaos import (
     Chaos,
@@ -45,7 +45,7 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.response import Response, cross_fit
-from uqsphere.uq.rows import as_table, is_labelled
+from uqsphere.uq.rows import as_table
 from uqsphere.uq.shapley import dependent_shares
 
 if TYPE_CHECKING:
