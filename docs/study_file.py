@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from uqsphere.documents import Table, table_in
+from uqsphere.documents import TomlTable, table_in
 from uqsphere.mechanics.forms import needs_of
 from uqsphere.study.check import FORMS
 from uqsphere.study.document import RIG_TABLES, SCENE, Document
@@ -95,7 +95,7 @@ def keys(tables: list[str]) -> Rows:
                 )
                 rows.setdefault(key, (f"`{key}`", _needed(tables, key), meaning))
             elif entry.description:
-                none = entry.default in (None, (), "") or isinstance(entry.default, Table)
+                none = entry.default in (None, (), "") or isinstance(entry.default, TomlTable)
                 usual = (
                     "required"
                     if entry.is_required()

@@ -24,7 +24,7 @@ from uqsphere.units import bare_number
 Place = tuple[str | int, ...]
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of an input file: no key beyond those declared."""
 
     model_config = ConfigDict(
@@ -37,7 +37,7 @@ class Table(BaseModel):
     )
 
 
-Kind = TypeVar("Kind", bound=Table)
+Kind = TypeVar("Kind", bound=TomlTable)
 
 
 class Fault(ValueError):
@@ -383,7 +383,7 @@ def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
         raise faults_of(kind, error)[0] from None
 
 
-def faults_of(kind: type[Table], error: ValidationError) -> list[Fault]:
+def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
     """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
     faults: dict[Place, Fault] = {}
     above: set[Place] = set()  # every place on the way to a fault
@@ -431,6 +431,6 @@ def _text(kind: Any, fault: Any, place: Place) -> str:
 
 def table_in(annotation: Any) -> Any:
     """The table that a key holds, one or several; None for a value."""
-    if isinstance(annotation, type) and issubclass(annotation, Table):
+    if isinstance(annotation, type) and issubclass(annotation, TomlTable):
         return annotation
     return next(filter(None, map(table_in, get_args(annotation))), None)

@@ -20,7 +20,7 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
 from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes, population
-from uqsphere.labs.comminution.fit import PRIORS, Fit, Model, Posterior, fit, log_likelihoods
+from uqsphere.labs.comminution.fit import PRIORS, EnergyModel, Fit, Posterior, fit, log_likelihoods
 from uqsphere.labs.comminution.tests import Specimens, load_tests
 
 ROOT = Path(__file__).parents[2]
@@ -58,7 +58,7 @@ def one_draw(**parameters: float) -> Posterior:
     """A posterior of one known truth."""
     size = "tavares" if "e_inf" in parameters else "power"
     ratio = parameters.pop("ratio", 4.0)
-    model = Model(
+    model = EnergyModel(
         law="lognormal", size=size, ratio=ratio, priors=dict.fromkeys(parameters, (0.0, 1.0))
     )
     values = {name: np.array([value]) for name, value in parameters.items()}
@@ -187,7 +187,7 @@ def test_intervals_of_go_no_go_come_from_the_tail_that_both_ends_lie_in() -> Non
         broke=np.array([True, True, False]),
         exact=np.zeros(3, dtype=bool),
     )
-    model = Model(
+    model = EnergyModel(
         law="lognormal",
         size="power",
         ratio=4.0,

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from uqsphere.documents import Table
+from uqsphere.documents import TomlTable
 from uqsphere.materials import Material, library
 from uqsphere.units import parse_value
 
@@ -30,7 +30,7 @@ Speed = Annotated[float, in_unit("speed"), Field(gt=0.0)]
 Time = Annotated[float, in_unit("time")]
 
 
-class Section(Table):
+class Section(TomlTable):
     """A table of an input file."""
 
     model_config = ConfigDict(strict=False, allow_inf_nan=True)

@@ -61,7 +61,7 @@ LINKED = ("answers.csv", "samples.csv", "results.json", "study.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class PageTable:
     """A table of the page: caption, heads, rows of texts, and the rows that are marked."""
 
     caption: str
@@ -228,7 +228,7 @@ def _first(results: Results, pictures: dict[str, Picture]) -> list[str]:
 # --- tables ---------------------------------------------------------------------------------------
 
 
-def _certificate(results: Results, decision: Decision) -> Table | None:
+def _certificate(results: Results, decision: Decision) -> PageTable | None:
     """What the number to use rests on: a row a doubt, the conservative ones first."""
     free = results.study.free
     if free is None or not decision.doubts:
@@ -257,7 +257,7 @@ def _certificate(results: Results, decision: Decision) -> Table | None:
             (f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *map(probability, events))
         )
     name = exceedance_name(results).lower()
-    return Table(
+    return PageTable(
         caption=f"To {decision.aim}",
         head=(
             "limit and what is open",
@@ -271,7 +271,7 @@ def _certificate(results: Results, decision: Decision) -> Table | None:
     )
 
 
-def _limits(results: Results) -> Table | None:
+def _limits(results: Results) -> PageTable | None:
     """One line a limit or failure mode."""
     rows, free = mode_rows(results), results.study.free
     if not rows:
@@ -307,7 +307,7 @@ def _limits(results: Results) -> Table | None:
     damage = damage_modes(results)
     if damage:
         notes.append(f"damage, not counted as fracture: {listed(damage)}")
-    return Table(
+    return PageTable(
         caption="Limits and failure modes",
         head=(*head, "strength", "its source"),
         rows=body,
@@ -333,7 +333,7 @@ def _strength_source(row: ModeRow) -> str:
     return "; ".join([source, *more])
 
 
-def _quantities(results: Results) -> Table:
+def _quantities(results: Results) -> PageTable:
     """Distributions: one row a quantity."""
     answers, rows = table_of(results), []
     names = list(results.study.quantities)
@@ -346,7 +346,7 @@ def _quantities(results: Results) -> Table:
         mean = estimate(answers.get(name, Kind.MEAN), name)
         sd = estimate(answers.get(name, Kind.SD), name, 3)
         rows.append((figures.title_of(name, entry), mean, sd, *quantiles))
-    return Table(
+    return PageTable(
         caption="Distributions at the plan",
         head=("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
         rows=rows,
@@ -376,7 +376,7 @@ def _quantity_notes(results: Results) -> list[str]:
     return notes
 
 
-def _indices(results: Results) -> Table | None:
+def _indices(results: Results) -> PageTable | None:
     """First-order and total Sobol' indices: a row an input, the largest total first."""
     answers, largest = table_of(results), dict[str, float]()
     columns = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
@@ -402,7 +402,7 @@ def _indices(results: Results) -> Table | None:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
     names = [short(results.study.quantities[name].meaning) for name in columns]
     heads = map(", ".join, itertools.product(names, "ST"))
-    return Table(
+    return PageTable(
         caption=f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
         head=("input", *heads),
         rows=body,
@@ -410,7 +410,7 @@ def _indices(results: Results) -> Table | None:
     )
 
 
-def _assumptions(results: Results) -> Table | None:
+def _assumptions(results: Results) -> PageTable | None:
     """Fracture probabilities under other assumptions, one at a time."""
     rows, answers = [], table_of(results)
     for mode in mode_rows(results):
@@ -423,14 +423,14 @@ def _assumptions(results: Results) -> Table | None:
                 rows.append((label(mode.subject), what, probability(event)))
     if not rows:
         return None
-    return Table(
+    return PageTable(
         caption=f"{exceedance_name(results)} under other assumptions, one at a time",
         head=("limit", "assumed", exceedance_name(results).lower()),
         rows=rows,
     )
 
 
-def _margins(results: Results) -> Table | None:
+def _margins(results: Results) -> PageTable | None:
     """The free number at the probabilities that were asked for, a column a limit of the study."""
     free, answers = results.study.free, table_of(results)
     if free is None:
@@ -451,14 +451,14 @@ def _margins(results: Results) -> Table | None:
         body.append((format_probability(p), *cells))
     if not body:
         return None
-    return Table(
+    return PageTable(
         caption=f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
         head=("probability", *names),
         rows=body,
     )
 
 
-def _drivers(results: Results) -> list[Table]:
+def _drivers(results: Results) -> list[PageTable]:
     """Sensitivity of each failure probability, and design points."""
     answers, inputs = table_of(results), results.inputs
     changes: dict[str, dict[str, float]] = {}
@@ -485,7 +485,7 @@ def _drivers(results: Results) -> list[Table]:
         drivers.append((head, *(texts.get(mode.subject, DASH) for mode in modes)))
         points.append((head, *(_design_point(results, mode, name) for mode in pointed)))
     tables = [
-        Table(
+        PageTable(
             caption="Sensitivity of the failure probability",
             head=("input", *(label(mode.subject) for mode in modes)),
             rows=drivers,
@@ -495,7 +495,7 @@ def _drivers(results: Results) -> list[Table]:
     if pointed:
         heads = [label(mode.subject) for mode in pointed]
         tables.append(
-            Table(
+            PageTable(
                 caption="Most probable failure (design point)", head=("input", *heads), rows=points
             )
         )
@@ -513,7 +513,7 @@ def _design_point(results: Results, mode: ModeRow, name: str) -> str:
     return value(places.get(f"{mode.subject}.strength"), mode.entry.quantity)
 
 
-def _fracture(results: Results) -> Table | None:
+def _fracture(results: Results) -> PageTable | None:
     """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
     answers = table_of(results)
     joint = answers.get("fracture", Kind.EXCEEDANCE_PROBABILITY)
@@ -529,29 +529,29 @@ def _fracture(results: Results) -> Table | None:
         median = answers.get("fracture", kind, 0.5)
         if median is not None:
             rows.append((f"{name} at fracture, median", estimate(median, quantity)))
-    return Table(caption="Fracture by any limit of the study", head=("", ""), rows=rows)
+    return PageTable(caption="Fracture by any limit of the study", head=("", ""), rows=rows)
 
 
-def _paper(results: Results) -> Table | None:
+def _paper(results: Results) -> PageTable | None:
     """The paper's numbers as printed, beside the corrected ones."""
     if not results.paper:
         return None
     rows = [(row.name, *paper_cells(row), row.note) for row in results.paper]
-    return Table(
+    return PageTable(
         caption="The paper’s formulas, as printed and corrected",
         head=("formula", "as printed", "corrected", "what is wrong as printed"),
         rows=rows,
     )
 
 
-def _reached(results: Results) -> Table:
+def _reached(results: Results) -> PageTable:
     rows = []
     for row in results.accuracy.reached:
         error = DASH
         if row.error is not None:
             error = f"{row.error:.2g}"
         rows.append((f"{row.runs:,}", error))
-    return Table(
+    return PageTable(
         caption="Convergence: largest error / tolerance",
         head=("model runs", "error / tolerance"),
         rows=rows,
@@ -567,7 +567,7 @@ def _dependence(results: Results) -> list[str]:
     return texts
 
 
-def _random_inputs(results: Results) -> Table | None:
+def _random_inputs(results: Results) -> PageTable | None:
     """Random inputs: distribution, mean, standard deviation, 5–95 % range and source."""
     rows = []
     for name, entry in results.inputs.items():
@@ -579,14 +579,14 @@ def _random_inputs(results: Results) -> Table | None:
             )
     if not rows:
         return None
-    return Table(
+    return PageTable(
         caption="Random inputs",
         head=("input", "distribution", "mean", "sd", "5–95 % range", "source"),
         rows=rows[:MOST_INPUTS],
     )
 
 
-def _fixed_inputs(results: Results) -> Table | None:
+def _fixed_inputs(results: Results) -> PageTable | None:
     """Fixed inputs by their source."""
     by_source: dict[str, list[tuple[str, str]]] = {}
     for name, entry in results.inputs.items():
@@ -598,7 +598,9 @@ def _fixed_inputs(results: Results) -> Table | None:
         rows += [(*row, source) for row in group]
     if not rows:
         return None
-    return Table(caption="Fixed inputs", head=("input", "value", "source"), rows=rows[:MOST_INPUTS])
+    return PageTable(
+        caption="Fixed inputs", head=("input", "value", "source"), rows=rows[:MOST_INPUTS]
+    )
 
 
 def _plain(entry: InputEntry, name: str) -> str:

@@ -19,7 +19,7 @@ from uqsphere.errors import FolderError, UsageError
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.report.figures import COLOURS, Picture, svg
 from uqsphere.report.format import capital, plain_probability, short, with_unit
-from uqsphere.report.page import Table, render
+from uqsphere.report.page import PageTable, render
 from uqsphere.report.sentences import (
     as_event,
     chart_title,
@@ -219,7 +219,7 @@ def _fracture(decision: Decision) -> Range:
     return as_event(decision, decision.all_modes or decision.probability)
 
 
-def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> Table:
+def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     rows = []
     for point in sweep.points:
         if point.name not in runs:
@@ -237,7 +237,7 @@ def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> Table:
                 )
             )
     name = exceedance_name(next(iter(runs.values())).results).lower()
-    return Table(
+    return PageTable(
         caption="Decisions",
         head=(*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs"),
         rows=rows,

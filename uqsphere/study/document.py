@@ -26,7 +26,7 @@ from pydantic import (
 )
 from pydantic import model_validator as checked
 
-from uqsphere.documents import Fault, Place, Table, path_of, shown, table_in
+from uqsphere.documents import Fault, Place, TomlTable, path_of, shown, table_in
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
@@ -124,7 +124,7 @@ Measures = Annotated[tuple[Literal["morris", "delta", "pawn", "hdmr"], ...], *_s
 # --- the scene ------------------------------------------------------------------------------------
 
 
-class Body(Table):
+class Body(TomlTable):
     """What touches the sphere, or the sphere itself."""
 
     material: str | None = keyed(
@@ -141,7 +141,7 @@ class Bars(Body):
     )
 
 
-class Pulse(Table):
+class PulseTable(TomlTable):
     """The incident pulse; each shape has keys of its own."""
 
     preset: Literal[*PRESETS] | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
@@ -159,7 +159,7 @@ class Pulse(Table):
     factor: Positive | None = keyed("`measured`: strain of one volt")
 
 
-class Contact(Table):
+class ContactTable(TomlTable):
     """The law of the contacts."""
 
     law: Literal["hertz", "plastic"] | None = keyed(
@@ -168,7 +168,7 @@ class Contact(Table):
     )
 
 
-class Rig(Table):
+class RigTable(TomlTable):
     """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
     kind: Literal[*RIGS] = keyed("what loads the sphere", DEFAULT_RIG)  # type: ignore[valid-type]
@@ -196,7 +196,7 @@ class Rod(Body):
     gauge: Length | None = keyed("rod: distance of the gauge from the sphere, for `history`")
 
 
-class Gauge(Table):
+class Gauge(TomlTable):
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
     bar: Literal["incident", "receiving", "rod"] = keyed(
@@ -205,7 +205,7 @@ class Gauge(Table):
     position: Length = keyed("distance from the sphere", ...)
 
 
-class ModelChoice(Table):
+class ModelChoice(TomlTable):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
     fidelity: Literal["full", "massless", "linear"] = keyed(
@@ -229,7 +229,7 @@ class ModelChoice(Table):
 # --- limits and what is asked ---------------------------------------------------------------------
 
 
-class LimitTable(Table):
+class LimitTable(TomlTable):
     """A strength, and the quantity or criterion that is held against it."""
 
     quantity: str | None = keyed("a quantity of `uqsphere list quantities`")
@@ -297,7 +297,7 @@ def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -
     return number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
 
 
-def _with_numbers(table: str, words: type[Table]) -> type[Table]:
+def _with_numbers(table: str, words: type[TomlTable]) -> type[TomlTable]:
     """A table with the numbers of the scene that it can have: a word where one stands for it,
     fixed, or a law.
     """
@@ -316,7 +316,7 @@ def _with_numbers(table: str, words: type[Table]) -> type[Table]:
     return create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
 
 
-class Dependence(Table):
+class DependenceTable(TomlTable):
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a
     Student t copula.
     """
@@ -332,7 +332,7 @@ class Dependence(Table):
     )
 
 
-class Accuracy(Table):
+class AccuracyTable(TomlTable):
     """Half-widths of the 95 % intervals: mean and quantile over sd, sobol absolute, probability
     relative.
     """
@@ -343,14 +343,14 @@ class Accuracy(Table):
     probability: Positive = 0.05
 
 
-class Budget(Table):
+class Budget(TomlTable):
     """Where a run stops at the latest; `time` [s]."""
 
     evaluations: Annotated[int, Field(gt=0, lt=2**63)] = 2_000_000
     time: Seconds = 600.0
 
 
-class Analysis(Table):
+class Analysis(TomlTable):
     """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box
     evaluation.
     """
@@ -362,11 +362,11 @@ class Analysis(Table):
         ),
         (),
     )
-    accuracy: Accuracy = keyed(
+    accuracy: AccuracyTable = keyed(
         "half-widths of 95 % intervals, mean and quantile over the standard deviation, "
         "probability relative; `{ mean = "
         "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`",
-        Accuracy.model_construct(),
+        AccuracyTable.model_construct(),
     )
     budget: Budget = keyed(
         'at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct()
@@ -411,7 +411,7 @@ def limit_of(path: str) -> str | None:
     return path.removeprefix("limits.").rpartition(".")[0]
 
 
-class Margins(Table):
+class Margins(TomlTable):
     """The inverse question: at which value of one number is a failure probability reached?
 
     The number is one of the scene or of a black box, the mean of its law where it scatters, or the
@@ -431,7 +431,7 @@ class Margins(Table):
         return limit_of(self.solve)
 
 
-class Outputs(Table):
+class Outputs(TomlTable):
     """What a black box answers."""
 
     names: Annotated[tuple[Name, ...], *_several()] = keyed(
@@ -439,7 +439,7 @@ class Outputs(Table):
     )
 
 
-class Words(Table):
+class Words(TomlTable):
     """A study file, without the numbers of the scene."""
 
     title: str = keyed(
@@ -449,9 +449,9 @@ class Words(Table):
     sphere: Body = Body.model_construct()
     bars: Bars = Bars.model_construct()
     striker: Body = Body.model_construct()
-    pulse: Pulse = Pulse.model_construct()
-    contact: Contact = Contact.model_construct()
-    rig: Rig = Rig.model_construct()
+    pulse: PulseTable = PulseTable.model_construct()
+    contact: ContactTable = ContactTable.model_construct()
+    rig: RigTable = RigTable.model_construct()
     target: Struck = Struck.model_construct()
     anvil: Struck = Struck.model_construct()
     other: Body = Body.model_construct()
@@ -463,7 +463,7 @@ class Words(Table):
     inputs: dict[Name, Num] = Field(default={}, max_length=1000)
     outputs: Outputs = Outputs.model_construct()
     limits: dict[Name, LimitTable] = Field(default={}, max_length=200)
-    dependence: Annotated[tuple[Dependence, ...], Field(max_length=100, strict=False)] = ()
+    dependence: Annotated[tuple[DependenceTable, ...], Field(max_length=100, strict=False)] = ()
     gauges: Annotated[tuple[Gauge, ...], Field(max_length=20, strict=False)] = ()
     analysis: Analysis = Analysis.model_construct()
     margins: Margins | None = None

@@ -22,7 +22,7 @@ from uqsphere.arrays import Array, Flags, Places
 from uqsphere.documents import (
     Fault,
     Place,
-    Table,
+    TomlTable,
     declared,
     one_of,
     shown,
@@ -34,8 +34,7 @@ from uqsphere.errors import AccessError, UsageError
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
 from uqsphere.quantities import INPUTS, format_bounds, format_value, plain_quantity
-from uqsphere.tables import Table as Cells
-from uqsphere.tables import TableError, read_table, unit_in_heading
+from uqsphere.tables import Table, TableError, read_table, unit_in_heading
 from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value
 from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
@@ -50,7 +49,7 @@ from uqsphere.uq.fitting import (
 from uqsphere.uq.observed import LOGNORMAL, WEIBULL
 
 if TYPE_CHECKING:
-    from uqsphere.study.document import Draft, Pulse
+    from uqsphere.study.document import Draft, PulseTable
 
 #: a share of a law outside what has a meaning that is worth a warning
 NOTABLE: Final = 1e-6
@@ -257,7 +256,7 @@ Positive = Annotated[
 ]
 
 
-class Discrete(Table):
+class Discrete(TomlTable):
     """A distribution of some values, each by its weight."""
 
     dist: Literal["discrete"]
@@ -275,7 +274,7 @@ _TAKEN: Final = {
 }
 
 
-class Observations(Table):
+class Observations(TomlTable):
     """A distribution from a file beside the study: a column, crushing tests of spheres, or the
     draws of a fit.
     """
@@ -335,7 +334,7 @@ def opened(
     key: str = "file",
     decimal: str | None = None,
     sheet: str | None = None,
-) -> Iterator[Cells]:
+) -> Iterator[Table]:
     """The table of a file in the study's folder; at the end all faults that were noted of it are
     one Fault.
     """
@@ -470,7 +469,7 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
 
 def observations(
     table: Observations, draft: Draft, **dimensions: str
-) -> tuple[Cells, Places, dict[str, Array], Flags]:
+) -> tuple[Table, Places, dict[str, Array], Flags]:
     """Tests of a file by the keys that name its columns: the table, the row of each test, columns
     and stops (n,).
 
@@ -538,7 +537,7 @@ def fit(
 
 
 def warn_of_rows(
-    cells: Cells, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
+    cells: Table, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
 ) -> None:
     """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
     shape of no fit.
@@ -575,7 +574,7 @@ def warn_of_rows(
 _MENDED: Final = "To cut and mend a record, use uqsphere shpb records"
 
 
-def pulse_of(table: Pulse, draft: Draft) -> MeasuredPulse:
+def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
     """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the
     lab's.
     """

@@ -24,7 +24,7 @@ from uqsphere.uq.law import Law, checked, discrete_law, make_law
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike: TypeAlias = Any
 #: the keys of a law in a study: `dist`, parameters and bounds
-Table: TypeAlias = dict[str, Any]
+Parameters: TypeAlias = dict[str, Any]
 
 #: families of this package by SciPy's names, and the keys of its shapes, loc and scale; "-": none,
 #: so that a loc must be 0
@@ -46,12 +46,12 @@ OF_SCALE: Final[Mapping[str, Callable[[float], float]]] = {
 }
 
 
-def _between(name: str, lower: float, upper: float, **parameters: float) -> Table:
+def _between(name: str, lower: float, upper: float, **parameters: float) -> Parameters:
     return {"dist": name, "lower": lower, "upper": upper, **parameters}
 
 
 #: bounded families by SciPy's names, from its shapes, loc and scale
-BOUNDED: Final[Mapping[str, Callable[..., Table]]] = {
+BOUNDED: Final[Mapping[str, Callable[..., Parameters]]] = {
     "uniform": lambda loc, scale: _between("uniform", loc, loc + scale),
     "loguniform": lambda a, b, loc, scale: _between("loguniform", loc + scale * a, loc + scale * b),
     "triang": lambda c, loc, scale: _between("triangular", loc, loc + scale, mode=loc + c * scale),
@@ -82,7 +82,7 @@ EACH: Final = (
 )
 
 #: SALib's distributions by their names, from the two to four numbers that it calls bounds
-SALIB: Final[Mapping[str, Callable[..., Table]]] = {
+SALIB: Final[Mapping[str, Callable[..., Parameters]]] = {
     "unif": lambda a, b: _between("uniform", a, b),
     "logunif": lambda a, b: _between("loguniform", a, b),
     "norm": lambda m, s: {"dist": "normal", "mean": m, "sd": s},
@@ -92,7 +92,7 @@ SALIB: Final[Mapping[str, Callable[..., Table]]] = {
 }
 
 
-def law_table(distribution: LawLike) -> Table:
+def law_table(distribution: LawLike) -> Parameters:
     """The table by which a study file has a law, or a distribution of SciPy or chaospy.
 
     Raises LawError for anything else, and for a law that has no table: observations, or functions

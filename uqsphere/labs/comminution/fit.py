@@ -48,7 +48,7 @@ _GAMMAS: Final = np.linspace(math.log(0.5), math.log(50.0), 93)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class EnergyModel:
     """The parameters of one law by the names of their logarithms, with their priors (mean, sd)."""
 
     law: str
@@ -86,7 +86,7 @@ class Posterior:
     tested : smallest and largest diameter [m]; tests : number of particles.
     """
 
-    models: tuple[Model, ...]
+    models: tuple[EnergyModel, ...]
     law: Array
     parameters: Mapping[str, Array]
     tested: tuple[float, float]
@@ -181,7 +181,7 @@ class Fit:
 
 
 def log_likelihoods(
-    model: Model, tests: Specimens, gamma: float | None
+    model: EnergyModel, tests: Specimens, gamma: float | None
 ) -> Callable[[Array], Array]:
     """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of specimens.
 
@@ -210,7 +210,7 @@ def log_likelihoods(
 
 
 def _bounds(
-    model: Model, tests: Specimens, gamma: float | None
+    model: EnergyModel, tests: Specimens, gamma: float | None
 ) -> Callable[[Array], tuple[Array, Array]]:
     """A function from logarithms of parameters to the bounds of the first fracture energies."""
     if gamma is not None or not tests.repeated.any():
@@ -233,7 +233,7 @@ def _bounds(
     return lambda x: (between(x[..., place], log_low), between(x[..., place], log_high))
 
 
-def _log_density(model: Model, p: Mapping[str, Array], energy: Array, median: Array) -> Array:
+def _log_density(model: EnergyModel, p: Mapping[str, Array], energy: Array, median: Array) -> Array:
     """ln f(e)."""
     if model.law == "weibull":
         hazard = laws.hazard(energy, median, p["modulus"])
@@ -244,7 +244,7 @@ def _log_density(model: Model, p: Mapping[str, Array], energy: Array, median: Ar
 
 
 def _log_between(
-    model: Model, p: Mapping[str, Array], ends: tuple[Array, Array], median: Array
+    model: EnergyModel, p: Mapping[str, Array], ends: tuple[Array, Array], median: Array
 ) -> Array:
     """ln(P(high) - P(low))."""
     from scipy.special import log_ndtr
@@ -267,7 +267,7 @@ def _log_rest(h: Array) -> Array:
     return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
 
 
-def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
+def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyModel:
     """The parameters of a law with their priors.
 
     Tests of one size have a flat prior of the scatter, which makes the intervals exact.
@@ -291,14 +291,14 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> Model:
         if name in priors:
             priors[name] = (prior.log_mean, prior.log_sd)
     classes = sizes if size == "class" else ()
-    return Model(law=law, size=size, ratio=want.ratio, priors=priors, classes=classes)
+    return EnergyModel(law=law, size=size, ratio=want.ratio, priors=priors, classes=classes)
 
 
 # --- sampling -------------------------------------------------------------------------------------
 
 
 def sample(
-    model: Model, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
+    model: EnergyModel, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
 ) -> dict[str, Any]:
     """Draws (n, d) of the posterior, the likelihood at its mode, and the effective number of
     draws."""
@@ -345,7 +345,9 @@ def sample(
     }
 
 
-def _mode(model: Model, tests: Specimens, value: Callable[[Array], Array]) -> tuple[Array, Array]:
+def _mode(
+    model: EnergyModel, tests: Specimens, value: Callable[[Array], Array]
+) -> tuple[Array, Array]:
     """The mode (d,) of the posterior and its approximate covariance (d, d)."""
     from scipy.optimize import minimize
 
@@ -424,7 +426,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
 
 
 def _mixed(
-    models: Sequence[Model],
+    models: Sequence[EnergyModel],
     chains: Sequence[Array],
     weights: Array,
     tests: Specimens,
