@@ -341,7 +341,9 @@ def test_overrides(load: Load) -> None:
     (problem,) = caught.value.problems
     assert problem.line == BASE[: BASE.index("speed = ")].count("\n") + 1
     assert problem.message.endswith("(set by --set)")
-    with pytest.raises(StudyError, match=r"limits.crush.quantity: a quantity, for example"):
+    with pytest.raises(
+        StudyError, match=r"limits.crush.quantity: exactly one of quantity and criterion"
+    ):
         load(BASE, overrides=("limits.crush.strength=3",))
     assert (
         len(load(BASE, overrides=("limits.b.quantity=p_max", "limits.b.strength=5 GPa")).limits)

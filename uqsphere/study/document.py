@@ -128,17 +128,15 @@ class Body(TomlTable):
     """What touches the sphere, or the sphere itself."""
 
     material: str | None = keyed(
-        "name of `uqsphere list materials`, for the numbers that are not given"
+        "name of `uqsphere list materials`, for the numbers that are omitted"
     )
 
 
 class Bars(Body):
     """Both bars, alike in material and diameter."""
 
-    infinite: bool = keyed("no reflections", False)
-    rigid_contact: bool = keyed(
-        "leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False
-    )
+    infinite: bool = keyed("infinitely long bars: no reflected waves", False)
+    rigid_contact: bool = keyed("rigid bars in the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 
 
 class PulseTable(TomlTable):
@@ -147,7 +145,7 @@ class PulseTable(TomlTable):
     preset: Literal[*PRESETS] | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
     shape: Literal[*SHAPES, "measured"] = keyed("shape of the pulse", "rectangular")  # type: ignore[valid-type]
     file: str | None = keyed(
-        "`measured`: table of time and strain (compression positive), a file beside the study"
+        "`measured`: file beside the study with columns of time and strain (compression positive)"
     )
     sheet: str | None = keyed("`measured`: sheet of a workbook (default: the first with data)")
     columns: Pair | None = keyed(
@@ -163,8 +161,8 @@ class ContactTable(TomlTable):
     """The law of the contacts."""
 
     law: Literal["hertz", "plastic"] | None = keyed(
-        '`"hertz"`, or `"plastic"`: the softer body yields or crushes; without it `"plastic"` '
-        "where the study or the library says what yields"
+        '`"hertz"`, or `"plastic"`: the softer body yields or crushes (default: `"plastic"` if the '
+        "study or the library has an onset of yield)"
     )
 
 
@@ -178,7 +176,7 @@ class Struck(Body):
     """A target or an anvil."""
 
     kind: Literal["thick", "plate", "bar", "mass"] = keyed(
-        "a plate bends, a bar is struck at its end", "thick"
+        "a plate bends; a bar is struck at its end", "thick"
     )
 
 
@@ -186,7 +184,7 @@ class Hammer(Body):
     """A weight that falls."""
 
     shape: Literal["ball"] | None = keyed(
-        'hammer: `"ball"`: mass and `face_radius` follow from the `diameter`'
+        'hammer: for a `"ball"`, mass and `face_radius` follow from the `diameter`'
     )
 
 
@@ -214,12 +212,14 @@ class ModelChoice(TomlTable):
     tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = keyed(
         "relative error of the integration", 1e-6
     )
-    first_loading_only: bool = keyed("end the record when the first reflected wave is back", False)
+    first_loading_only: bool = keyed(
+        "end the evaluation window when the first reflected wave returns to the sphere", False
+    )
     whole_record: bool = keyed(
-        "follow the motion to the horizon, later blows of the loose sphere included (bars)", False
+        "evaluate up to the horizon, including later impacts of the loose sphere (bars)", False
     )
     horizon: Seconds | None = keyed(
-        "latest end of the record (default: eight round trips of the longer bar)"
+        "latest end of the evaluation window (default: eight round trips of the longer bar)"
     )
     compare_with_paper: bool = keyed(
         "print the paper's formulas as printed beside the corrected ones", False
@@ -230,46 +230,50 @@ class ModelChoice(TomlTable):
 
 
 class LimitTable(TomlTable):
-    """A strength, and the quantity or criterion that is held against it."""
+    """A limit state: a demand (quantity or criterion) and its strength."""
 
     quantity: str | None = keyed("a quantity of `uqsphere list quantities`")
-    criterion: Literal[*CRITERIA] | None = keyed("in its place: one of `uqsphere list criteria`")  # type: ignore[valid-type]
+    criterion: Literal[*CRITERIA] | None = keyed("alternative: one of `uqsphere list criteria`")  # type: ignore[valid-type]
     strength: Num = keyed("value, distribution, or a file with tests or draws", ...)
     strength_is: Literal["hertz", "pressure"] | None = keyed(
-        'required if `plastic`: `"hertz"`, computed from a force by Hertz; `"pressure"`, the '
-        "true one"
+        'required if `plastic`: `"hertz"`, computed from a force by Hertz, or `"pressure"`, a true '
+        "pressure"
     )
-    aim: Aim = keyed("the quantity must stay below the strength, or exceed it", "survive")
+    aim: Aim = keyed(
+        '`"survive"`: the demand must stay below the strength; `"break"`: it must exceed it',
+        "survive",
+    )
     target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
     model_factor: Num = keyed("model-uncertainty factor on the demand; may be random", 1.0)
     fracture: bool | None = keyed(
-        "whether exceeding it breaks the sphere (default: by the quantity)"
+        "whether exceedance breaks the sphere (default: that of the quantity)"
     )
     energy_is: Literal["contact", "sphere", "input"] | None = keyed(
         "energy of `specific_energy` (required except for bars): stored in both contacts, in the "
         "sphere, or the impact energy"
     )
     modulus: Annotated[float, *_fixed("modulus")] | None = keyed(
-        "of a weakest link, unless the strength has it"
+        "Weibull modulus of a weakest link, unless the strength has it"
     )
     reference_volume: Annotated[float, *_fixed("reference_volume")] | None = keyed(
-        "volume of a volume strength"
+        "volume under tension that a volume strength refers to"
     )
     reference_area: Annotated[float, *_fixed("reference_area")] | None = keyed(
-        "area of a surface strength"
+        "surface area that a surface strength refers to"
     )
     largest_energy: Annotated[float, *_fixed("largest_energy")] | None = keyed(
-        "upper bound of a fracture energy"
+        "upper bound of the fracture energy"
     )
     rate_0: Annotated[float, *_fixed("rate_0")] | None = keyed(
-        "strain rate at which a slow strength is doubled"
+        "strain rate at which the quasi-static strength doubles"
     )
 
     @checked(mode="after")
     def _one_demand(self) -> LimitTable:
         if (self.quantity is None) == (self.criterion is None):
             raise Fault(
-                'a quantity, for example quantity = "p_max", or a criterion is required', "quantity"
+                'exactly one of quantity and criterion is required, for example quantity = "p_max"',
+                "quantity",
             )
         if self.energy_is is not None and self.criterion != "specific_energy":
             raise Fault(
@@ -321,14 +325,16 @@ class DependenceTable(TomlTable):
     Student t copula.
     """
 
-    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = keyed("random numbers, two or more", ...)
-    spearman: Correlation | None = keyed("Spearman's rank correlation; required, or `kendall`")
-    kendall: Correlation | None = keyed("Kendall's rank correlation, in its place")
+    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = keyed("two or more random numbers", ...)
+    spearman: Correlation | None = keyed(
+        "Spearman's rank correlation (this or `kendall` is required)"
+    )
+    kendall: Correlation | None = keyed("Kendall's rank correlation")
     copula: Literal["gaussian", "student_t"] = keyed(
         '`"gaussian"`, or `"student_t"` with `dof`', "gaussian"
     )
     dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = keyed(
-        "degrees of freedom of a `student_t`"
+        "degrees of freedom of `student_t`"
     )
 
 
@@ -344,40 +350,38 @@ class AccuracyTable(TomlTable):
 
 
 class Budget(TomlTable):
-    """Where a run stops at the latest; `time` [s]."""
+    """Upper limits on model runs and run time; `time` [s]."""
 
     evaluations: Annotated[int, Field(gt=0, lt=2**63)] = 2_000_000
     time: Seconds = 600.0
 
 
 class Analysis(TomlTable):
-    """What is asked, how precisely, and at what cost; `cost` and `time_limit` [s] of one black-box
-    evaluation.
+    """Requested quantities, their accuracy and the budget; `cost` and `time_limit` [s] of one
+    black-box model run.
     """
 
     quantities: Annotated[tuple[str, ...], *_several()] = keyed(
-        (
-            "computed to this accuracy (default: `p_max` and `contact_duration`, or all outputs of "
-            "a black box"
-        ),
+        "computed to this accuracy (default: `p_max` and `contact_duration`, or all outputs of a "
+        "black box)",
         (),
     )
     accuracy: AccuracyTable = keyed(
-        "half-widths of 95 % intervals, mean and quantile over the standard deviation, "
-        "probability relative; `{ mean = "
-        "0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`",
+        "half-widths of 95 % intervals; mean and quantile divided by the standard deviation, "
+        "probability relative: `{ mean = 0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 "
+        "}`",
         AccuracyTable.model_construct(),
     )
     budget: Budget = keyed(
-        'at most, `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct()
+        'upper limits: `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct()
     )
     quantiles: Shares = keyed("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
     measures: Measures = keyed(
-        "sensitivity measures of SALib beside Sobol' indices: some of `morris`, `delta`, `pawn`, "
+        "sensitivity measures of SALib in addition to Sobol' indices: `morris`, `delta`, `pawn`, "
         "`hdmr`",
         (),
     )
-    second_order: bool = keyed("Sobol' indices of all pairs of inputs as well", False)
+    second_order: bool = keyed("also Sobol' indices of all pairs of inputs", False)
     failure_modes: Literal["all", "given"] = keyed(
         "`all`: also modes without a limit, with library strengths", "all"
     )
@@ -385,12 +389,12 @@ class Analysis(TomlTable):
         "a ring crack, which damages the surface, counts as fracture (glass, catalysts)", False
     )
     on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
-        'failed runs: `"bound"`: the interval covers both outcomes; `"drop"`: up to 1 % are '
-        'dropped, or a percentage such as `"5 %"`',
+        'failed model runs: `"bound"`, the interval covers both outcomes; `"drop"`, up to 1 % are '
+        'dropped, or up to a percentage such as `"5 %"`',
         "abort",
     )
-    cost: Seconds | None = keyed("run time of one black-box evaluation (default: measured)")
-    time_limit: Seconds | None = keyed("time limit of one black-box evaluation")
+    cost: Seconds | None = keyed("run time of one black-box model run (default: measured)")
+    time_limit: Seconds | None = keyed("time limit of one black-box model run")
 
     @property
     def policy(self) -> str:
@@ -412,7 +416,7 @@ def limit_of(path: str) -> str | None:
 
 
 class Margins(TomlTable):
-    """The inverse question: at which value of one number is a failure probability reached?
+    """The inverse problem: at which value of one number is a failure probability reached?
 
     The number is one of the scene or of a black box, the mean of its law where it scatters, or the
     mean strength of a limit, all its values in proportion; of a `Study` it lies between two values
@@ -432,7 +436,7 @@ class Margins(TomlTable):
 
 
 class Outputs(TomlTable):
-    """What a black box answers."""
+    """The outputs of a black box."""
 
     names: Annotated[tuple[Name, ...], *_several()] = keyed(
         'names of the outputs, `["y"]`; required', ()

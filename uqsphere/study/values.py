@@ -279,38 +279,39 @@ class Observations(TomlTable):
     draws of a fit.
     """
 
-    dist: Literal["empirical"] | None = keyed("optional with a file")
+    dist: Literal["empirical"] | None = keyed("may be omitted with a file")
     file: str | None = keyed("CSV or .xlsx beside the study")
     draws: str | None = keyed(
-        "in its place: posterior samples of a fit, columns `distribution` (lognormal or weibull), "
+        "alternative to `file`: posterior samples of a fit with the columns `distribution` "
+        "(lognormal or weibull), "
         "`scale`, `shape`; optional: `least`, `bound`, `tests`, `diameter`, `size_exponent`, and "
         "the `smallest` and `largest` diameter tested"
     )
     sheet: str | None = keyed("sheet of a workbook (default: the first that is not empty)")
     decimal: Literal[".", ","] | None = keyed("decimal mark, if a column can be read both ways")
-    column: str | None = keyed("column of observations, in the quantity itself")
+    column: str | None = keyed("column of observations of the quantity")
     unit: str | None = keyed("its unit, if the heading has none")
-    force: str | None = keyed("in place of `column`: forces at which spheres broke between platens")
+    force: str | None = keyed(
+        "alternative to `column`: forces at which spheres broke between platens"
+    )
     force_unit: str | None = keyed("unit of the forces, if the heading has none")
-    diameter: str | None = keyed("required with `force`: column of their diameters, or one length")
+    diameter: str | None = keyed("required with `force`: column of diameters, or one length")
     diameter_unit: str | None = keyed("unit of the diameters, if the heading has none")
-    rate: str | None = keyed("column of loading rates, with their unit in the heading")
+    rate: str | None = keyed("column of loading rates, with the unit in the heading")
     platens: Any = keyed(
         'platens of the tests: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars"
     )
     censored: str | None = keyed(
-        "column of flags: 1 for a test stopped before a failure (right-censored)"
+        "column of flags: 1 for a test stopped before failure (right-censored)"
     )
-    count: str | None = keyed("column with the number of equal tests (default: one a row)")
-    modulus: Positive | None = keyed(
-        "known Weibull modulus; then few failures, or none, are enough"
-    )
+    count: str | None = keyed("column with the number of equal tests (default: one per row)")
+    modulus: Positive | None = keyed("known Weibull modulus; then few failures, or none, suffice")
     fit: str | None = keyed(
         "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, "
         "`rayleigh`, `gamma` or `beta` (default: `weibull` of forces, else `kde`)"
     )
-    unbiased: bool = keyed("corrects modulus or scatter for the bias of few tests", False)
-    synthetic: bool = keyed("synthetic data: they establish no verdict", False)
+    unbiased: bool = keyed("correct modulus or scatter for the bias of few tests", False)
+    synthetic: bool = keyed("synthetic data, which cannot establish a verdict", False)
     lower: Any = None
     upper: Any = None
 
