@@ -28,7 +28,7 @@ from uqsphere.quantities import (
         # no value: never "below 100 %"
         (None, 0.9998, 1.0, "above 99.98 %"),
         (None, 0.99995, 1.0, "above 99.99 %"),
-        (None, 0.0, 1e-5, "below 1e-05"),
+        (None, 0.0, 1e-5, "below 0.001 %"),
         (None, 0.2, 0.4, "20 % to 40 %"),
         (None, 0.0, 1.0, "not known"),
         (None, None, None, "not known"),

@@ -8,6 +8,7 @@ axis labels and documentation read them here, so that a quantity has one name an
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from uqsphere.mechanics.criteria import DEMANDS
@@ -26,6 +27,7 @@ __all__ = [
     "format_index",
     "format_probability",
     "format_probability_estimate",
+    "format_together",
     "format_value",
     "lookup",
     "plain_quantity",
@@ -106,17 +108,40 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     return f"{scaled:.{max(digits, before)}g} {unit}".rstrip()
 
 
+def format_together(values: Sequence[float], name: str, digits: int = 3) -> list[str]:
+    """Texts of several values [SI] of the named quantity, in one unit and with as many decimals.
+
+    The largest has `digits` significant digits, the smallest at least two.
+
+    >>> format_together([2.6e9, 2.689e9, 2.78e9], "p_max"), format_together([0.081, 2.5], "fall")
+    (['2.60 GPa', '2.69 GPa', '2.78 GPa'], ['0.081', '2.500'])
+    """
+    sizes = [abs(value) for value in values if value]
+    unit, factor = display_unit(name, max(sizes, default=0.0))
+    decimals = 0
+    for size, wanted in ((max(sizes, default=1.0), digits), (min(sizes, default=1.0), 2)):
+        decimals = max(decimals, wanted - 1 - math.floor(math.log10(size * factor)))
+    if decimals > 6:
+        return [format_value(value, name, digits) for value in values]
+    return [f"{value * factor:.{decimals}f} {unit}".rstrip() for value in values]
+
+
 def round_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> float:
     """A conservative bound [SI] rounded to what people read: up if it is the `least` allowable
     value, else down.
 
-    Ratios that stand beside the rounded number are computed from it, so that text and ratio agree.
+    A third digit is kept where two would give away more than 5 %.  Ratios that stand beside the
+    rounded number are computed from it, so that text and ratio agree.
 
-    >>> round_conservative(0.458, "striker.speed", least=False)
-    0.45
+    >>> [round_conservative(x, "striker.speed", least=False) for x in (0.458, 1.08)]
+    [0.45, 1.08]
     """
     _, factor = display_unit(name, value)
-    return _significant(value * factor, digits, 1 if least else -1) / factor
+    direction = 1 if least else -1
+    rounded = _significant(value * factor, digits, direction)
+    if abs(rounded - value * factor) > 0.05 * abs(value * factor):
+        rounded = _significant(value * factor, digits + 1, direction)
+    return rounded / factor
 
 
 def format_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> str:
@@ -126,7 +151,9 @@ def format_conservative(value: float, name: str, *, least: bool, digits: int = 2
     ['0.45 m/s', '0.46 m/s']
     """
     unit, factor = display_unit(name, value)
-    return f"{_significant(value * factor, digits, 1 if least else -1):g} {unit}".rstrip()
+    return (
+        f"{round_conservative(value, name, least=least, digits=digits) * factor:g} {unit}".rstrip()
+    )
 
 
 def _significant(value: float, digits: int, direction: int) -> float:
@@ -149,17 +176,17 @@ def _significant(value: float, digits: int, direction: int) -> float:
 def format_probability(
     value: float | None, high: float | None = None, low: float | None = None
 ) -> str:
-    """Text of a probability: percent to two digits, more near 100 %, a power of ten below 0.01 %.
+    """Text of a probability: percent to two digits, more near 100 %.
 
     It is never rounded to 0 or 100 %.  With the ends of its interval, 0 is "below" the upper and 1
     "above" the lower end; without a value the ends themselves are given.
 
     >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 0.99996, 0.0)]
-    ['3.3 %', '2.6e-07', '99.974 %', 'above 99.99 %', '0 %']
+    ['3.3 %', '2.6e-5 %', '99.974 %', 'above 99.99 %', '0 %']
     >>> format_probability(0.0, 7.32e-4), format_probability(1.0, 1.0, 0.9998)
     ('below 0.074 %', 'above 99.98 %')
     >>> format_probability(None, 1e-5), format_probability(None, 1.0, 0.9998)
-    ('below 1e-05', 'above 99.98 %')
+    ('below 0.001 %', 'above 99.98 %')
     >>> format_probability(None)
     'not known'
     """
@@ -181,8 +208,9 @@ def format_probability(
 
 def _percent(value: float, direction: int = 0) -> str:
     """A probability without an interval, rounded up or down if it is a bound."""
-    if 0.0 < value < 1e-4:
-        return f"{_significant(value, 2, direction):.2g}"
+    if 0.0 < value < 1e-6:
+        mantissa, _, exponent = f"{_significant(100.0 * value, 2, direction):.1e}".partition("e")
+        return f"{float(mantissa):g}e{int(exponent)} %"
     if 0.9999 < value < 1.0:
         return "above 99.99 %"
     digits = 2
@@ -200,7 +228,7 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
     >>> format_probability_estimate(0.02017, 0.0199, 0.0204)
     '2.02 % (1.99 to 2.04 %)'
     >>> format_probability_estimate(None, 0.0, 1e-5), format_probability_estimate(0.2, 0.2, 0.2)
-    ('below 1e-05', '20 %')
+    ('below 0.001 %', '20 %')
     """
     if value is None or low is None or high is None or low == high:
         return format_probability(value, high, low)
@@ -215,9 +243,7 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
         texts = [f"{100.0 * number:.{digits}f} %" for number in (value, low, high)]
     if texts[0] == texts[1] == texts[2]:
         return texts[0]
-    if texts[2].endswith("%"):
-        texts[1] = texts[1].removesuffix(" %")
-    return f"{texts[0]} ({texts[1]} to {texts[2]})"
+    return f"{texts[0]} ({texts[1].removesuffix(' %')} to {texts[2]})"
 
 
 def format_index(value: float, low: float | None = None, high: float | None = None) -> str:

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqsphere.report.figures import indices_of
 from uqsphere.report.format import value
-from uqsphere.report.page import _assumptions, page
+from uqsphere.report.page import _linked, page
+from uqsphere.report.pictures import indices_of
+from uqsphere.report.tables import assumptions, certificate
 from uqsphere.results.types import Results
 
 REPORTS = sorted((Path(__file__).parents[2] / "reports").glob("*/results.json"))
@@ -94,7 +95,7 @@ def test_a_figure_has_a_text_of_what_it_shows(path: Path) -> None:
     texts = re.findall(r'<svg[^>]* aria-label="([^"]+)"', page(results))
     assert all(re.search(r"\d", text) for text in texts)
     median = results.study.quantities[next(iter(results.study.quantities))].range[1]
-    assert any(f"{value(median, next(iter(results.study.quantities)))}" in text for text in texts)
+    assert any(value(median, next(iter(results.study.quantities))) in text for text in texts)
 
 
 def test_inputs_of_the_sobol_chart_are_in_one_order_for_all_quantities() -> None:
@@ -113,8 +114,40 @@ def test_other_assumptions_are_told_as_fracture_probabilities_where_the_sphere_m
     (decision,) = results.decisions
     assert decision.aim == "break"
     broken = 1.0 - decision.probability.value
-    table = _assumptions(results)
+    table = assumptions(results)
     assert table is not None
     for *_, text in table.rows:
         share = float(text.partition(" ")[0].replace("\u00a0", " ").split()[0]) / 100.0
         assert abs(share - broken) < 0.1
+
+
+def test_a_doi_with_brackets_is_one_link() -> None:
+    link = _linked("J. Miner. Process. 54, doi:10.1016/S0301-7516(98)00005-2 (limestone)")
+    assert 'href="https://doi.org/10.1016/S0301-7516(98)00005-2">' in link
+    assert link.endswith("</a> (limestone)")
+
+
+def test_a_section_of_checks_without_a_check_says_so() -> None:
+    html = page(results_of(REPORTS[0].parents[1] / "ishigami" / "results.json"))
+    section = html.partition('<section id="checks"')[2].partition("</section>")[0]
+    assert "A black box has no checks" in section
+    assert "<ul>" not in section
+
+
+def test_the_error_of_an_expansion_is_drawn_with_its_share() -> None:
+    results = results_of(REPORTS[0].parents[1] / "ishigami" / "results.json")
+    entry = results.study.quantities["y"]
+    pairs = [[0.0, 1.0, 2.0], [0.1, 1.0, 1.9]]
+    entry = entry.model_copy(update={"held_out": pairs, "expansion_error": 0.0123})
+    study = results.study.model_copy(update={"quantities": {"y": entry}})
+    html = page(results.model_copy(update={"study": study}))
+    assert "y: polynomial chaos" in html
+    assert "1.2 % of the variance is not explained" in html
+
+
+def test_probabilities_of_a_column_have_one_unit() -> None:
+    results = results_of(REPORTS[0].parents[1] / "granite" / "results.json")
+    table = certificate(results, results.decisions[0])
+    assert table is not None
+    for column in list(zip(*table.rows, strict=True))[2:]:
+        assert {text.split()[-1].rstrip(")") for text in column} == {"%"}

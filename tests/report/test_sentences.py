@@ -172,7 +172,7 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
     results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
     row = mode_rows(results)[0]
     assert row.number("striker.speed") == "0.4 m/s"
-    assert row.span("striker.speed") == "0.404 m/s to 0.66 m/s"
+    assert row.span("striker.speed") == "0.404 to 0.660 m/s"
 
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
@@ -24,6 +25,7 @@ from uqsphere.propagation.failure_modes import AssumedMode, breaks_by, means_fra
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
+from uqsphere.propagation.surrogate import Slow
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.tested import points_of_tests
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
 
 #: rows of samples.csv
 MOST_ROWS: Final = 16_384
+#: model runs that an expansion is compared with
+MOST_HELD_OUT: Final = 160
 #: quantities whose correlation is stored, in pairs
 MOST_CORRELATED: Final = 4
 PACKAGES: Final = (
@@ -186,11 +190,17 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
     finite = values[np.isfinite(values)]
     ends = np.quantile(finite, [0.05, 0.5, 0.95]) if finite.size else np.full(3, np.nan)
     low, median, high = (float(end) for end in ends)
-    onset = left = None
+    onset = left = pairs = None
     if name == "p_max":
         onset = onset_of(design.study)
+    slow = tables.surrogate
     if name in tables.expansions:
-        left = tables.expansions[name].left
+        expansion = tables.expansions[name]
+        left = expansion.left
+        pairs = _some(tables.sample.answer(name)[1:], expansion.values)
+    elif isinstance(slow, Slow) and slow.predicted is not None:
+        response = slow.responses[name]
+        left, pairs = response.error, _some(response.outputs, response.levels)
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
@@ -199,7 +209,15 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         density=density(values),
         onset=onset,
         expansion_error=left,
+        held_out=pairs,
     )
+
+
+def _some(outputs: Array, predicted: Array) -> list[list[float]]:
+    """Outputs of some model runs, and what an expansion that was not fitted to them predicts."""
+    pairs = np.stack([outputs.ravel(), predicted.ravel()])
+    chosen = pairs[:, :: max(pairs.shape[1] // MOST_HELD_OUT, 1)]
+    return [[float(f"{number:.5g}") for number in row] for row in chosen[:, :MOST_HELD_OUT]]
 
 
 def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:

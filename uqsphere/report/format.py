@@ -14,17 +14,20 @@ from uqsphere.quantities import (
     format_index,
     format_probability,
     format_probability_estimate,
+    format_together,
     format_value,
     lookup,
 )
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
     Answer,
+    Decision,
     Doubt,
     InputEntry,
     Kind,
     LimitEntry,
     PaperRow,
+    QuantityEntry,
     Range,
     Results,
 )
@@ -72,6 +75,19 @@ def value(number: float | None, name: str, digits: int = 3) -> str:
     if number is None:
         return DASH
     return format_value(number, name, digits)
+
+
+def value_range(low: float | None, high: float | None, name: str) -> str:
+    """The range of a quantity, in one unit; a dash if it has no two ends.
+
+    >>> value_range(0.0644, 0.404, "striker.speed"), value_range(None, 1.0, "p_max")
+    ('0.064 to 0.404 m/s', '–')
+    """
+    if low is None or high is None or low == high:
+        return DASH
+    first, last = format_together([low, high], name)
+    unit = last.partition(" ")[2]
+    return f"{first.removesuffix(f' {unit}')} to {last}"
 
 
 def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
@@ -160,6 +176,14 @@ def short(text: str) -> str:
     return text.partition(":")[0]
 
 
+def title_of(name: str, entry: QuantityEntry) -> str:
+    """A quantity as a heading: a name of the user's stays as it is."""
+    text = short(entry.meaning)
+    if text == name:
+        return text
+    return capital(text)
+
+
 def capital(text: str) -> str:
     """A text that begins a sentence.
 
@@ -226,16 +250,22 @@ class ModeRow:
 
     def span(self, path: str) -> str:
         """The range of the free number at the target over what is open."""
-        margins = self.margins
-        if len(set(margins)) < 2:
+        return value_range(min(self.margins, default=None), max(self.margins, default=None), path)
+
+    def best_estimate(self, path: str) -> str:
+        """The free number at the target by this limit alone, without what is open."""
+        if self.best is None:
             return DASH
-        return f"{value(min(margins), path)} to {value(max(margins), path)}"
+        if self.best.value is None:
+            return "outside margins.between"
+        return value(self.best.value, path)
 
 
 def mode_rows(results: Results) -> list[ModeRow]:
     """Limits of the study, and failure modes beside them."""
     answers, rows = table_of(results), list[ModeRow]()
     doubts = list(chain.from_iterable(decision.doubts for decision in results.decisions))
+    least = {decision.aim: is_least(decision) for decision in results.decisions}
     entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
     entries |= {f"modes.{name}": entry for name, entry in results.study.modes.items()}
     for subject, entry in entries.items():
@@ -249,15 +279,14 @@ def mode_rows(results: Results) -> list[ModeRow]:
                 index=answers.get(subject, Kind.RELIABILITY_INDEX),
                 best=next(best, None),
                 doubts=[doubt for doubt in doubts if doubt.subject == subject],
-                least=_is_least(results, entry),
+                least=least.get(entry.aim, entry.aim == "break"),
             )
         )
     return rows
 
 
-def _is_least(results: Results, entry: LimitEntry) -> bool:
-    """Whether larger values of the free number are safe for a limit."""
-    for decision in results.decisions:
-        if decision.aim == entry.aim and decision.use is not None:
-            return decision.use.safe_end == "smallest"
-    return entry.aim == "break"
+def is_least(decision: Decision) -> bool:
+    """Whether the number to use of a decision is the least allowable one."""
+    if decision.use is None:
+        return decision.aim == "break"
+    return decision.use.safe_end == "smallest"

@@ -8,27 +8,44 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
-from uqsphere.quantities import display_unit, format_probability
-from uqsphere.report.format import with_unit
+from uqsphere.arrays import Array, Flags
+from uqsphere.quantities import display_unit, format_probability, format_value
+from uqsphere.report.format import label, table_of, with_unit
+from uqsphere.report.pictures import (
+    BLUE,
+    BROWN,
+    FAINT,
+    GREEN,
+    GREY,
+    INDIGO,
+    INK,
+    LETTER,
+    PURPLE,
+    RED,
+    apart,
+    plain_logarithms,
+    write,
+)
+from uqsphere.report.sentences import decision_text
+from uqsphere.results.types import CurvePoint, Decision, FreeNumber, Kind, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: colours that people with any colour vision tell apart (Okabe and Ito 2008), darkened to a
-#: contrast of 4.5 on white
-BLUE, GREEN, PURPLE, RED = "#0072b2", "#007a58", "#aa4499", "#b84a00"
-BROWN, INDIGO = "#7a5500", "#4b5fc1"
-GREY, INK, FAINT = "#656b75", "#1b1f24", "#e6e8eb"
 #: probabilities that the axis is marked at, and the ends of the axis
 TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
 LOWEST, HIGHEST = 3e-5, 1.0 - 3e-5
-#: height of a line of text, and width of a letter, at the font size of the chart [points]
-LINE, LETTER = 14.0, 6.4
+#: height of a line of text [points], and curves that one chart has room for
+LINE, MOST_CURVES = 14.0, 9
+#: dashes and widths of limits, of assumed strengths, and of all failure modes together
+LIMIT: Final[tuple[Any, float]] = ("-", 2.2)
+ASSUMED: Final[tuple[Any, float]] = ((0, (5, 2)), 1.4)
+JOINT: Final[tuple[Any, float]] = ("-.", 2.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,64 +53,31 @@ class Curve:
     """Probability of exceedance over the free number, of a limit or of failure modes together.
 
     x : values of the free number (n,) [SI]; p : probabilities (n,)
-    kind : `limit` of the study, `assumed` strength of the library, or `joint`
-    governs : whether it sets the number to use
+    style : dashes and width of its line
     """
 
     name: str
     x: Array
     p: Array
-    kind: Literal["limit", "assumed", "joint"]
-    governs: bool = False
+    colour: str
+    style: tuple[Any, float]
+
+    def scores(self, x: Array, *, logarithmic: bool) -> Array:
+        """Normal scores at places x [SI], by the monotone cubic through its points."""
+        from scipy.interpolate import PchipInterpolator
+        from scipy.special import ndtri
+
+        finite = np.isfinite(self.p)
+        places, y = self.x[finite], ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
+        if logarithmic:
+            places, x = np.log(places), np.log(x)
+        if len(places) < 2:
+            return np.full(len(x), np.nan)
+        inside = np.clip(x, places[0], places[-1])
+        return np.asarray(PchipInterpolator(places, y)(inside))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tests:
-    """What tests say of one limit: the 95 % band of its curve, and the tests themselves.
-
-    x, low, high : the band, (n,); places, shares : a point a test, (m,); stopped : right-censored
-    """
-
-    curve: str
-    x: Array
-    low: Array
-    high: Array
-    places: Array
-    shares: Array
-    stopped: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mark:
-    """A number to use, at its target: `least` where larger values are safe."""
-
-    value: float
-    probability: float
-    text: str
-    least: bool
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Chart:
-    """All that one fragility chart shows.
-
-    free : path of the free number; meaning : what it is called; ends : its range [SI]
-    planned : its planned value and how that is written; targets : probabilities with their text
-    """
-
-    free: str
-    meaning: str
-    ends: tuple[float, float]
-    curves: Sequence[Curve]
-    tests: Tests | None = None
-    planned: tuple[float, str] | None = None
-    marks: Sequence[Mark] = ()
-    targets: Sequence[tuple[float, str]] = ()
-    fracture: bool = True
-
-
-@dataclass(frozen=True)
-class _Label:
+class _Label(NamedTuple):
     """A text beside the frame, at a place along its edge."""
 
     at: float
@@ -101,12 +85,66 @@ class _Label:
     colour: str
 
 
-def draw_fragility(axes: Axes, chart: Chart) -> None:
-    """Curves with their names, band and points of the tests, targets, plan and numbers to use."""
+def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
+    """The curves of a run, or of one limit: limits in hues of their own, assumed strengths in
+    grey, one that governs in red.  Of too many, those that are exceeded most often.
+    """
+    answers, often = table_of(results), dict[str, float]()
+    for row in answers:
+        if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
+            p = answers.get(row.subject, Kind.EXCEEDANCE_PROBABILITY)
+            often[row.subject] = (p and p.value) or 0.0
+    kept = sorted(often, key=lambda subject: -often[subject])[:MOST_CURVES]
+    governing = {decision.governing for decision in results.decisions if decision.use is not None}
+    hues, curves = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO)), list[Curve]()
+    for subject in [subject for subject in often if subject in kept]:
+        colour, style = GREY, ASSUMED
+        if subject.startswith("limits."):
+            colour, style = next(hues), LIMIT
+        elif subject in governing:
+            colour = RED
+        points = [(row.at, row.value) for row in answers.where(subject, Kind.CURVE)]
+        x, p = np.array(points, dtype=float).T
+        curves.append(Curve(name=label(subject), x=x, p=p, colour=colour, style=style))
+    for decision in results.decisions:
+        if limit is None and decision.aim == "survive" and decision.curve:
+            x, p, *_ = _ends(decision.curve)
+            curves.append(Curve(name="all failure modes", x=x, p=p, colour=INK, style=JOINT))
+    return curves
+
+
+def _ends(points: Sequence[CurvePoint]) -> Array:
+    """Places, values, lower and upper ends (4, n) of a curve; nan where there is none."""
+    rows = [(point.at, point.value, point.low, point.high) for point in points]
+    return np.array(rows, dtype=float).T
+
+
+def planned_value(free: FreeNumber) -> float | None:
+    """The planned value of the free number, where it lies in the range of its curve."""
+    if free.planned is not None and free.low <= free.planned <= free.high:
+        return free.planned
+    return None
+
+
+def draw_fragility(
+    axes: Axes, results: Results, limit: str | None = None, *, brief: bool = False
+) -> None:
+    """Curves with their names, band and points of the tests, targets, plan and numbers to use.
+
+    limit : only this one; brief : shorter texts, for a narrow chart
+    """
     from scipy.special import ndtri
 
-    unit, factor = display_unit(chart.free, (chart.planned or (chart.ends[1],))[0])
-    low, high = _ends_of_interest(chart)
+    free, curves = results.study.free, curves_of(results, limit)
+    assert free is not None
+    planned, used = planned_value(free), list[Decision]()
+    if limit is None:
+        used = [decision for decision in results.decisions if decision.use is not None]
+    unit, factor = display_unit(free.path, planned or free.high)
+    places = [decision.use.value for decision in used if decision.use is not None]
+    if planned is not None:
+        places.append(planned)
+    low, high = _ends_of_interest(free, curves, places)
     axes.set(xlim=(low * factor, high * factor), ylim=(ndtri(LOWEST), ndtri(HIGHEST)))
     if low > 0.0:
         axes.set_xscale("log")
@@ -114,153 +152,129 @@ def draw_fragility(axes: Axes, chart: Chart) -> None:
     axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(tick) for tick in TICKS])
     axes.grid(color=FAINT, linewidth=0.7)
     axes.set_axisbelow(True)
-    colours = _colours(chart)
-    above, right = _draw_curves(axes, chart, colours, factor)
-    if chart.tests is not None:
-        _draw_tests(axes, chart.tests, colours[chart.tests.curve], factor)
-    for probability, text in chart.targets:
-        height = float(ndtri(probability))
+    above, right = _draw_curves(axes, curves, factor)
+    _draw_tests(axes, results, curves, factor)
+    for p, text in _targets(results, limit).items():
+        height = float(ndtri(p))
         axes.axhline(height, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
         right.append(_Label(height, text, INK))
-    below = _draw_marks(axes, chart, factor)
+    below = []
+    if planned is not None:
+        axes.axvline(planned * factor, color=INK, linewidth=1.2, zorder=1.5)
+        word = "plan" if brief else "planned"
+        text = f"{word} {format_value(planned, free.path, 3)}"
+        below.append(_Label(planned * factor, text, INK))
+    for decision in used:
+        text = decision_text(results, decision).use.lower()
+        if brief:
+            text = text.replace("use at most", "≤").replace("use at least", "≥")
+        below.append(_Label(_draw_mark(axes, decision, factor), text, RED))
     _label_edge(axes, above, "above")
     rows = _label_edge(axes, below, "below")
-    _right(axes, right)
-    axes.set_xlabel(with_unit(chart.meaning, unit), labelpad=6.0 + LINE * rows)
+    _label_right(axes, right)
+    axes.set_xlabel(with_unit(free.meaning, unit), labelpad=6.0 + LINE * rows)
 
 
-def plain_logarithms(axis: object, ratio: float) -> None:
-    """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where
-    there is room.
-    """
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-
-    locator: object = LogLocator(subs=(1.0, 2.0, 5.0))
-    if ratio >= 2e3:
-        locator = LogLocator()
-    elif ratio < 5.0:
-        locator = MaxNLocator(4)
-    axis.set_major_locator(locator)  # type: ignore[attr-defined]
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))  # type: ignore[attr-defined]
-    axis.set_minor_locator(NullLocator())  # type: ignore[attr-defined]
-
-
-def _ends_of_interest(chart: Chart) -> tuple[float, float]:
+def _ends_of_interest(
+    free: FreeNumber, curves: Sequence[Curve], places: Sequence[float]
+) -> tuple[float, float]:
     """The part of the range in which a curve is inside the frame, with plan and numbers to use."""
-    places = [mark.value for mark in chart.marks]
-    if chart.planned is not None:
-        places.append(chart.planned[0])
-    for curve in chart.curves:
-        places += curve.x[(curve.p > LOWEST) & (curve.p < HIGHEST)].tolist()
-    places = [place for place in places if chart.ends[0] <= place <= chart.ends[1]]
-    if len(places) < 2 or max(places) <= min(places):
-        return chart.ends
-    low, high = min(places), max(places)
-    if chart.ends[0] > 0.0:
-        return max(low / 1.15, chart.ends[0]), min(high * 1.15, chart.ends[1])
+    inside = [curve.x[(curve.p > LOWEST) & (curve.p < HIGHEST)] for curve in curves]
+    shown = np.concatenate([np.array(places), *inside])
+    shown = shown[(shown >= free.low) & (shown <= free.high)]
+    if len(shown) < 2 or shown.max() <= shown.min():
+        return free.low, free.high
+    low, high = float(shown.min()), float(shown.max())
+    if free.low > 0.0:
+        return max(low / 1.15, free.low), min(high * 1.15, free.high)
     room = 0.04 * (high - low)
-    return max(low - room, chart.ends[0]), min(high + room, chart.ends[1])
+    return max(low - room, free.low), min(high + room, free.high)
 
 
-def _colours(chart: Chart) -> dict[str, str]:
-    """A colour a curve: limits in hues of their own, assumed strengths in grey, what governs in
-    red.
-    """
-    hues, colours = [BLUE, GREEN, PURPLE, BROWN, INDIGO], dict[str, str]()
-    for curve in chart.curves:
-        if curve.kind == "joint":
-            colours[curve.name] = INK
-        elif curve.kind == "limit":
-            colours[curve.name] = hues[len(colours) % len(hues)]
-        elif curve.governs:
-            colours[curve.name] = RED
-        else:
-            colours[curve.name] = GREY
-    return colours
-
-
-STYLES: Final = {"limit": ("-", 2.2), "assumed": ((0, (5, 2)), 1.4), "joint": ("-.", 2.0)}
+def _targets(results: Results, limit: str | None) -> dict[float, str]:
+    """Probabilities of exceedance at the targets, with their text."""
+    targets: dict[float, str] = {}
+    for name, entry in results.study.limits.items():
+        if entry.has_target and limit in (None, name):
+            sign = "≤" if entry.aim == "survive" else "≥"
+            targets[entry.allowable] = f"target {sign} {format_probability(entry.allowable)}"
+    return targets
 
 
 def _draw_curves(
-    axes: Axes, chart: Chart, colours: dict[str, str], factor: float
+    axes: Axes, curves: Sequence[Curve], factor: float
 ) -> tuple[list[_Label], list[_Label]]:
     """Draw the curves; names of those that leave the frame above, and of those at its right."""
+    logarithmic = axes.get_xscale() == "log"
     x = np.linspace(*axes.get_xlim(), 400)
-    if axes.get_xscale() == "log":
+    if logarithmic:
         x = np.geomspace(*axes.get_xlim(), 400)
     bottom, top = axes.get_ylim()
-    names: dict[str, str] = {}
-    heights: dict[str, Array] = {}
-    for curve in chart.curves:
-        y = _scores(curve, x / factor, logarithmic=axes.get_xscale() == "log")
-        style, width = STYLES[curve.kind]
-        axes.plot(
-            x, y, linestyle=style, linewidth=width, color=colours[curve.name], zorder=2 + width
-        )
-        same = [name for name in names if np.allclose(heights[name], y, atol=1e-6)]
-        if same:
-            names[same[0]] += f" = {curve.name}"
-        else:
-            names[curve.name], heights[curve.name] = curve.name, y
     above, right = [], []
-    for name, text in names.items():
-        y = heights[name]
+    for curve in curves:
+        y, (dashes, width) = curve.scores(x / factor, logarithmic=logarithmic), curve.style
+        axes.plot(x, y, linestyle=dashes, lw=width, color=curve.colour, zorder=2 + width)
         outside = np.flatnonzero((y[:-1] < top) != (y[1:] < top))
         if bottom < y[-1] < top:
-            right.append(_Label(float(y[-1]), text, colours[name]))
+            right.append(_Label(float(y[-1]), curve.name, curve.colour))
         elif outside.size:
-            above.append(_Label(float(x[outside[0]]), text, colours[name]))
+            above.append(_Label(float(x[outside[0]]), curve.name, curve.colour))
     return above, right
 
 
-def _scores(curve: Curve, x: Array, *, logarithmic: bool) -> Array:
-    """Normal scores of a curve at places x, by the monotone cubic through its points."""
-    from scipy.interpolate import PchipInterpolator
+def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: float) -> None:
+    """Band and points of the limit with tests that governs, else of the first one."""
     from scipy.special import ndtri
 
-    finite = np.isfinite(curve.p)
-    places, y = curve.x[finite], ndtri(np.clip(curve.p[finite], 1e-15, 1.0 - 1e-15))
-    if logarithmic:
-        places, x = np.log(places), np.log(x)
-    if len(places) < 2:
-        return np.full(len(x), np.nan)
-    inside = np.clip(x, places[0], places[-1])
-    return np.asarray(PchipInterpolator(places, y)(inside))
+    limits, colours = results.study.limits, {curve.name: curve.colour for curve in curves}
+    for decision in results.decisions:
+        tested = [name for name in decision.limits if name in limits and limits[name].tests]
+        tested.sort(key=lambda name: f"limits.{name}" != decision.governing)
+        if not decision.band or not tested or tested[0] not in colours:
+            continue
+        colour = colours[tested[0]]
+        x, _, low, high = _ends(decision.band)
+        if decision.aim == "break":
+            low, high = 1.0 - high, 1.0 - low
+        drawn = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
+        edges = ndtri(np.clip((low[drawn], high[drawn]), 1e-9, 1.0 - 1e-9))
+        axes.fill_between(x[drawn] * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
+        points = np.array(limits[tested[0]].test_points or np.empty((2, 0)))
+        places, shares = points[0] * factor, ndtri(np.clip(points[1], LOWEST, HIGHEST))
+        stopped = np.zeros(len(places), dtype=bool)
+        if len(points) > 2:
+            stopped = points[2] > 0.0
+        for chosen, marker, fill in ((~stopped, "o", colour), (stopped, ">", "white")):
+            dots = axes.plot(places[chosen], shares[chosen], marker, ms=5, mec=colour, mfc=fill)
+            dots[0].set_zorder(5)
+        return
 
 
-def _draw_tests(axes: Axes, tests: Tests, colour: str, factor: float) -> None:
+def _inside(low: Array, high: Array) -> Flags:
+    """Where a band is to be drawn: no point whose ends fall back, and behind the upper edge of the
+    frame only as long as the lower end rises.
+    """
+    if high[-1] < high[0]:
+        return _inside(low[::-1], high[::-1])[::-1]
+    before = np.concatenate([[0.0], np.maximum.accumulate(low)[:-1]])
+    rises = high >= np.maximum.accumulate(high)
+    return rises & ((high < HIGHEST) | ((low > before) & (low < HIGHEST)))
+
+
+def _draw_mark(axes: Axes, decision: Decision, factor: float) -> float:
+    """Draw a number to use, with the values that are allowed as a bar on the axis; its place."""
     from scipy.special import ndtri
 
-    low, high = ndtri(np.clip((tests.low, tests.high), 1e-9, 1.0 - 1e-9))
-    axes.fill_between(tests.x * factor, low, high, color=colour, alpha=0.16, linewidth=0, zorder=1)
-    shares = ndtri(np.clip(tests.shares, LOWEST, HIGHEST))
-    for stopped, marker, fill in ((False, "o", colour), (True, ">", "white")):
-        chosen = tests.stopped == stopped
-        places = tests.places[chosen] * factor, shares[chosen]
-        axes.plot(*places, marker, ms=5, mec=colour, mfc=fill, zorder=5, linestyle="none")
-
-
-def _draw_marks(axes: Axes, chart: Chart, factor: float) -> list[_Label]:
-    """Draw plan and numbers to use, with the values that are allowed as a bar on the axis."""
-    from scipy.special import ndtri
-
-    labels = []
-    if chart.planned is not None:
-        value, text = chart.planned
-        axes.axvline(value * factor, color=INK, linewidth=1.2, zorder=1.5)
-        labels.append(_Label(value * factor, text, INK))
-    bottom, ends = axes.get_ylim()[0], axes.get_xlim()
-    for mark in chart.marks:
-        at, height = mark.value * factor, float(ndtri(mark.probability))
-        allowed = (ends[0], at)
-        if mark.least:
-            allowed = (at, ends[1])
-        axes.hlines(bottom, *allowed, color=RED, linewidth=6, clip_on=False)
-        axes.vlines(at, bottom, height, color=RED, linewidth=1.4, zorder=5)
-        axes.plot(at, height, "D", mfc=RED, mec=RED, ms=8, zorder=6)
-        labels.append(_Label(at, mark.text, RED))
-    return labels
+    use, p = decision.use, decision.target or 0.0
+    assert use is not None
+    if decision.aim == "break":
+        p = 1.0 - p
+    at, bottom, (left, right) = use.value * factor, axes.get_ylim()[0], axes.get_xlim()
+    allowed = (at, right) if use.safe_end == "smallest" else (left, at)
+    axes.hlines(bottom, *allowed, color=RED, linewidth=6, clip_on=False)
+    axes.vlines(at, bottom, ndtri(p), color=RED, linewidth=1.4, zorder=5)
+    axes.plot(at, ndtri(p), "D", color=RED, ms=8, zorder=6)
+    return at
 
 
 def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "below"]) -> int:
@@ -272,17 +286,17 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     frame, ticks, sign = 1.0, 0.0, 1.0
     if edge == "below":  # the ticks have their numbers first
         frame, ticks, sign = 0.0, -19.0 / 72.0, -1.0
-    down = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
-    edge_transform = axes.get_xaxis_transform() + down
+    shift = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
+    coordinates = axes.get_xaxis_transform() + shift
     ends: list[float] = []
-    for label in sorted(labels, key=lambda label: label.at):
-        place = float(axes.transData.transform((label.at, 0.0))[0])
-        width = LETTER * len(label.text)
+    for at, text, colour in sorted(labels):
+        place = float(axes.transData.transform((at, 0.0))[0])
+        width = LETTER * len(text)
         # left of the leader; right of it where there is no room
         start, stop, side, gap = place - width - 4.0, place, "right", -3.0
         if start <= 0.0:
             start, stop, side, gap = place, place + width + 4.0, "left", 3.0
-        row = next((k for k, reached in enumerate(ends) if start > reached + 6.0), len(ends))
+        row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         if row == len(ends):
             ends.append(stop)
         # a leader crosses the rows between its text and the frame
@@ -290,46 +304,17 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
             ends[k] = max(ends[k], place + 3.0)
         ends[row] = max(ends[row], stop)
         height = (9.0 + LINE * row) * sign
-        edge_place = (label.at, frame)
-        axes.annotate(
-            label.text,
-            edge_place,
-            (gap, height),
-            edge_transform,
-            "offset points",
-            color=label.colour,
-            ha=side,
-            va="center",
-            annotation_clip=False,
-        )
-        leader = {"arrowstyle": "-", "color": label.colour, "linewidth": 0.9, "shrinkB": 0}
-        axes.annotate(
-            "",
-            edge_place,
-            (0.0, height + 5.0 * sign),
-            edge_transform,
-            "offset points",
-            annotation_clip=False,
-            arrowprops={**leader, "shrinkA": 0},
-        )
+        write(axes, text, (at, frame), (gap, height), coordinates, color=colour, ha=side)
+        leader = {"arrowstyle": "-", "color": colour, "lw": 0.9, "shrinkA": 0, "shrinkB": 0}
+        write(axes, "", (at, frame), (0.0, height + 5.0 * sign), coordinates, arrowprops=leader)
     return len(ends)
 
 
-def _right(axes: Axes, labels: Sequence[_Label]) -> None:
+def _label_right(axes: Axes, labels: Sequence[_Label]) -> None:
     """Texts at the right edge, pushed apart so that none covers another."""
-    extent = axes.get_window_extent()
     bottom, top = axes.get_ylim()
-    step = LINE * (top - bottom) / extent.height
-    least = -np.inf
-    for label in sorted(labels, key=lambda label: label.at):
-        least = max(label.at, least + step)
-        axes.annotate(
-            label.text,
-            (1.0, least),
-            (5.0, 0.0),
-            ("axes fraction", "data"),
-            "offset points",
-            color=label.colour,
-            va="center",
-            annotation_clip=False,
-        )
+    step = LINE * (top - bottom) / axes.get_window_extent().height
+    labels = sorted(labels)
+    heights = apart([label.at for label in labels], [step] * len(labels))
+    for (_, text, colour), height in zip(labels, heights, strict=True):
+        write(axes, text, (1.0, height), (5.0, 0.0), ("axes fraction", "data"), color=colour)

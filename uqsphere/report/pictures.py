@@ -4,31 +4,181 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.report.fragility import BLUE, FAINT, GREY, INK, RED, plain_logarithms
+from uqsphere.quantities import display_unit, format_probability, format_together
+from uqsphere.report.format import meaning, short, table_of
+from uqsphere.results.types import Kind, QuantityEntry, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+#: colours that people with any colour vision tell apart (Okabe and Ito 2008), darkened to a
+#: contrast of 4.5 on white
+BLUE, GREEN, PURPLE, RED = "#0072b2", "#007a58", "#aa4499", "#b84a00"
+BROWN, INDIGO = "#7a5500", "#4b5fc1"
+GREY, INK, FAINT = "#656b75", "#1b1f24", "#e6e8eb"
+#: width of a letter at the font size of a picture [points]
+LETTER: Final = 6.4
+#: rows of Sobol' indices, letters of a name beside a row, and strengths beside a density
+MOST_INPUTS, MOST_LETTERS, MOST_STRENGTHS = 8, 30, 3
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Density:
-    """A density of a quantity, in the unit that is shown.
 
-    x, y : (n,); quantiles : at 5, 50 and 95 %, each with its text
-    strengths : name and density (2, n) of strengths on the same axis
-    onset : the pressure at which a contact starts to yield, with its text; None without one
+def write(
+    axes: Axes,
+    text: str,
+    place: tuple[float, float],
+    offset: tuple[float, float],
+    coordinates: Any = "data",
+    **style: Any,
+) -> None:
+    """A text at an offset [points] from a place; it may stand outside the frame."""
+    style = {"va": "center", "annotation_clip": False, **style}
+    axes.annotate(text, place, offset, coordinates, "offset points", **style)
+
+
+def apart(places: Sequence[float], widths: Sequence[float]) -> Array:
+    """Places (n,) in rising order, moved as little as possible so that texts of these widths about
+    them do not overlap.
+
+    >>> apart([0.0, 1.0, 9.0], [2.0, 2.0, 2.0])
+    array([-0.5,  1.5,  9. ])
     """
+    from scipy.optimize import isotonic_regression
 
-    x: Array
-    y: Array
-    quantiles: Sequence[tuple[float, str]]
-    strengths: Sequence[tuple[str, Array]] = ()
-    onset: tuple[float, str] | None = None
+    if not len(places):
+        return np.empty(0)
+    steps = [0.5 * (before + after) for before, after in pairwise(widths)]
+    offsets = np.cumsum([0.0, *steps])
+    return np.asarray(isotonic_regression(np.array(places) - offsets).x + offsets)
+
+
+def plain_logarithms(axis: object, ratio: float) -> None:
+    """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where
+    there is room.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    locator: object = LogLocator(subs=(1.0, 2.0, 5.0))
+    if ratio >= 2e3:
+        locator = LogLocator()
+    elif ratio < 5.0:
+        locator = MaxNLocator(4)
+    axis.set_major_locator(locator)  # type: ignore[attr-defined]
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))  # type: ignore[attr-defined]
+    axis.set_minor_locator(NullLocator())  # type: ignore[attr-defined]
+
+
+# --- densities ------------------------------------------------------------------------------------
+
+
+def varies(entry: QuantityEntry) -> bool:
+    """Whether a quantity has a density."""
+    return bool(entry.density) and None not in entry.range
+
+
+def quantile_texts(entry: QuantityEntry, name: str) -> list[str]:
+    """The 5, 50 and 95 % quantiles of a quantity as text, with one unit and as many decimals."""
+    return format_together([end for end in entry.range if end is not None], name)
+
+
+def draw_density(axes: Axes, results: Results, quantity: str) -> None:
+    """A density with its 5, 50 and 95 % quantiles in place of ticks, the strengths that it is
+    compared with, and the onset of yield.
+    """
+    entry = results.study.quantities[quantity]
+    unit, factor = display_unit(quantity, entry.range[1] or 1.0)
+    scale = np.array([[factor], [1.0 / factor]])
+    x, y = np.array(entry.density, dtype=float) * scale
+    axes.fill_between(x, 0.0, y, color=BLUE, alpha=0.18, linewidth=0)
+    axes.plot(x, y, color=BLUE, linewidth=1.6)
+    low, high, peak = float(x[0]), float(x[-1]), float(y.max())
+    names = list[tuple[float, float, str]]()
+    for name, limit in results.study.limits.items():
+        if limit.quantity == quantity and limit.strength.density and len(names) < MOST_STRENGTHS:
+            places, heights = np.array(limit.strength.density, dtype=float) * scale
+            # scaled to the demand's peak where a narrow strength would flatten it
+            heights *= min(1.0, peak / heights.max())
+            axes.plot(places, heights, "--", color=RED, linewidth=1.4)
+            top = int(np.argmax(heights))
+            names.append((float(places[top]), float(heights[top]), f"strength, {name}"))
+            low, high = min(low, float(places[0])), max(high, float(places[-1]))
+    if entry.onset is not None:
+        low, high = _mark_onset(
+            axes, entry.onset * factor, _onset_text(results, quantity), low, high
+        )
+    axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
+    axes.spines["left"].set_visible(False)
+    axes.grid(visible=False)
+    extent = axes.get_window_extent()
+    letter = LETTER * axes.figure.dpi / 72.0 / extent.width * (high - low)
+    for row, (place, height, text) in enumerate(sorted(names)):
+        half = 0.5 * letter * len(text)
+        inside = float(np.clip(place, low + half, max(high - half, low + half)))
+        write(axes, text, (inside, height), (0.0, 9.0 + 14.0 * row), color=RED, ha="center")
+    texts = [text.removesuffix(f" {unit}") for text in quantile_texts(entry, quantity)]
+    ends = [end * factor for end in entry.range if end is not None]
+    widths = [letter * (max(len(text), 4) + 1.5) for text in texts]
+    shown = apart(ends, widths)
+    shown += max(low + 0.5 * widths[0] - shown[0], 0.0)
+    shown -= max(shown[-1] + 0.5 * widths[-1] - high, 0.0)
+    for end, place, text, share in zip(ends, shown, texts, ("5 %", "50 %", "95 %"), strict=True):
+        axes.vlines(end, 0.0, np.interp(end, x, y), color=BLUE, linewidth=1.0)
+        leader = {"arrowstyle": "-", "color": GREY, "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate(
+            "",
+            (end, 0.0),
+            (place, -5.0),
+            "data",
+            ("data", "offset points"),
+            annotation_clip=False,
+            arrowprops=leader,
+        )
+        write(axes, text, (place, 0.0), (0.0, -12.0), ha="center", fontweight="bold")
+        write(axes, share, (place, 0.0), (0.0, -26.0), ha="center", color=GREY)
+
+
+def _onset_text(results: Results, quantity: str) -> str:
+    """Where a contact starts to yield, and in how many impacts."""
+    entry = results.study.quantities[quantity]
+    places, heights = np.array(entry.density, dtype=float)
+    above = places >= (entry.onset or 0.0)
+    share = float(np.trapezoid(heights[above], places[above]))
+    for check in results.checks:
+        if check.name == "dented":
+            share = check.share
+    impacts = f"in {format_probability(share)} of impacts"
+    if share > 0.999:
+        impacts = "in all impacts"
+    elif share < 0.001:
+        impacts = "in no impact"
+    unit, factor = display_unit(quantity, entry.range[1] or 1.0)
+    return f"yield from {(entry.onset or 0.0) * factor:.3g} {unit}: {impacts}"
+
+
+def _mark_onset(
+    axes: Axes, place: float, text: str, low: float, high: float
+) -> tuple[float, float]:
+    """Mark where a contact starts to yield, in the frame or off its scale; the frame's ends."""
+    span = high - low
+    if low - span < place < high + span:
+        low, high = min(low, place - 0.05 * span), max(high, place + 0.05 * span)
+        axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
+    else:
+        text = f"{text} (off the scale)"
+    side, gap = "left", 6.0
+    if place > 0.5 * (low + high):
+        side, gap = "right", -6.0
+    at = (float(np.clip(place, low, high)), 1.0)
+    write(axes, text, at, (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
+    return low, high
+
+
+# --- indices --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,76 +194,38 @@ class Indices:
     total: Array
 
 
-def draw_density(axes: Axes, density: Density) -> None:
-    """A density with its 5, 50 and 95 % quantiles in place of ticks, and strengths beside it."""
-    x, y = density.x, density.y
-    axes.fill_between(x, 0.0, y, color=BLUE, alpha=0.18, linewidth=0)
-    axes.plot(x, y, color=BLUE, linewidth=1.6)
-    for (place, text), share in zip(density.quantiles, ("5 %", "50 %", "95 %"), strict=True):
-        axes.vlines(place, 0.0, np.interp(place, x, y), color=BLUE, linewidth=1.0)
-        _under(axes, place, text, -11.0, color=INK, fontweight="bold")
-        _under(axes, place, share, -25.0, color=GREY)
-    low, high, peak = float(x[0]), float(x[-1]), float(y.max())
-    for name, (places, heights) in density.strengths:
-        # scaled to the demand's peak where a narrow strength would flatten it
-        scale = min(1.0, peak / heights.max())
-        axes.plot(places, scale * heights, "--", color=RED, linewidth=1.4)
-        top = int(np.argmax(heights))
-        axes.annotate(
-            f"strength, {name}",
-            (places[top], scale * heights[top]),
-            (0.0, 7.0),
-            textcoords="offset points",
-            color=RED,
-            ha="center",
-        )
-        low, high = min(low, float(places[0])), max(high, float(places[-1]))
-    if density.onset is not None:
-        low, high = _mark_onset(axes, density.onset, (low, high))
-    axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
-    axes.spines["left"].set_visible(False)
-    axes.grid(visible=False)
+def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
+    """Sobol' indices of some quantities, the inputs in one order: the largest total first."""
+    answers = table_of(results)
+    inputs = ranked_inputs(results, quantities)[:MOST_INPUTS]
+    names = [_brief(meaning(name, results.inputs)) for name in inputs]
+    columns = []
+    for quantity in quantities:
+        orders = []
+        for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
+            rows = [answers.get(quantity, kind, name) for name in inputs]
+            ends = [(None,) * 3 if row is None else (row.value, row.low, row.high) for row in rows]
+            orders.append(np.array(ends, dtype=float).reshape(-1, 3).T)
+        if np.isfinite(orders[1][0]).any():
+            name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
+            columns.append(Indices(name=name, inputs=names, first=orders[0], total=orders[1]))
+    return columns
 
 
-def _under(axes: Axes, place: float, text: str, down: float, **style: Any) -> None:
-    axes.annotate(
-        text,
-        (place, 0.0),
-        (0.0, down),
-        textcoords="offset points",
-        ha="center",
-        va="center",
-        annotation_clip=False,
-        **style,
-    )
+def ranked_inputs(results: Results, quantities: Sequence[str]) -> list[str]:
+    """Inputs that have an index of a quantity, the largest total index first."""
+    largest: dict[str, float] = {}
+    for quantity in quantities:
+        for row in table_of(results).where(quantity, Kind.SOBOL_TOTAL):
+            if row.value is not None:
+                largest[str(row.at)] = max(largest.get(str(row.at), 0.0), row.value)
+    return sorted(largest, key=lambda name: -largest[name])
 
 
-def _mark_onset(
-    axes: Axes, onset: tuple[float, str], ends: tuple[float, float]
-) -> tuple[float, float]:
-    """Mark where a contact starts to yield, in the frame or off its scale; the frame's ends."""
-    place, text = onset
-    low, high = ends
-    span = high - low
-    if low - span < place < high + span:
-        low, high = min(low, place - 0.05 * span), max(high, place + 0.05 * span)
-        axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
-    else:
-        text = f"{text} (off the scale)"
-    side, gap = "left", 6.0
-    if place > 0.5 * (low + high):
-        side, gap = "right", -6.0
-    axes.annotate(
-        text,
-        (float(np.clip(place, low, high)), 1.0),
-        (gap, -4.0),
-        ("data", "axes fraction"),
-        "offset points",
-        color=RED,
-        ha=side,
-        va="top",
-    )
-    return low, high
+def _brief(text: str) -> str:
+    if len(text) <= MOST_LETTERS:
+        return text
+    return f"{text[: MOST_LETTERS - 1].rstrip()}…"
 
 
 def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
@@ -123,20 +235,12 @@ def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
         height = count - 1 - row
         axes.axhline(height, color=FAINT, linewidth=0.7, zorder=0)
         first, total = indices.first[:, row], indices.total[:, row]
-        axes.hlines(height, first[1], first[2], color=INK, linewidth=1.2, zorder=2)
-        axes.hlines(height, total[1], total[2], color=BLUE, linewidth=2.5, zorder=3)
+        axes.hlines(height, *first[1:], color=INK, linewidth=1.2, zorder=2)
+        axes.hlines(height, *total[1:], color=BLUE, linewidth=2.5, zorder=3)
         axes.plot(first[0], height, "o", mfc="none", mec=INK, ms=10, clip_on=False, zorder=4)
         axes.plot(total[0], height, "o", color=BLUE, ms=5, clip_on=False, zorder=5)
         text = "–" if np.isnan(total[0]) else f"{total[0]:.2f}"
-        axes.annotate(
-            text,
-            (1.0, height),
-            (14.0, 0.0),
-            ("axes fraction", "data"),
-            "offset points",
-            va="center",
-            annotation_clip=False,
-        )
+        write(axes, text, (1.0, height), (14.0, 0.0), ("axes fraction", "data"))
     axes.set(xlim=(-0.06, 1.06), ylim=(-0.6, count - 0.4))
     axes.set_xticks((0.0, 0.5, 1.0), ("0", "0.5", "1"))
     texts = [""] * count
@@ -149,21 +253,40 @@ def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
     axes.grid(visible=False)
 
 
+# --- accuracy -------------------------------------------------------------------------------------
+
+
+def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
+    """What the polynomial chaos of a quantity predicts at model runs that it was not fitted to,
+    against what they gave.
+    """
+    entry = results.study.quantities[quantity]
+    unit, factor = display_unit(quantity, entry.range[1] or 1.0)
+    true, predicted = np.array(entry.held_out, dtype=float) * factor
+    ends = (min(true.min(), predicted.min()), max(true.max(), predicted.max()))
+    axes.plot(ends, ends, color=INK, linewidth=0.9)
+    axes.plot(true, predicted, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
+    axes.set(xlabel=f"model run [{unit}]".removesuffix(" []"), ylabel="predicted")
+    axes.locator_params(nbins=4)
+    axes.set_aspect("equal", "box")
+
+
+def convergence_of(results: Results) -> tuple[Array, Array] | None:
+    """Model runs and largest error / tolerance at each size; None for a run of one size."""
+    rows = [(row.runs, row.error) for row in results.accuracy.reached if row.error]
+    if len(rows) < 2:
+        return None
+    runs, error = np.array(rows, dtype=float).T
+    return runs, error
+
+
 def draw_convergence(axes: Axes, runs: Array, error: Array) -> None:
     """The largest error over its tolerance (n,) at each size of the sample (n,), on logarithmic
     axes.
     """
     axes.loglog(runs, error, "o-", color=BLUE)
     axes.axhline(1.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
-    axes.annotate(
-        "tolerance",
-        (1.0, 1.0),
-        (5.0, 0.0),
-        ("axes fraction", "data"),
-        "offset points",
-        va="center",
-        annotation_clip=False,
-    )
+    write(axes, "tolerance", (1.0, 1.0), (5.0, 0.0), ("axes fraction", "data"))
     for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
         plain_logarithms(axis, float(shown.max() / shown.min()))
     axes.set(xlabel="model runs", ylabel="largest error / tolerance")

@@ -15,6 +15,7 @@ from uqsphere.report.format import (
     DASH,
     capital,
     complement,
+    is_least,
     meaning,
     plain_probability,
     probability,
@@ -134,9 +135,7 @@ class _Writer:
     def __init__(self, results: Results, decision: Decision) -> None:
         self.results, self.decision = results, decision
         self.free = results.study.free
-        self.least = decision.aim == "break"
-        if decision.use is not None:
-            self.least = decision.use.safe_end == "smallest"
+        self.least = is_least(decision)
 
     def number(self, x: float | None) -> str:
         """A value of the free number, rounded to its conservative side."""
@@ -235,12 +234,14 @@ class _Writer:
         if self.free is not None and self.free.planned is not None:
             text += " at the planned value"
         by_study = as_event(decision, decision.probability)
-        if decision.all_modes is not None:
-            joint = as_event(decision, decision.all_modes)
-            text += f": {plain_probability(joint)} with all failure modes, "
-            text += f"{plain_probability(by_study)} by your own limits"
-        else:
+        joint = as_event(decision, decision.all_modes or decision.probability)
+        together, alone = plain_probability(joint), plain_probability(by_study)
+        if decision.all_modes is None:
             text += f": {probability(by_study)}"
+        elif together == alone:
+            text += f": {alone}, by your own limits and with all failure modes"
+        else:
+            text += f": {together} with all failure modes, {alone} by your own limits"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self.target()}."

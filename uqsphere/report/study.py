@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from uqsphere.quantities import display_unit, format_value, lookup
 from uqsphere.report.format import short
+from uqsphere.report.tables import columns
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
@@ -45,7 +45,7 @@ def _inputs(study: Study) -> str:
             rows.append((name, mean, sd, _range(value, name), family, source))
         else:
             rows.append((name, format_value(value, name), "-", "-", "fixed", source))
-    return table(rows)
+    return "\n".join(columns(rows))
 
 
 def _source(study: Study, name: str) -> str:
@@ -84,7 +84,7 @@ def _strengths(study: Study) -> str:
         else:
             strength = format_value(float(law), name)
             rows.append((limit.name, "-", "-", "fixed", strength, "-", demand))
-    return table(rows)
+    return "\n".join(columns(rows))
 
 
 def _tested(limit: Limit, law: Law) -> str:
@@ -153,17 +153,6 @@ def _seconds_per_run(study: Study) -> float:
         return model.seconds_per_row or 0.0
 
 
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as columns of text, the first row underlined; the last column is not padded."""
-    widths = [max(map(len, map(str, column))) for column in zip(*rows, strict=True)]
-    lines = [_line(row, widths) for row in rows]
-    return "\n".join([lines[0], "-" * min(len(lines[0]), 79), *lines[1:]])
-
-
-def _line(row: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(str(cell).ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-
-
 def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
@@ -172,16 +161,16 @@ def listing(what: str) -> str:
         from uqsphere.mechanics.outputs import OUTPUTS
 
         rows = [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
-        return table([("quantity", "unit", "meaning"), *rows])
+        return "\n".join(columns([("quantity", "unit", "meaning"), *rows]))
     if what == "criteria":
         from uqsphere.mechanics.criteria import CRITERIA
 
         meanings = [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
-        return table([("criterion", "meaning"), *meanings])
+        return "\n".join(columns([("criterion", "meaning"), *meanings]))
     from uqsphere.uq.families import FAMILIES
 
     keys = [(name, ", ".join(getattr(family, "keys", ()))) for name, family in FAMILIES.items()]
-    return table([("distribution", "keys"), *keys])
+    return "\n".join(columns([("distribution", "keys"), *keys]))
 
 
 def _materials() -> str:

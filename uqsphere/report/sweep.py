@@ -19,7 +19,7 @@ from uqsphere.errors import FolderError, UsageError
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.report.figures import COLOURS, Picture, svg
 from uqsphere.report.format import capital, plain_probability, short, with_unit
-from uqsphere.report.page import PageTable, render
+from uqsphere.report.page import render
 from uqsphere.report.sentences import (
     as_event,
     chart_title,
@@ -27,7 +27,7 @@ from uqsphere.report.sentences import (
     exceedance_name,
     plain_name,
 )
-from uqsphere.report.terminal import table
+from uqsphere.report.tables import PageTable, columns
 from uqsphere.results import Run, open_run
 from uqsphere.results.folder import write_files
 from uqsphere.results.types import Decision, Range, Results
@@ -247,7 +247,7 @@ def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
 def sweep_text(sweep: Sweep, runs: Mapping[str, Run], width: int) -> str:
     """The table of a sweep for a terminal."""
     shown = _page_table(sweep, runs)
-    return "\n".join([sweep.title, "", *table(shown.head, shown.rows, width)])
+    return "\n".join([sweep.title, "", *columns([shown.head, *shown.rows], width)])
 
 
 def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:

@@ -260,7 +260,11 @@ class QuantityEntry(Part):
     )
     expansion_error: Finite = Field(
         default=None,
-        description="share of the variance that the polynomial chaos leaves, at rows left out",
+        description="share of the variance that the polynomial chaos does not explain, at model "
+        "runs that it was not fitted to",
+    )
+    held_out: Sequence[Sequence[float]] | None = Field(
+        default=None, description="some of these runs: outputs, and what the chaos predicts"
     )
 
 

@@ -1,0 +1,428 @@
+"""The tables of a run: what the page shows whole, and the terminal in part."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uqsphere.quantities import format_conservative, format_probability, format_together
+from uqsphere.report.format import (
+    DASH,
+    ModeRow,
+    capital,
+    complement,
+    estimate,
+    index,
+    is_least,
+    label,
+    meaning,
+    mode_rows,
+    paper_cells,
+    probability,
+    short,
+    table_of,
+    title_of,
+    value,
+    value_range,
+)
+from uqsphere.report.pictures import ranked_inputs
+from uqsphere.report.sentences import (
+    METHODS,
+    as_event,
+    damage_modes,
+    doubt_text,
+    exceedance_name,
+    listed,
+)
+from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Range, Results
+
+#: rows of a table, and of a table of inputs
+MOST_ROWS, MOST_INPUTS = 16, 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageTable:
+    """A table: caption, heads, rows of texts, rows that are marked, and a note on it."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    marked: Sequence[int] = ()
+    note: str = ""
+
+
+def columns(rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
+    """Rows of texts as lines of a terminal; the first column gives way where that is narrow.
+
+    >>> columns([("input", "mean"), ("Young's modulus", "52 GPa")], 18)
+    ['input       mean', "Young's m…  52 GPa"]
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    if width is not None:
+        room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
+        widths[0] = max(min(widths[0], room), 8)
+    lines = []
+    for first, *others in rows:
+        if len(first) > widths[0]:
+            first = f"{first[: widths[0] - 1]}…"
+        cells = zip((first, *others), widths, strict=True)
+        lines.append("  ".join(text.ljust(w) for text, w in cells).rstrip())
+    return lines
+
+
+# --- decisions ------------------------------------------------------------------------------------
+
+
+def certificate(results: Results, decision: Decision) -> PageTable | None:
+    """What the number to use rests on: a row a doubt, the conservative ones first."""
+    free = results.study.free
+    if free is None or not decision.doubts:
+        return None
+    sign = 1.0
+    if decision.use is not None and decision.use.safe_end == "smallest":
+        sign = -1.0
+
+    def order(doubt: Doubt) -> float:
+        if doubt.margin is not None:
+            return sign * doubt.margin
+        return math.inf if doubt.margin_note == "everywhere" else -math.inf
+
+    doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
+    margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
+    texts = iter(format_together(margins, free.path))
+    notes = {"everywhere": "whole range", "nowhere": "none", "": DASH}
+    rows = []
+    for doubt in doubts:
+        margin = notes[doubt.margin_note] if doubt.margin is None else next(texts)
+        events = (as_event(decision, p) for p in (doubt.at_number, doubt.at_plan))
+        rows.append(
+            (f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *map(probability, events))
+        )
+    name = exceedance_name(results).lower()
+    return PageTable(
+        caption=f"To {decision.aim}",
+        head=(
+            "limit and what is open",
+            f"{free.meaning} at the target",
+            f"{name} at the number to use",
+            f"{name} at the plan",
+        ),
+        rows=rows,
+        marked=[k for k, doubt in enumerate(doubts) if doubt.governs],
+        note="bold: governs; * strength assumed, from the library",
+    )
+
+
+def limits(results: Results) -> PageTable | None:
+    """One line a limit or failure mode, and one for those of an aim together."""
+    modes, free = mode_rows(results), results.study.free
+    if not modes:
+        return None
+    head = ["limit", f"{exceedance_name(results).lower()} at the plan", "β"]
+    if free is not None:
+        head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
+    rows = list[Sequence[str]]()
+    aims = [mode.entry.aim for mode in modes]
+    for mode in modes:
+        cells = [label(mode.subject), probability(mode.exceedance), mode.beta()]
+        if free is not None:
+            cells.append(mode.best_estimate(free.path))
+            alone = aims.count(mode.entry.aim) == 1
+            cells += [mode.number(free.path), mode.span(free.path)] if alone else ["", ""]
+        rows.append((*cells, _demand_and_strength(mode), _strength_source(mode)))
+    if free is not None:
+        for decision in results.decisions:
+            if aims.count(decision.aim) > 1:
+                rows += _joint_rows(decision, free.path)
+    governing = {decision.governing for decision in results.decisions}
+    notes = ["bold: governs"]
+    if free is not None:
+        notes.append(
+            "best estimate: each limit by itself; to use: by all of them, considering "
+            "what is open, which gives the range"
+        )
+    if results.study.modes:
+        notes.append("* strength assumed, from the library")
+    damage = damage_modes(results)
+    if damage:
+        notes.append(f"damage, not counted as fracture: {listed(damage)}")
+    return PageTable(
+        caption="Limits and failure modes",
+        head=(*head, "demand: strength", "source of the strength"),
+        rows=rows,
+        marked=[k for k, mode in enumerate(modes) if mode.subject in governing],
+        note="; ".join(notes),
+    )
+
+
+def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
+    """The study's own limits together, and all failure modes, with their numbers to use."""
+    least, use, rows = is_least(decision), decision.use, list[Sequence[str]]()
+    if decision.own is not None and decision.all_modes is not None:
+        p = probability(as_event(decision, decision.probability))
+        own = format_conservative(decision.own, path, least=least)
+        rows.append(("your own limits", p, "", "", own, "", "", ""))
+    if use is not None:
+        p = probability(as_event(decision, decision.all_modes or decision.probability))
+        number = format_conservative(use.value, path, least=least)
+        best, span = value(use.best.value, path), value_range(use.best.low, use.best.high, path)
+        rows.append((f"all together, to {decision.aim}", p, "", best, number, span, "", ""))
+    return rows
+
+
+def _demand_and_strength(mode: ModeRow) -> str:
+    return f"{meaning(mode.entry.quantity)}: {mode.entry.strength.text}"
+
+
+def _strength_source(mode: ModeRow) -> str:
+    entry = mode.entry
+    source = entry.source
+    if entry.assumed:
+        source = "library, not this rock"
+        if not entry.source_checked:
+            source += ", source not checked"
+    elif entry.tests:
+        source = f"{entry.tests} tests"
+    return "; ".join(filter(None, (source, entry.platens, entry.size_law)))
+
+
+def assumptions(results: Results) -> PageTable | None:
+    """Fracture probabilities under other assumptions, one at a time."""
+    rows, answers = [], table_of(results)
+    for mode in mode_rows(results):
+        for row in answers.where(mode.subject, Kind.FAILURE_PROBABILITY):
+            if str(row.at).startswith("assumed: "):
+                event = Range(value=row.value, low=row.low, high=row.high, note=row.note)
+                if mode.entry.aim == "break":
+                    event = complement(event)
+                assumed = str(row.at).removeprefix("assumed: ")
+                rows.append((label(mode.subject), assumed, probability(event)))
+    if not rows:
+        return None
+    return PageTable(
+        caption=f"{exceedance_name(results)} under other assumptions, one at a time",
+        head=("limit", "assumed", exceedance_name(results).lower()),
+        rows=rows,
+    )
+
+
+def fracture(results: Results) -> PageTable | None:
+    """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
+    answers = table_of(results)
+    joint = answers.get("fracture", Kind.EXCEEDANCE_PROBABILITY)
+    if joint is None:
+        return None
+    rows = [("fracture probability", probability(joint))]
+    for row in answers.where("fracture", Kind.MODE_SHARE):
+        rows.append((f"first failure mode: {row.at}", probability(row)))
+    for kind, name, quantity in (
+        (Kind.TIME_AT_FRACTURE, "time", "contact_duration"),
+        (Kind.FORCE_AT_FRACTURE, "force", "P_max"),
+    ):
+        median = answers.get("fracture", kind, 0.5)
+        if median is not None:
+            rows.append((f"{name} at fracture, median", estimate(median, quantity)))
+    return PageTable(caption="Fracture by any limit of the study", head=("", "value"), rows=rows)
+
+
+# --- distributions and sensitivity ----------------------------------------------------------------
+
+
+def quantities(results: Results) -> PageTable:
+    """Distributions: one row a quantity."""
+    answers, rows = table_of(results), []
+    entries = results.study.quantities
+    places = dict.fromkeys(
+        float(row.at) for name in entries for row in answers.where(name, Kind.QUANTILE)
+    )
+    for name, entry in entries.items():
+        quantiles = [estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places]
+        mean = estimate(answers.get(name, Kind.MEAN), name)
+        sd = estimate(answers.get(name, Kind.SD), name, 3)
+        rows.append((title_of(name, entry), mean, sd, *quantiles))
+    return PageTable(
+        caption="Distributions at the plan",
+        head=("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
+        rows=rows,
+        note="with 95 % sampling intervals",
+    )
+
+
+def indices(results: Results) -> PageTable | None:
+    """First-order and total Sobol' indices: a row an input, the largest total first."""
+    answers, entries = table_of(results), results.study.quantities
+    names = [name for name in entries if answers.where(name, Kind.SOBOL_TOTAL)]
+    ranked = ranked_inputs(results, names)
+    if not ranked:
+        return None
+    orders = list(itertools.product(names, (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)))
+    rows = []
+    for at in ranked[:MOST_ROWS]:
+        cells = (index(answers.get(name, kind, at)) for name, kind in orders)
+        rows.append((meaning(at, results.inputs), *cells))
+    methods = {METHODS[entries[name].method_of_indices] for name in names}
+    note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
+    if len(ranked) > MOST_ROWS:
+        note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
+    heads = itertools.product([short(entries[name].meaning) for name in names], "ST")
+    return PageTable(
+        caption=f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
+        head=("input", *map(", ".join, heads)),
+        rows=rows,
+        note=note,
+    )
+
+
+def margins(results: Results) -> PageTable | None:
+    """The free number at the probabilities that were asked for, a column a limit of the study."""
+    free, answers = results.study.free, table_of(results)
+    if free is None:
+        return None
+    found = {
+        name: {row.at: row for row in answers.where(f"limits.{name}", Kind.MARGIN)}
+        for name in results.study.limits
+    }
+    places = {
+        at
+        for rows in found.values()
+        for at, row in rows.items()
+        if isinstance(at, float) and row.value is not None
+    }
+    if not places:
+        return None
+    return PageTable(
+        caption=f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
+        head=("probability", *found),
+        rows=[
+            (format_probability(p), *(estimate(rows.get(p), free.path) for rows in found.values()))
+            for p in sorted(places)
+        ],
+    )
+
+
+def drivers(results: Results) -> list[PageTable]:
+    """Sensitivity of each failure probability, and design points."""
+    answers = table_of(results)
+    changes, points = dict[str, dict[str, float]](), dict[str, dict[str, str]]()
+    for mode in mode_rows(results):
+        rows = answers.where(mode.subject, Kind.DRIVER)
+        if not any(row.value for row in rows):
+            continue
+        head = label(mode.subject)
+        for row in rows:
+            changes.setdefault(_variable(row.at), {})[head] = 100.0 * (row.value or 0.0)
+        for row in answers.where(mode.subject, Kind.DESIGN_POINT):
+            variable, quantity = _variable(row.at), str(row.at)
+            if not variable:
+                quantity = mode.entry.quantity
+            text = value(row.value, quantity)
+            if not variable and mode.entry.tests:  # in terms of the test force
+                text = DASH
+            points.setdefault(head, {})[variable] = text
+    if not changes:
+        return []
+    ranked = sorted(changes, key=lambda name: -max(map(abs, changes[name].values())))[:MOST_ROWS]
+    names = [meaning(name, results.inputs) if name else "strength" for name in ranked]
+    heads = list(dict.fromkeys(itertools.chain.from_iterable(changes.values())))
+    forms = {}
+    for head in heads:
+        # three digits of the largest in a column
+        largest = max(abs(moved.get(head, 0.0)) for moved in changes.values())
+        decimals = max(2 - math.floor(math.log10(largest)), 0)
+        forms[head] = f"+.{decimals}f" if decimals < 6 else "+.1e"
+    body = []
+    for name, variable in zip(names, ranked, strict=True):
+        moved = changes[variable]
+        body.append((name, *(f"{moved[h]:{forms[h]}}" if h in moved else DASH for h in heads)))
+    tables = [
+        PageTable(
+            caption="Sensitivity of the failure probability",
+            head=("input", *heads),
+            rows=body,
+            note="percentage points per standard deviation shift of the input's mean",
+        )
+    ]
+    if points:
+        body = [
+            (name, *(point.get(variable, DASH) for point in points.values()))
+            for name, variable in zip(names, ranked, strict=True)
+        ]
+        tables.append(
+            PageTable(
+                caption="Most probable failure (design point)", head=("input", *points), rows=body
+            )
+        )
+    return tables
+
+
+def _variable(at: float | str) -> str:
+    """An input by its name; empty for the strength."""
+    return "" if str(at).endswith(".strength") else str(at)
+
+
+def paper(results: Results) -> PageTable | None:
+    """The paper's numbers as printed, beside the corrected ones."""
+    if not results.paper:
+        return None
+    return PageTable(
+        caption="The paper’s formulas, as printed and corrected",
+        head=("formula of the paper", "printed", "corrected", "what is wrong as printed"),
+        rows=[(row.name, *paper_cells(row), row.note) for row in results.paper],
+    )
+
+
+def reached(results: Results) -> PageTable:
+    """The largest error at each size of the sample."""
+    rows = []
+    for row in results.accuracy.reached:
+        rows.append((f"{row.runs:,}", DASH if row.error is None else f"{row.error:.2f}"))
+    return PageTable(
+        caption="Convergence: largest error / tolerance",
+        head=("model runs", "error / tolerance"),
+        rows=rows,
+    )
+
+
+# --- inputs ---------------------------------------------------------------------------------------
+
+
+def random_inputs(results: Results) -> PageTable | None:
+    """Random inputs: distribution, mean, standard deviation, 5–95 % range and source."""
+    rows = []
+    for name, entry in results.inputs.items():
+        if not entry.fixed:
+            mean, sd = value(entry.mean, name, 4), value(entry.sd, name)
+            span = value_range(entry.p05, entry.p95, name)
+            cells = (entry.distribution, mean, sd, span, _source(entry))
+            rows.append((meaning(name, results.inputs), *cells))
+    if not rows:
+        return None
+    return PageTable(
+        caption="Random inputs",
+        head=("input", "distribution", "mean", "sd", "5–95 % range", "source"),
+        rows=rows[:MOST_INPUTS],
+    )
+
+
+def fixed_inputs(results: Results) -> PageTable | None:
+    """Fixed inputs, those of one source together."""
+    entries = [(name, entry) for name, entry in results.inputs.items() if entry.fixed]
+    if not entries:
+        return None
+    sources = list(dict.fromkeys(_source(entry) for _, entry in entries))
+    entries.sort(key=lambda item: sources.index(_source(item[1])))
+    rows = [
+        (meaning(name, results.inputs), value(entry.mean, name, 4), _source(entry))
+        for name, entry in entries
+    ]
+    return PageTable(
+        caption="Fixed inputs", head=("input", "value", "source"), rows=rows[:MOST_INPUTS]
+    )
+
+
+def _source(entry: InputEntry) -> str:
+    if entry.source_checked:
+        return entry.source
+    return f"{entry.source} (source not checked)"
