@@ -468,8 +468,18 @@ def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None
     lost = rows.assign(y=linear(rows)["y"].where(rows["a"] < 1.5))
     with pytest.raises(TooManyFailures, match='takes a larger share, such as "7 %"'):
         uqsphere.analyse(study(analysis={"on_failure": "drop"}), lost)
-    loose = uqsphere.analyse(study(analysis={"on_failure": "10 %"}), lost).sobol("y")
-    assert loose["method"]["a"].endswith("of the 93.5 % of rows that answered")
+    # rows that fail in one region: an expansion would extrapolate into it
+    loose = study(analysis={"on_failure": "10 %"})
+    run = uqsphere.analyse(loose, lost)
+    notes = run.answers.drop_duplicates("answer").set_index("answer")
+    assert "93.5 % of rows that answered" in notes["method"]["mean"]
+    assert "93.5 % of rows that answered" in notes["method"]["failure_probability"]
+    assert "lie apart" in notes["note"]["sobol_first"]
+    # rows that fail here and there: every answer says that it is extrapolated for them
+    answered = np.random.default_rng(1).permutation(200) >= 13
+    run = uqsphere.analyse(loose, rows.assign(y=linear(rows)["y"].where(answered)))
+    assert run.sobol("y")["method"]["a"].endswith("the 93.5 % of rows that answered")
+    assert "extrapolated for the 6.5 %" in run.probability("high")["method"]
 
 
 def test_a_budget_too_small_for_any_answer_is_refused() -> None:

@@ -5,6 +5,7 @@ results as tables.
 from __future__ import annotations
 
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -217,9 +218,34 @@ def test_an_expansion_is_sampled_and_kept_in_a_file(tmp_path: Any) -> None:
     assert made.quantiles([0.1, 0.5]) == pytest.approx(np.quantile(draws, [0.1, 0.5]), abs=0.02)
     rows = FRAME.set_index(FRAME.index + 7).head(3)
     assert made.predict(rows).to_frame().index.tolist() == [7, 8, 9]
-    (tmp_path / "other").write_bytes(b"nothing")
-    with pytest.raises(UsageError, match="holds no expansion"):
-        analysis.Expansion.load(tmp_path / "other")
+    for content in (b"nothing", pickle.dumps(made.names), b'{"class": "system"}', b"[1, 2]"):
+        (tmp_path / "other").write_bytes(content)
+        with pytest.raises(UsageError, match="does not hold an expansion"):
+            analysis.Expansion.load(tmp_path / "other")
+
+
+def test_the_file_of_an_expansion_keeps_laws_of_all_kinds_and_dependence(tmp_path: Any) -> None:
+    # polynomials of their own, of few values, and of a law of SciPy; an expansion of ln y
+    laws = analysis.joint(
+        {
+            "a": {"dist": "beta", "alpha": 2.0, "beta": 3.0, "lower": 0.0, "upper": 1.0},
+            "b": stats.gamma(3.0),
+            "c": RNG.integers(0, 3, 96).astype(float),
+        },
+        {("a", "b"): 0.3},
+    )
+    rows = laws.physical(RNG.normal(size=(96, 3)))
+    made = analysis.chaos(rows, np.exp(rows[:, 0] + 0.1 * rows[:, 1]), laws)
+    made.save(tmp_path / "y.json")
+    again = analysis.Expansion.load(tmp_path / "y.json")
+    assert again.fit.log
+    assert np.array_equal(again.predict(rows[:5]).high, made.predict(rows[:5]).high)
+    assert again.indices() == made.indices()
+    chaospy = load_chaospy()
+    odd = analysis.joint({"a": chaospy.Cauchy(), "b": stats.norm()})
+    rows = odd.physical(RNG.normal(size=(64, 2)))
+    with pytest.raises(UsageError, match="cannot keep the functions"):
+        analysis.chaos(rows, rows[:, 1], odd).save(tmp_path / "y.json")
 
 
 def test_failure_probability_of_tied_inputs_that_fail_and_raise() -> None:

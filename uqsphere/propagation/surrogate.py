@@ -8,6 +8,7 @@ An event rarer than about 3/N is not in N rows: every answer says so.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
@@ -27,7 +28,6 @@ from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
 from uqsphere.propagation.grow import accuracies, first_rows
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.progress import Progress
-from uqsphere.propagation.sampled import of_answered
 from uqsphere.propagation.tables import Indices, Tables, check_failures, evaluate
 from uqsphere.results.types import IndexMethod, Stop
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
@@ -73,7 +73,11 @@ class Slow:
         """The predictions of a quantity, corrected by its rows; None where it has none."""
         if self.predicted is None:
             return None
-        return Corrected(response=self.responses[name], table=self.predicted.answer(name))
+        return Corrected(
+            response=self.responses[name],
+            table=self.predicted.answer(name),
+            dropped=self.dropped,
+        )
 
     def values(self, name: str) -> Array:
         return self.sample.answer(name)
@@ -89,14 +93,21 @@ class Slow:
             failed=self.sample.lost(name),
             on_failure="bound" if analysis.policy == "bound" else "drop",
             quantiles=analysis.quantiles,
-            method=f"{self.rows.size} {ROUGH}; {unseen(self.rows.size)}",
+            method=f"{self.rows.size} {ROUGH}{self._answered}; {unseen(self.rows.size)}",
         )
+
+    @property
+    def _answered(self) -> str:
+        if not self.dropped:
+            return ""
+        return f", the {100.0 * (1.0 - self.dropped):.3g} % of rows that answered"
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
     ) -> Estimate:
         corrected, predicted = self.corrected(column), self.predicted
         if corrected is None or predicted is None:
+            sampled = replace(sampled, method=sampled.method + self._answered)
             if sampled.high is None:
                 return sampled
             return replace(sampled, high=max(sampled.high, 3.0 / self.rows.size))
@@ -130,17 +141,17 @@ class Slow:
         response, runs, inputs = self.responses.get(name), self.rows.size, self.design.inputs
         if response is None:
             reason = f"some of the {runs} model runs have no plain value"
-            if self.rows.failed.any():
+            if self.dropped:
+                reason = "the runs that failed lie apart from the others: see on_failure"
+            elif self.rows.failed.any():
                 reason += '; analysis.on_failure = "drop" gives the indices of those that do'
             nothing = absent(reason, ROUGH, runs)
             return dict.fromkeys(inputs, (nothing, nothing))
-        orders = indices_of(response)
-        if self.dropped:
-            share = 1.0 - self.dropped
-            for order, row in orders.items():
-                orders[order] = [of_answered(estimate, share, "rows") for estimate in row]
-        pairs = zip(orders["first"], orders["total"], strict=True)
-        return dict(zip(inputs, pairs, strict=True))
+        orders = [
+            [replace(index, method=index.method + self._answered) for index in row]
+            for row in indices_of(response).values()
+        ]
+        return dict(zip(inputs, zip(*orders, strict=True), strict=True))
 
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
@@ -337,13 +348,18 @@ def _evaluated(
 
 def _predicted(design: Design, rows: Sample) -> Slow:
     """The expansions of all columns with the table of their values: of the rows themselves, in
-    blocks that stand for replicates, where a column is too rough for its expansions.
+    blocks that stand for replicates, where a column is too rough for its expansions, or where
+    these would extrapolate into a region in which the model fails.
     """
-    dropped = 0.0
+    dropped, apart = 0.0, False
     if design.study.analysis.policy == "drop" and rows.failed.any():
-        dropped, rows = float(rows.failed.mean()), rows.where(~rows.failed[0])
+        failed = rows.failed[0]
+        inputs = rows.scores[0, :, : len(design.inputs)]
+        apart = lie_apart(inputs[failed], inputs[~failed])
+        dropped, rows = float(failed.mean()), rows.where(~failed)
     responses: dict[str, Response] = {}
-    if np.isfinite(rows.answers).all() and not rows.censored.any() and rows.count >= LEAST_ROWS:
+    plain = np.isfinite(rows.answers).all() and not rows.censored.any()
+    if plain and not apart and rows.count >= LEAST_ROWS:
         germs = germs_of(design.joint.only(design.inputs).laws)
         fitted = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
         responses = dict(zip(rows.quantities, fitted, strict=True))
@@ -366,6 +382,20 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     for name in parts:
         cut[name] = np.concatenate([getattr(block, name) for block in blocks])
     return replace(slow, sample=replace(rows, **cut))
+
+
+def lie_apart(some: Array, others: Array) -> bool:
+    """Whether points (m, d) surely follow another distribution than others (n, d) in some
+    coordinate, by the test of Kolmogorov and Smirnov at 1 % for all coordinates together.
+    """
+    (m, d), n = some.shape, len(others)
+    for column, other in zip(some.T, others.T, strict=True):
+        places = np.sort(np.concatenate([column, other]))
+        below = [np.searchsorted(np.sort(part), places, "right") for part in (column, other)]
+        distance = np.abs(below[0] / m - below[1] / n).max()
+        if special.kolmogorov(distance * math.sqrt(m * n / (m + n))) < 0.01 / d:
+            return True
+    return False
 
 
 def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
@@ -392,6 +422,8 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     good = np.isfinite(rows.answers[0]).all(axis=1)
+    if not good.all() and lie_apart(places[~good], places[good]):
+        return {}
     responses = cross_fit(places[good], rows.answers[0][good], germs)
     if not all(response.usable for response in responses):
         return {}

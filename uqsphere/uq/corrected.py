@@ -37,7 +37,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.chaos import projections
 from uqsphere.uq.describe import Description, heavy_tail
 from uqsphere.uq.estimate import Estimate, absent, distances, share, student
-from uqsphere.uq.response import METHOD, Response, unseen
+from uqsphere.uq.response import METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
@@ -60,10 +60,12 @@ class Corrected:
 
     response : the cross-fitted expansions
     table : (R, m) predictions at points of the law, as of `Response.table`
+    dropped : share of the rows that failed and were left out, in place of which are predictions
     """
 
     response: Response
     table: Array
+    dropped: float = 0.0
 
     @property
     def runs(self) -> int:
@@ -82,7 +84,10 @@ class Corrected:
 
     @cached_property
     def method(self) -> str:
-        return f"{METHOD}; {unseen(self.runs)}"
+        text = f"{METHOD}; {unseen(self.runs)}"
+        if self.dropped:
+            text += f"; extrapolated for the {100.0 * self.dropped:.3g} % of the runs that failed"
+        return text
 
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
@@ -104,11 +109,30 @@ class Corrected:
 
     # --- moments ----------------------------------------------------------------------------------
 
+    def _table_moment(self, power: int, centre: float = 0.0) -> tuple[float, float]:
+        """E_table[(f - centre)^power], power 1 or 2, and its half-width: of the integrals of the
+        expansions where these are more accurate than the table.
+        """
+        response = self.response
+        values = ((self.table - centre) ** power).mean(axis=1)
+        table = float(values.mean()), float(self.table_error(values))
+        if any(response.folds[k].triangle is not None for k in response.used):
+            return table
+        integrals = [response.known[k] for k in response.used]
+        values = np.array([each.mean - centre for each in integrals])
+        if power == 2:
+            values = values**2 + [each.sd**2 for each in integrals]
+        # all of them are integrated at the same points
+        errors = [each.moment_errors[power - 1] for each in integrals]
+        rounding = ROUNDING * float(self.outputs.std()) ** power
+        integrated = float(values.mean()), float(np.mean(errors)) + rounding
+        return min(table, integrated, key=lambda moment: moment[1])
+
     def mean(self) -> Estimate:
         """The mean by (1)."""
-        value = float(self.table.mean() + (self.outputs - self.predicted).mean())
+        level, sampling = self._table_moment(1)
+        value = level + float((self.outputs - self.predicted).mean())
         down, up = distances(self.outputs - self.predicted)
-        sampling = float(self.table_error(self.table.mean(axis=1)))
         return self._estimate(value, value - math.hypot(down, sampling), math.hypot(up, sampling))
 
     def _estimate(self, value: float, low: float, up: float) -> Estimate:
@@ -130,15 +154,14 @@ class Corrected:
 
         The upper end is open where the tail may be too heavy for a variance.
         """
-        centre = float(self.table.mean() + (self.outputs - self.predicted).mean())
-        left_out = (self.predicted - centre) ** 2
-        influence = (self.outputs - centre) ** 2 - left_out
-        squares = ((self.table - centre) ** 2).mean(axis=1)
+        centre = self._table_moment(1)[0] + float((self.outputs - self.predicted).mean())
+        influence = (self.outputs - centre) ** 2 - (self.predicted - centre) ** 2
+        square, sampling = self._table_moment(2, centre)
         folds = [self.response.known[k].sd ** 2 for k in self.response.trusted]
-        among = float(fold_spread(np.array(folds))) if len(folds) > 1 else 0.0
-        sampling = math.hypot(float(self.table_error(squares)), among)
+        if len(folds) > 1:
+            sampling = math.hypot(sampling, float(fold_spread(np.array(folds))))
         down, up = distances(influence)
-        variance = float(squares.mean() + influence.mean())
+        variance = square + float(influence.mean())
         ends = variance - math.hypot(down, sampling), variance + math.hypot(up, sampling)
         rows = (self.outputs - self.outputs.mean()) ** 2
         alone = distances(rows)

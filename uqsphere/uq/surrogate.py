@@ -14,14 +14,14 @@ holds for points drawn as the rows were.
 
 from __future__ import annotations
 
+import json
 import math
-import pickle
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -38,13 +38,14 @@ from uqsphere.uq.chaos import (
     predict,
     rows_of,
 )
-from uqsphere.uq.chaos.basis import MOST_STEPS, values_of
+from uqsphere.uq.chaos.basis import MOST_STEPS, Germ, values_of
 from uqsphere.uq.corrected import indices_of
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.joint import Joint
+from uqsphere.uq.families import Family, family_of
+from uqsphere.uq.joint import Copula, Joint
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.response import Response, cross_fit
+from uqsphere.uq.response import Fold, Response, cross_fit
 from uqsphere.uq.rows import as_table
 from uqsphere.uq.shapley import dependent_shares
 
@@ -359,21 +360,21 @@ class Expansion:
         return np.asarray(np.quantile(draws, np.asarray(p, dtype=float)), dtype=float)
 
     def save(self, path: str | Path) -> None:
-        """Write the expansion to a file, for `Expansion.load`."""
-        Path(path).write_bytes(pickle.dumps(self))
+        """Write the expansion to a file (JSON), for `Expansion.load`."""
+        Path(path).write_text(json.dumps(self, default=_stored), encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | Path) -> Expansion:
-        """The expansion that `save` wrote.  Load no file from others: it may hold any program.
+        """The expansion that `save` wrote.  The file holds numbers and names: none of it is run.
 
-        Raises UsageError for a file that holds no expansion.
+        Raises UsageError for a file that does not hold an expansion.
         """
         try:
-            loaded = pickle.loads(Path(path).read_bytes())
-        except (pickle.UnpicklingError, EOFError, AttributeError, ImportError) as error:
-            raise UsageError(f"{path} holds no expansion: {error}") from error
+            loaded = json.loads(Path(path).read_text(encoding="utf-8"), object_hook=_restored)
+        except (ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"{path} does not hold an expansion: {error}") from error
         if not isinstance(loaded, cls):
-            raise UsageError(f"{path} holds no expansion, but a {type(loaded).__name__}")
+            raise UsageError(f"{path} does not hold an expansion")
         return loaded
 
     def indices(self) -> dict[str, dict[str, Estimate]]:
@@ -420,3 +421,47 @@ def fit_expansion(
             fit=fit_chaos(points, y, germs, plain=plain),
             response=cross_fit(points, y, germs, plain=plain, independent=not joint.dependent)[0],
         )
+
+
+# --- the file of an expansion ---------------------------------------------------------------------
+
+
+def _stored(part: Any) -> Any:
+    """A part of an expansion as JSON has it."""
+    if isinstance(part, np.ndarray):
+        return {"class": "array", "dtype": part.dtype.str, "values": part.tolist()}
+    if isinstance(part, Family):
+        return {"class": "Family", "name": part.name}
+    if isinstance(part, Germ):  # its table and its recurrence follow from its distribution
+        return {"class": "Germ", "law": part.law}
+    if isinstance(part, Mapping):
+        return dict(part)
+    if type(part).__name__ not in PARTS:
+        raise UsageError(f"a file cannot keep the functions of {part}: give its parameters")
+    return {
+        "class": type(part).__name__,
+        **{each.name: getattr(part, each.name) for each in fields(part)},
+    }
+
+
+#: parts of an expansion by the name that its file has for them
+PARTS: Final[Mapping[str, Any]] = {
+    "array": lambda dtype, values: np.array(values, dtype=np.dtype(dtype)),
+    "Family": family_of,
+    "Germ": lambda law: germs_of([law])[0],
+    **{part.__name__: part for part in (Chaos, Copula, Expansion, Fold, Joint, Law, Response)},
+}
+
+
+def _restored(part: dict[str, Any]) -> Any:
+    """A part of an expansion from what JSON has of it."""
+    name = part.pop("class", None)
+    if name is None:
+        return part
+    return PARTS[name](**{key: _tuples(value) for key, value in part.items()})
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_tuples, value))
+    return value

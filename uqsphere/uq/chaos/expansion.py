@@ -27,8 +27,7 @@ from uqsphere.uq.chaos.basis import (
     rows_of,
     steps_of,
 )
-from uqsphere.uq.chaos.select import solve_rows
-from uqsphere.uq.estimate import ratio_of_means, student
+from uqsphere.uq.estimate import ratio_of_means, spread, student
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
 from uqsphere.uq.points import sobol_points
 
@@ -171,8 +170,8 @@ class Chaos:
         points = germ_points(normals, self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
         values = predict(self, points)
-        unit = float(np.abs(values).max())
-        coefficients = solve_rows(rows_of(self.germs, points, terms), values / unit) * unit
+        rows = rows_of(self.germs, points, terms)
+        coefficients = np.asarray(np.linalg.solve(rows @ rows.T, rows @ values), dtype=float)
         return Chaos(
             coefficients=coefficients,
             multi_indices=terms,
@@ -232,7 +231,7 @@ def predict(fit: Chaos, points: Array) -> Array:
 @dataclass(frozen=True, kw_only=True)
 class Integrals:
     """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the
-    indices.
+    indices, `moment_errors` those of the mean and of the variance.
     """
 
     mean: float
@@ -240,6 +239,7 @@ class Integrals:
     first: Array
     total: Array
     error: float = 0.0
+    moment_errors: tuple[float, float] = (0.0, 0.0)
 
 
 def integrals(fit: Chaos) -> Integrals:
@@ -296,15 +296,17 @@ def integrals(fit: Chaos) -> Integrals:
         ratio_of_means(first + first_s - first_p, scale),
         ratio_of_means(total + total_s - total_p, scale),
     ]
-    half = student(PAIRS_REPLICATES) * max(
-        float(off.std(axis=0, ddof=1).max()) for _, off in shares
-    )
+
+    def half(replicates: Array) -> float:
+        return student(PAIRS_REPLICATES) * spread(replicates)
+
     return Integrals(
         mean=mean + unit * float(middle.mean()),
         sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
         first=shares[0][0],
         total=shares[1][0],
-        error=half / math.sqrt(PAIRS_REPLICATES),
+        error=max(half(column) for _, off in shares for column in off.T),
+        moment_errors=(unit * half(middle), unit**2 * half(scale[:, 0])),
     )
 
 
