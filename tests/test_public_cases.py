@@ -309,3 +309,93 @@ def test_masked_and_complex_tests_are_refused(mask: list[int]) -> None:
     assert fit.failures == 4
     assert fit.shape == pytest.approx(13.680813, rel=1e-6)
     assert fit.scale == pytest.approx(486.9947, rel=1e-6)
+
+
+# --- figures, checks and rows of the caller -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings", [{"text.usetex": True}, {"axes.facecolor": "none", "font.size": 40.0}]
+)
+def test_figures_do_not_depend_on_settings_of_the_user(settings: dict[str, Any]) -> None:
+    """dipc-cc/hubbard #96, plotypus #67: usetex in a matplotlibrc on a machine without LaTeX."""
+    import matplotlib as mpl
+
+    from uqsphere.report.figures import density_picture
+
+    run = box(lambda x: x["a"] + x["b"], AB)
+    plain = density_picture(run.results, "y")
+    with mpl.rc_context(settings):
+        assert density_picture(run.results, "y") == plain
+    # what a caller sets himself holds in his own axes
+    with mpl.rc_context({"font.size": 40.0}):
+        assert run.plot.density("y").xaxis.label.get_size() == 40.0
+
+
+def press(force: str) -> Study:
+    """A soft ball between steel platens."""
+    text = PLATENS % ("5 GPa", "10 mm", "platens")
+    platens = f'[platens]\nmaterial = "steel"\nforce = "{force}"\n[contact]\nlaw = "hertz"\n'
+    return load_study(text=text + platens)
+
+
+def test_a_contact_beyond_the_sphere_is_told_beside_the_number() -> None:
+    """lammps #4180, lethe #764: a/r above 1 stands on the terminal, and `evaluate` warns."""
+    from uqsphere.report.terminal import summary
+
+    run = uqsphere.run(press("3 MN"))
+    assert "Check failed: all samples: the contact is not small, a/r up to 1.6" in " ".join(
+        summary(run.results).split()
+    )
+    with pytest.warns(UserWarning, match="the contact is not small, a/r up to 1.6"):
+        found = uqsphere.evaluate(press("3 MN"), {}, ("p_max", "a_max"))
+    assert found["p_max"][0] == pytest.approx(5.506e9, rel=1e-3)
+    assert found["a_max"][0] == pytest.approx(16.13e-3, rel=1e-3)
+    # a small contact has no such word, neither there nor here
+    small = uqsphere.run(press("100 N"))
+    assert "Check failed" not in summary(small.results)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        uqsphere.evaluate(press("100 N"), {})
+
+
+@pytest.mark.parametrize(("levels", "steps", "seed"), [(5, 2, 0), (4, 2, 1), (4, 3, 2)])
+def test_observed_inputs_of_few_values_have_their_indices(
+    levels: int, steps: int, seed: int
+) -> None:
+    """SALib #341, Ax #2398: a switch and a level; exact for independent additive inputs."""
+    rng = np.random.default_rng(seed)
+    level = rng.integers(1, levels + 1, 160).astype(float)
+    switch = rng.integers(0, steps, 160).astype(float)
+    x, y = np.c_[level, switch], level + 3.0 * switch
+    with pytest.warns(UserWarning, match="repeat another"):
+        first = A.sobol_indices(x, y, {"level": level, "switch": switch})["first"]
+    share = level.var() / (level.var() + 9.0 * switch.var())
+    assert first["level"].value == pytest.approx(share, abs=1e-9)
+    assert first["switch"].value == pytest.approx(1.0 - share, abs=1e-9)
+    few = np.minimum(x, [3.0, 1.0])
+    with (
+        pytest.warns(UserWarning, match="repeat another"),
+        pytest.raises(UsageError, match="8 different rows, not 6"),
+    ):
+        A.sobol_indices(few, few.sum(axis=1), {"level": few[:, 0], "switch": few[:, 1]})
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        (lambda x: 0.5 * x, "does not follow its distribution"),
+        (lambda x: 0.001 * x, "a thousand times too small"),
+        (lambda x: x + 0.5, "cannot come from its distribution"),
+        (lambda x: np.c_[x[:, 0], x[:, 0]], "depend on each other"),
+    ],
+)
+def test_rows_that_do_not_follow_the_law_are_refused_at_both_doors(rows: Any, reason: str) -> None:
+    """SALib #549, #495, UncertainSCI #100: rows on half of the range gave 0.01 for 0.59."""
+    x = rows(np.random.default_rng(1).uniform(size=(300, 2)))
+    y = x[:, 0] ** 3 + np.sqrt(x[:, 1])
+    with pytest.raises(UsageError, match=reason):
+        A.sobol_indices(x, y, AB)
+    frame = pd.DataFrame(x, columns=["a", "b"]).assign(y=y)
+    with pytest.raises(UsageError, match=reason):
+        uqsphere.analyse(Study(inputs=AB, outputs="y"), frame)

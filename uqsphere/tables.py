@@ -311,8 +311,10 @@ class Table:
             column = heading
         its_unit, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
         if unit is not None and unit not in units:
+            near = nearest_unit(unit, dimension)
+            hint = f"; did you mean {near!r}?" if near else ""
             raise TableError(
-                f"{unit_key} must be one of {typed_units(dimension)}, not {unit!r}", unit_key
+                f"{unit_key} must be one of {typed_units(dimension)}, not {unit!r}{hint}", unit_key
             )
         if unit and its_unit and units[unit] != units[its_unit]:
             raise TableError(

@@ -107,10 +107,13 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "number": {"": 1.0},
 }
 
-#: units that are often written otherwise, in small letters
+#: other spellings of units, in small letters, and the units that they may mean
 _MISSPELLED: Final = {
-    "lbs": "lbf",
+    "lbs": "lb lbf",
     "lb": "lbf",
+    "pounds": "lb lbf",
+    "kg": "kgf",
+    "t": "tf",
     "newton": "N",
     "newtons": "N",
     "kilonewton": "kN",
@@ -120,7 +123,22 @@ _MISSPELLED: Final = {
     "microns": "um",
     "sec": "s",
     "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "m/sec": "m/s",
+    "mps": "m/s",
+    "kph": "km/h",
+    "kmh": "km/h",
+    "g/cc": "g/cm3",
+    "n/m2": "Pa",
+    "kn/mm2": "GPa",
+    "kn/m2": "kPa",
+    "degrees": "deg",
+    "joule": "J",
+    "joules": "J",
+    "volts": "V",
 }
+_SUPERSCRIPTS: Final = str.maketrans("²³", "23", "^* ")
 #: a number, with single underscores between digits as in TOML
 _NUMBER: Final = re.compile(
     r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII
@@ -202,7 +220,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     >>> parse_value(25, "length", "mm")
     Traceback (most recent call last):
     ...
-    uqsphere.units.UnitError: 25 has no unit: write it as a string, such as "25 mm" (units: m, cm,
+    uqsphere.units.UnitError: 25 has no unit. Write it as a text, such as "25 mm" (units: m, cm,
     mm, um, in, ft)
     """
     table = UNITS[dimension]
@@ -224,7 +242,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         if dimension != "number":
             bare = bare_number(text)
             raise UnitError(
-                f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: '
+                f'{bare} has no unit. Write it as a text, such as "{bare} {example}" (units: '
                 f"{allowed})"
             )
         return _finite(text, repr(text))
@@ -237,24 +255,24 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         if "," in mark[0][-4:]:
             number = mark[0].replace(".", "").replace(",", ".")
         raise UnitError(
-            f'{text!r} has a thousands separator: write "{number}{stripped[mark.end() :]}"'
+            f'{text!r} has a thousands separator. Write "{number}{stripped[mark.end() :]}"'
         )
     match = _NUMBER.match(stripped)
     if match is None:
-        raise UnitError(f"{text!r} is not a number{with_unit}; write, for example, {such}")
+        raise UnitError(f"{text!r} is not a number{with_unit}. Write, for example, {such}")
     number, unit = match.group(), stripped[match.end() :].strip()
     if unit.startswith(",") and unit[1:2].isdigit():
-        raise UnitError(f'{text!r} has a decimal comma: write "{stripped.replace(",", ".", 1)}"')
+        raise UnitError(f'{text!r} has a decimal comma. Write "{stripped.replace(",", ".", 1)}"')
     if dimension == "number":
         if unit not in ("", "%"):
-            raise UnitError(f"{text!r} must be a plain number, without the unit {unit!r}")
+            raise UnitError(f"must be a plain number, without the unit {unit!r}, not {text!r}")
         return _finite(float(number) * (0.01 if unit else 1.0), text)
     if unit not in table:
         if not unit:
-            raise UnitError(f'{text!r} has no unit: write "{number} {example}" (units: {allowed})')
+            raise UnitError(f'{text!r} has no unit. Write "{number} {example}" (units: {allowed})')
         if unit == "rpm" and dimension == "speed":
             raise UnitError(
-                f'{text!r}: a tip speed needs the rotor\'s diameter: write "{number} rpm at 0.9 m"'
+                f'{text!r}: a tip speed needs the rotor\'s diameter. Write "{number} rpm at 0.9 m"'
             )
         near = nearest_unit(unit, dimension)
         hint = f'; did you mean "{number} {near}"?' if near else ""
@@ -267,16 +285,24 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
 def nearest_unit(text: str, dimension: str) -> str:
     """The unit of a dimension that a text was likely meant to be; empty without one.
 
-    >>> nearest_unit("KN", "force"), nearest_unit("lbs", "force"), nearest_unit("mn", "force")
-    ('kN', 'lbf', '')
+    MJ is never taken for mJ, nor mPa for MPa: only a slip of other letters is.
+
+    >>> [nearest_unit(text, "force") for text in ("KN", "lbs", "kips", "mn")]
+    ['kN', 'lbf', '', '']
+    >>> nearest_unit("MJ", "energy"), nearest_unit("gpa", "pressure")
+    ('', 'GPa')
     """
-    plain = re.sub(r"[\^*\s]", "", text)
-    for spelled in (plain, _MISSPELLED.get(plain.lower(), "")):
+    plain = text.translate(_SUPERSCRIPTS)
+    for spelled in (plain, *_MISSPELLED.get(plain.lower(), "").split()):
         if spelled and spelled in UNITS[dimension]:
             return spelled
-    # kn is kN; mn may be mN or MN
-    folded = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
-    return folded[0] if len(folded) == 1 else ""
+    near = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
+    if len(near) != 1:
+        return ""
+    prefix, stem = near[0][0], near[0][1:]
+    if prefix in "mM" and stem[:1].isalpha() and stem == plain[1:]:
+        return ""  # another power of ten
+    return near[0]
 
 
 def likely_unit(raw: Any, quantity: Quantity) -> str:

@@ -155,10 +155,10 @@ CASES = [
         'mean = "52 GPa"',
         'mean = "52"',
         "sphere.E.mean",
-        'write "52 GPa"',
+        'Write "52 GPa"',
     ),
     one(
-        "a decimal comma", '"40 mm"', '"0,04 m"', "bars.diameter", "decimal comma", 'write "0.04 m"'
+        "a decimal comma", '"40 mm"', '"0,04 m"', "bars.diameter", "decimal comma", 'Write "0.04 m"'
     ),
     one("a unit of something else", '"40 mm"', '"40 GPa"', "unknown unit 'GPa' for a length", "mm"),
     one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "the unit 'm'"),

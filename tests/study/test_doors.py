@@ -359,3 +359,16 @@ def test_file_names_reach_the_terminal_clean(tmp_path: Path) -> None:
     study.write_text(BOX + "[nothing]\n")
     assert refusal(lambda: load_study(study)).isprintable()
     assert refusal(lambda: load_study(tmp_path / "e\x1b[2J.toml")).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("unit", "near"), [("KN", "kN"), ("lbs", "lbf"), ("kg", "kgf"), ("GN", ""), ("kips", "")]
+)
+def test_the_unit_of_a_key_is_offered(tmp_path: Path, unit: str, near: str) -> None:
+    change = ('force = "force"', f'force = "force", force_unit = "{unit}"')
+    lines = table_of(head="force,diameter [mm]")
+    text = refusal(lambda: study_of(tmp_path, change, lines=lines))
+    assert f"force_unit must be one of N, mN, kN, MN, kgf, tf, lbf, not '{unit}'" in text
+    assert text.endswith(f"did you mean '{near}'?" if near else f"'{unit}'")
+    # no unit at all is another cause
+    assert "must be one of" not in refusal(lambda: study_of(tmp_path, lines=lines))

@@ -239,7 +239,7 @@ def cross_fit(
     points, outputs = np.asarray(points), np.asarray(outputs, dtype=float)
     n = len(outputs)
     if n < 8:
-        raise ValueError(f"cross-fitting takes at least 8 rows, found {n}")
+        raise ValueError(f"cross-fitting needs at least 8 different rows, not {n}")
     fold = folds_of(n, FOLDS)
     responses = []
     for y in outputs.reshape(n, -1).T:
