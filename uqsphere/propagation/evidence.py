@@ -9,7 +9,6 @@ is a product of uniform variables.)
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -74,38 +73,31 @@ def judged_by_tests(
         weak = scaled_strength(mode.weak, evidence.raised)
         middle = mode.limit.strength
         assert isinstance(middle, Law)
-        if _median(weak) > _median(middle):
+        if median(weak) > median(middle):
             middle = weak
         left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
     return found, left
 
 
 def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evidence:
-    from scipy.optimize import brentq
-
     middle = mode.limit.strength
     assert isinstance(middle, Law)
     demands = demands_in_tests(study, series, mode)
-    p = [standing(law.cdf(demands)[None, :])[0] for law in (mode.weak, middle, mode.strong)]
-    raised = 1.0
-    if p[0] < REFUTED <= p[2]:
-        top = math.log(_median(mode.strong) / _median(mode.weak))
-
-        def excess(shift: float) -> float:
-            law = scaled_strength(mode.weak, math.exp(shift))
-            return float(standing(law.cdf(demands)[None, :])[0]) - REFUTED
-
+    weak, centre, strong = (
+        float(standing(law.cdf(demands)[None, :])[0]) for law in (mode.weak, middle, mode.strong)
+    )
+    refuted, raised = strong < REFUTED, 1.0
+    if weak < REFUTED and not refuted:
         # the strong end of a range may be of another scatter than its weak end
-        if excess(top) > 0.0:
-            top = brentq(excess, 0.0, top)
-        raised = math.exp(top)
+        factor = float(least_factor(mode.weak, demands[None, :])[0])
+        raised = min(factor, median(mode.strong) / median(mode.weak))
     return Evidence(
         mode=mode.called,
         tests=len(demands),
-        weak=float(p[0]),
-        middle=float(p[1]),
-        strong=float(p[2]),
-        refuted=bool(p[2] < REFUTED),
+        weak=weak,
+        middle=centre,
+        strong=strong,
+        refuted=refuted,
         raised=raised,
     )
 
@@ -137,7 +129,21 @@ def standing(below: Array) -> Array:
     return np.asarray(ksone.sf(np.maximum(distance, 1e-9), n))
 
 
-def _median(law: Law) -> float:
+def least_factor(law: Law, demands: Array) -> Array:
+    """What a strength must be multiplied by (J,) at least for J series of tests, whose spheres bore
+    demands (J, n), not to refute it.
+    """
+    from scipy.stats import ksone
+
+    n = demands.shape[1]
+    below = np.arange(n) / n + ksone.isf(REFUTED, n)
+    inside = below < 1.0
+    ordered = np.sort(demands, axis=1)[:, inside]
+    return np.asarray((ordered / law.ppf(below[inside])).max(axis=1))
+
+
+def median(law: Law) -> float:
+    """The median of a distribution."""
     return float(law.ppf(np.array([0.5]))[0])
 
 
