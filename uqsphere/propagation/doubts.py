@@ -208,7 +208,7 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
             seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
         )
         with suppress(LawError):
-            found[name] = tuple(possible_laws(fitted, LAWS, generator))
+            found[name] = tuple(possible_laws(fitted, LAWS, generator, limit.allowable))
     return found
 
 

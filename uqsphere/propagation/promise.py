@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -34,7 +35,7 @@ from uqsphere.propagation.line import Line, score
 from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
-from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, distance, is_fitted
+from uqsphere.uq.fitting import FINER, STRENGTHS, LocationScale, count_tests, distance, is_fitted
 
 #: numbers of tests that are told
 SIZES: Final = (10, 25, 50, 100, 200)
@@ -172,8 +173,8 @@ class _Promise:
         """The place (J, shares) that the strengths allow which each series leaves."""
         ones, stopped = np.ones(tests.leaving.size), tests.leaving - 1.0
         location, scale = (part[:, None] for part in kind.maximum(tests.logs, ones, stopped))
-        generator = np.random.default_rng(tests.leaving.size)
-        centre, inverse = kind.pivots(tests.leaving, LAWS, generator)
+        pivots = _pivots(kind, tuple(tests.leaving.tolist()))
+        centre, inverse = kind.ranked(*pivots, tests.limit.allowable)
         end = ENDS[1] if self.settled.least else ENDS[0]
         columns = [
             np.quantile(table(location - scale * centre, scale * inverse), end, axis=1)
@@ -285,6 +286,12 @@ def _series(limit: Limit, uniforms: Array) -> Series:
     logs = location + scale * kind.form.quantile(uniforms, 1.0 - uniforms)
     leaving = np.append(np.ones(broken - 1), 1.0 + n - broken)
     return Series(limit=limit, logs=logs[:, :broken], leaving=leaving)
+
+
+@lru_cache(maxsize=16)
+def _pivots(kind: LocationScale, leaving: tuple[float, ...]) -> tuple[Array, Array]:
+    generator = np.random.default_rng(len(leaving))
+    return kind.pivots(np.array(leaving), FINER * LAWS, generator)
 
 
 def _refuted(kind: LocationScale, tests: Series) -> Flags:

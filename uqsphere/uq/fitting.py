@@ -37,6 +37,8 @@ _OTHERS: Final = 999
 #: robust deviations from the rest beyond which a test is worth a second look
 APART: Final = 5.0
 _SERIES_SEED: Final = 20261121
+#: simulated test series for each that is chosen by its rank
+FINER: Final = 10
 #: beyond so many failures the pivots follow the law of large samples, whose 95 % ranges are then
 #: right to a tenth of a standard deviation (tests/uq/test_fitting.py)
 MANY: Final = 300
@@ -157,6 +159,14 @@ class LocationScale:
         ]
         location, scale = (np.concatenate(part) for part in zip(*found, strict=True))
         return location / scale, 1.0 / scale
+
+    def ranked(self, centre: Array, inverse: Array, at: float) -> tuple[Array, Array]:
+        """Every `FINER`-th of some pivots in the order of the strengths' quantile at a probability:
+        they stand for all of them.
+        """
+        z = float(self.form.quantile(np.array([at]), np.array([1.0 - at]))[0])
+        order = np.argsort(z * inverse - centre)[FINER // 2 :: FINER]
+        return centre[order], inverse[order]
 
 
 #: laws that can be fitted with stopped tests among them
@@ -574,10 +584,14 @@ def series_behind(law: Law) -> StrengthTests:
 # --- laws that the observations allow -------------------------------------------------------------
 
 
-def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Iterator[Law]:
+def possible_laws(
+    law: Law, count: int, generator: np.random.Generator, at: float | None = None
+) -> Iterator[Law]:
     """`count` laws of the same family that the observations of `law` allow, each as likely as the
     other, one by one.
 
+    at : probability whose quantile they stand for as many more would, for families with a location
+        and a scale
     Raises LawError for a law of fewer than `LEAST_TESTS` observations, or whose samples cannot be
         fitted again.
 
@@ -607,7 +621,11 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> Itera
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests = series_behind(law)
     location, scale = _best(tests, kind)
-    centre, inverse = kind.pivots(tests.leaving, count, generator)
+    if at is None:
+        centre, inverse = kind.pivots(tests.leaving, count, generator)
+    else:
+        centre, inverse = kind.pivots(tests.leaving, FINER * count, generator)
+        centre, inverse = kind.ranked(centre, inverse, at)
     columns = kind.parameters(location - scale * centre, scale * inverse)
     values = np.column_stack(list(columns.values())).tolist()
     return (
