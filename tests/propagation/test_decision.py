@@ -164,6 +164,28 @@ def test_a_slip_is_told_and_holds_the_verdict(override: str, code: str, key: str
     assert bool(caveats) == bool(code)
 
 
+@pytest.mark.parametrize(
+    ("title", "overrides", "held"),
+    [
+        ("Pellets", ["sphere.E=20 GPa"], []),
+        ("Pellets", ["sphere.E=400 GPa"], ["sphere.E"]),
+        ("Anything", ["sphere.E=400 GPa"], []),
+        ("Anything", ["sphere.E=20 MPa"], ["sphere.E"]),
+        ("Glass beads", ["sphere.E=20 GPa"], ["sphere.E", "limits.whole.strength"]),
+        ("Pellets", ["limits.whole.strength.mean=150 MPa"], ["limits.whole.strength"]),
+    ],
+)
+def test_a_sphere_of_no_named_material_is_held_against_its_class(
+    title: str, overrides: list[str], held: list[str]
+) -> None:
+    """By the title; against all brittle solids of the library where it says nothing."""
+    text = f'title = "{title}"' + PLAIN.replace(
+        'material = "limestone"', 'E = "50 GPa"\nnu = 0.2\ndensity = "3000 kg/m3"'
+    )
+    caveats = load_study("plain.toml", overrides, text=text).caveats
+    assert [path for code, path, _ in caveats if code == "plausibility"] == held
+
+
 def test_contacts_yield_where_something_says_at_which_pressure() -> None:
     assert load_study("plain.toml", text=PLAIN).options["contact.law"] == "plastic"
     named = load_study("plain.toml", ["contact.law=hertz"], text=PLAIN)

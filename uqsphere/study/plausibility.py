@@ -1,14 +1,19 @@
-"""A study's own numbers beside the library's of the material that it names: a slip of a unit, of
-two numbers swapped, or of one strength for another is told, and no verdict is established by it.
+"""A study's numbers beside the library's of the material that it names, or of the class of its
+sphere: a slip of a unit, of two numbers swapped, or of one strength for another is told, and no
+verdict is established by it.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from uqsphere.materials import PROPERTIES, Material, Property, library
+from uqsphere.documents import Place
+from uqsphere.materials import PROPERTIES, Material, library
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
@@ -23,6 +28,15 @@ _FAR: Final = 3.0
 _MODULI: Final = (1.5, 25.0)
 #: numbers of a material that are held against the library's
 _KEYS: Final = ("E", "nu", "density", "yield_strength", "onset_pressure", "hardness")
+#: words of a title, or of a partner's name, by which a sphere of no named material is of a class
+_CLASSES: Final = {
+    "rocks": "rock stone ore pellet mineral gravel lump granite gneiss limestone marble sandstone "
+    "basalt quartz quartzite magnetite",
+    "glass": "glass glasses",
+    "ceramics": "ceramic alumina zirconia porcelain",
+}
+#: brittle solids of the library that are not among its spheres
+_BRITTLE: Final = ("pmma", "concrete", "tungsten_carbide")
 #: relative difference of the contact moduli of tests and rig that is told
 _STIFFER: Final = 0.05
 
@@ -31,34 +45,88 @@ def warn_of_slips(draft: Draft) -> None:
     """Warn of numbers and strengths far from the library's, and of tests between other partners
     than the rig's.
     """
-    for table, name in draft.materials.items():
-        material = _material(name)
-        for key, entry in material.properties.items():
+    likes = {
+        table: Like(called=name, materials=[_material(name)])
+        for table, name in draft.materials.items()
+    }
+    if not draft.box:
+        likes.setdefault("sphere", _class_of(draft))
+    for table, like in likes.items():
+        for key in _KEYS:
             number = draft.numbers.get(getattr(numbers_of(table).get(key), "name", ""))
-            if number is not None and key in _KEYS:
-                _compare(draft, (table, key), number.mean, entry, material)
+            if number is not None:
+                _compare(draft, (table, key), f"{table}.{key}", number.mean, like.range_of(key))
     for limit in draft.limits.values():
         _warn_of_modulus(draft, limit)
-        _warn_of_strength(draft, limit)
         _warn_of_partners(draft, limit)
+        if not draft.box:
+            _warn_of_strength(draft, limit, likes["sphere"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Like:
+    """What a body is held against: one material of the library, or a class of them."""
+
+    called: str
+    materials: Sequence[Material]
+
+    def range_of(self, key: str, diameter: float | None = None) -> Usual | None:
+        """The range of a property, of particles of a diameter [m] by its size law."""
+        ends: list[float] = []
+        for material in self.materials:
+            entry = material.properties.get(key)
+            if entry is not None:
+                size = 1.0
+                if diameter is not None:
+                    size += (entry.further["size"] / diameter) ** entry.further["exponent"]
+                ends += [size * end for end in entry.range or (entry.value, entry.value)]
+        if not ends:
+            return None
+        return Usual(low=min(ends), high=max(ends), of=self.called)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Usual:
+    """The library's range of a property, and of which solids."""
+
+    low: float
+    high: float
+    of: str
 
 
 def _material(name: str) -> Material:
     return next(kind[name] for kind in library().values() if name in kind)
 
 
-def _compare(
-    draft: Draft, place: tuple[str, str], value: float, entry: Property, material: Material
-) -> None:
+def _class_of(draft: Draft) -> Like:
+    """The class of a sphere of no named material, by the study's title and the names of its
+    partners; all brittle solids where neither says.
+    """
+    solids = library()["sphere"]
+    members = {
+        "rocks": [material for material in solids.values() if material.rock],
+        "glass": [solids["soda_lime_glass"]],
+        "ceramics": [solids["alumina"]],
+    }
+    text = " ".join([draft.document.title or "", *draft.materials.values()]).lower()
+    words = set(re.findall("[a-z]+", text))
+    words |= {word.removesuffix("s") for word in words}
+    for called, listed in _CLASSES.items():
+        if words.intersection(listed.split()):
+            return Like(called=called, materials=members[called])
+    brittle = [*solids.values(), *map(_material, _BRITTLE)]
+    return Like(called="brittle solids", materials=brittle)
+
+
+def _compare(draft: Draft, place: Place, quantity: str, value: float, usual: Usual | None) -> None:
     """Warn of a number more than a factor off the library's range."""
-    low, high = entry.range or (entry.value, entry.value)
-    if low / _FAR <= value <= high * _FAR:
+    if usual is None or usual.low / _FAR <= value <= usual.high * _FAR:
         return
-    path = f"{place[0]}.{place[1]}"
-    shown = format_value(value, path), format_value(entry.value, path)
-    text = (
-        f"{shown[0]} is more than {_FAR:g} times off the library's {shown[1]} for {material.name}"
-    )
+    shown, low, high = (format_value(x, quantity) for x in (value, usual.low, usual.high))
+    span = low
+    if low != high:
+        span = f"{low} to {high}"
+    text = f"{shown} is more than {_FAR:g} times off the library's {span} for {usual.of}"
     draft.warn(place, text, holds="plausibility")
 
 
@@ -75,30 +143,19 @@ def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
         draft.warn(("limits", limit.name, "strength"), text, holds="plausibility")
 
 
-def _warn_of_strength(draft: Draft, limit: Limit) -> None:
+def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     """Warn of a strength, not of tests, more than a factor off the library's for the same mode."""
-    mode = FAILURE_MODES.get(failure_place(lookup(limit.quantity)))
-    name, law = draft.materials.get("sphere"), limit.strength
-    if mode is None or name is None or (isinstance(law, Law) and (law.data or law.draws)):
+    mode, law = FAILURE_MODES.get(failure_place(lookup(limit.quantity))), limit.strength
+    if mode is None or (isinstance(law, Law) and (law.data or law.draws)):
         return
-    entry = _material(name).properties.get(mode.strength)
-    dimension = PROPERTIES[mode.strength]
-    if entry is None or lookup(limit.quantity).dimension != dimension:
+    if lookup(limit.quantity).dimension != PROPERTIES[mode.strength]:
         return
-    value = law.nominal_mean() if isinstance(law, Law) else float(law)
-    low, high = entry.range or (entry.value, entry.value)
+    diameter = None
     if mode.size_law == "particle":
         diameter = 2.0 * draft.mean("sphere.radius")
-        size = 1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"]
-        low, high = low * size, high * size
-    if low / _FAR <= value <= high * _FAR:
-        return
-    shown = [format_value(x, limit.quantity) for x in (value, low, high)]
-    text = (
-        f"{shown[0]} is more than {_FAR:g} times off the library's {shown[1]} to {shown[2]} for "
-        f"{name}"
-    )
-    draft.warn(("limits", limit.name, "strength"), text, holds="plausibility")
+    value = law.nominal_mean() if isinstance(law, Law) else float(law)
+    usual = like.range_of(mode.strength, diameter)
+    _compare(draft, ("limits", limit.name, "strength"), limit.quantity, value, usual)
 
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
