@@ -210,13 +210,10 @@ def _by_tests(
     series drawn from it, fitted in the same way.
     """
     kind, r = STRENGTHS[doubt.detail], len(law.data)
-    logs = np.sort(np.log(law.data))
-    # tests that were stopped are as strong as the strongest that broke, or stronger
-    stopped = np.zeros(r)
-    for value in law.censored:
-        stopped[max(int(np.searchsorted(logs, math.log(value))) - 1, 0)] += 1.0
-    ones = np.ones(r)
-    location, scale = (float(x[0]) for x in kind.maximum(logs[None, :], ones, stopped))
+    logs = np.log([*law.data, *law.censored])
+    failed = np.arange(logs.size) < r
+    fit = kind.maximum(logs[None, :], failed.astype(float), 1.0 - failed)
+    location, scale = (float(part[0]) for part in fit)
     n = r + len(law.censored)
     z = (
         rng.standard_normal((series, n))
@@ -224,7 +221,7 @@ def _by_tests(
         else np.log(rng.exponential(size=(series, n)))
     )
     z = np.sort(z, axis=1)[:, :r]
-    centres, scales = kind.maximum(z, ones, np.append(np.zeros(r - 1), float(n - r)))
+    centres, scales = kind.maximum(z, np.ones(r), np.append(np.zeros(r - 1), float(n - r)))
     places, widths = location - scale * centres / scales, scale / scales
     few, held = np.log(demands[:_FEW]), 1.0 - others[:_FEW]
     p = []

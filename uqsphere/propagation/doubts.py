@@ -129,8 +129,8 @@ class Doubt:
         the other failure modes
     opposite : the joint curve at the other end of what tests leave open; None for other doubts
     error : standard error (K,) of the curve by the numerical computation
-    margin : where the curve crosses its target; None where the safe end misses it, infinite where
-        the whole range keeps it
+    single_margin, margin : where the two cross the target; None where the safe end misses it,
+        infinite where the whole range keeps it
     """
 
     code: DoubtCode
@@ -140,6 +140,7 @@ class Doubt:
     single: Array
     curve: Array
     error: Array
+    single_margin: float | None = None
     margin: float | None = None
     opposite: Array | None = None
 
@@ -362,9 +363,9 @@ class Curves:
         near = int(np.argmin(np.abs(score(ends[1]) - score(limit.allowable))))
         law = int(np.argmin(np.abs(few[1, :, near].mean(axis=1) - ends[1, near])))
         every = self.by_strengths(limit, [laws[law]])[:, 0]
-        found = self._shifted(few, few[:, law], every, self._unsafe)
-        opposite = self._shifted(few, few[:, law], every, 1.0 - self._unsafe)[0][1]
-        doubt = self._doubt(alternative.code, limit, alternative.detail, *found)
+        unsafe = self._shifted(limit, few, few[:, law], every, self._unsafe)
+        opposite = self._shifted(limit, few, few[:, law], every, 1.0 - self._unsafe)[0][1]
+        doubt = self._doubt(alternative.code, limit, alternative.detail, *unsafe)
         return replace(doubt, opposite=opposite)
 
     def contacts_yield(self, limit: Limit) -> Doubt | None:
@@ -375,21 +376,31 @@ class Curves:
         aim = replace(self.aim, limits=tuple(limits[asked.name] for asked in self.aim.limits))
         rows = Curves(aim=aim, line=self.yielding).base(limits[limit.name])
         few, every = self.few.base(limit), self.base(limit)
-        found = self._shifted(rows[:, None], few, every, self._unsafe)
-        return self._doubt(CONTACT, limit, "", *found)
+        unsafe = self._shifted(limit, rows[:, None], few, every, self._unsafe)
+        return self._doubt(CONTACT, limit, "", *unsafe)
 
     @property
     def _unsafe(self) -> float:
         return ENDS[1] if self.aim.survive else ENDS[0]
 
-    def _shifted(self, means: Array, few: Array, every: Array, end: float) -> tuple[Array, Array]:
+    def _shifted(
+        self, limit: Limit, means: Array, few: Array, every: Array, end: float
+    ) -> tuple[Array, Array]:
         """Curves (2, K) at a quantile of (2, laws, K, R) on few rows, and the joint one of each
         replicate (K, R), moved by the difference in normal scores between all rows and few.
         """
+        law = strength_of(limit)
+        counted = not isinstance(law, Law) or law.is_steps
+
+        def scores(line: Line, probability: Array) -> Array:
+            if counted:  # rows that fail or not: none of them is not never
+                probability = line.seen(probability)
+            return score(probability)
 
         def moved(ends: Array, before: Array, after: Array) -> Array:
-            change = score(self.line.seen(after)) - score(self.few.line.seen(before))
-            return np.asarray(special.ndtr(score(self.few.line.seen(ends)) + change))
+            few_line = self.few.line
+            change = scores(self.line, after) - scores(few_line, before)
+            return np.asarray(special.ndtr(scores(few_line, ends) + change))
 
         pooled = np.quantile(means.mean(axis=3, keepdims=True), end, axis=1)
         curves = moved(pooled, few.mean(axis=2, keepdims=True), every.mean(axis=2, keepdims=True))
@@ -407,18 +418,22 @@ class Curves:
         """A doubt with its curves (K,), alone and joint, and the error that its replicates (K, R)
         show.
         """
-        margin, allowed = None, limit.allowable
+        margins: list[float | None] = [None, None]
         if len(self.line.values) > 1:
-            margin = self.line.crossing(curves[1], allowed, keeps_below=self.aim.survive)
+            margins = [
+                self.line.crossing(curve, limit.allowable, keeps_below=self.aim.survive)
+                for curve in curves
+            ]
         return Doubt(
             code=code,
             limit=limit,
             detail=detail,
-            allowed=allowed,
+            allowed=limit.allowable,
             single=curves[0],
             curve=curves[1],
             error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
-            margin=margin,
+            single_margin=margins[0],
+            margin=margins[1],
         )
 
 

@@ -36,7 +36,7 @@ def limits(design: Design, tables: Tables) -> Answers:
         answers.add(subject, "failure_probability", "", failed, unit="1", runs=runs)
         index = reliability_index(failed.value)
         if index is not None:
-            low, high = reliability_index(failed.high), reliability_index(failed.low)
+            high, low = (reliability_index(end) for end in failed.outer)
             answers.row(
                 subject,
                 "reliability_index",

@@ -225,8 +225,8 @@ def _range(estimate: Estimate) -> types.Range:
 
 def _use(judged: Judged) -> types.Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
-    settled, margins = judged.line, judged.aim.design.study.margins
-    if settled is None or margins is None or settled.number is None:
+    settled, free = judged.line, judged.aim.design.study.margins
+    if settled is None or free is None or settled.number is None:
         return None
     number = settled.number
     if math.isinf(number):
@@ -237,15 +237,16 @@ def _use(judged: Judged) -> types.Use | None:
         factor = number / planned
         if settled.least:
             factor = planned / number
-    margins_found = [doubt.margin for doubt in settled.doubts if doubt.margin is not None]
-    finite = [margin for margin in margins_found if math.isfinite(margin)]
+    best = _best_estimate(settled)
+    margins = [best, *(doubt.margin for doubt in settled.doubts)]
+    ends = [margin for margin in margins if margin is not None and math.isfinite(margin)]
     return types.Use(
-        path=margins.solve,
+        path=free.solve,
         value=number,
         safe_end="smallest" if settled.least else "largest",
         planned=planned,
         safety_factor=factor,
-        best=types.Range(value=_best_estimate(settled), low=min(finite), high=max(finite)),
+        best=types.Range(value=best, low=min(ends), high=max(ends)),
     )
 
 
@@ -335,11 +336,6 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
     settled, aim = judged.line or judged.plan, judged.aim
     doubt = along or at_plan
     assert doubt is not None
-    note: types.MarginNote = ""
-    if along is not None and along.margin is None:
-        note = "nowhere"
-    elif along is not None and math.isinf(along.margin or 0.0):
-        note = "everywhere"
     at_number, number, at_plan_range = types.Range(), settled.number, types.Range()
     if along is not None and number is not None and math.isfinite(number):
         at_number = _failure_range(aim, settled.line.at(doubt.curve, number))
@@ -355,13 +351,24 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
         option=option,
         target=doubt.limit.target,
         margin=doubt.margin,
-        margin_note=note,
+        margin_note=_note(along, doubt.margin),
+        alone=doubt.single_margin,
+        alone_note=_note(along, doubt.single_margin),
         at_number=at_number,
         at_plan=at_plan_range,
         governs=doubt.key == settled.governing.key,
         counts=doubt.code != ASSUMED or any(doubt.limit is mode.limit for mode in aim.modes),
         tests=number_of_tests(strength_of(doubt.limit)),
     )
+
+
+def _note(along: Doubt | None, margin: float | None) -> types.MarginNote:
+    """Why a margin is no number."""
+    if along is None:
+        return ""
+    if margin is None:
+        return "nowhere"
+    return "everywhere" if math.isinf(margin) else ""
 
 
 def _is_carrier(aim: Aim, limit: Limit) -> bool:

@@ -347,10 +347,16 @@ class Doubt(Part):
         default="", description="what is taken otherwise: a distribution, a carrier, a law"
     )
     target: float = Field(description="failure probability that is accepted here")
-    margin: Finite = Field(description="free number at the target under this doubt")
+    margin: Finite = Field(
+        description="free number at the target under this doubt, with the other failure modes"
+    )
     margin_note: MarginNote = Field(
         default="", description="why there is no margin: the target is kept everywhere, or nowhere"
     )
+    alone: Finite = Field(
+        default=None, description="the same margin by this limit alone, without the others"
+    )
+    alone_note: MarginNote = Field(default="", description="why there is none")
     at_number: Range = Field(
         default=Range(), description="failure probability at the number to use"
     )
