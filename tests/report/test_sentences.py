@@ -165,14 +165,41 @@ def test_the_terminal_has_no_codes(granite: Results) -> None:
 
 
 def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
+    """By the limit alone: what other failure modes take is told by the decision."""
+    ends = {"subject": "limits.crushing", "target": 0.01}
     doubts = [
-        Doubt(code="computation", subject="limits.crushing", target=0.01, margin=0.66),
-        Doubt(code="tests", subject="limits.crushing", target=0.01, margin=0.404, tests=20),
+        Doubt(code="computation", margin=0.3, alone=0.66, **ends),
+        Doubt(code="tests", margin=0.2, alone=0.404, tests=20, **ends),
     ]
     results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
     row = mode_rows(results)[0]
     assert row.number("striker.speed") == "0.4 m/s"
     assert row.span("striker.speed") == "0.404 to 0.660 m/s"
+
+
+def test_an_undecided_verdict_names_the_doubt_that_says_no(granite: Results) -> None:
+    whole = {"subject": "limits.crushing", "target": 0.01, "margin": 0.1}
+    doubts = [
+        Doubt(code="computation", at_plan=Range(value=0.002), **whole),
+        Doubt(code="distribution", option="weibull", at_plan=Range(value=0.014), **whole),
+    ]
+    (text,) = decision_text(granite, decision(verdict="undecided", doubts=doubts)).open
+    assert text.startswith("fracture probability at the planned value up to 1.4 %")
+    assert "Weibull" in text
+
+
+def test_a_target_that_is_kept_everywhere_allows_the_whole_range(granite: Results) -> None:
+    doubts = [
+        Doubt(
+            code="tests",
+            subject="limits.crushing",
+            target=0.01,
+            margin=None,
+            margin_note="everywhere",
+        )
+    ]
+    text = decision_text(granite, decision(use=None, doubts=doubts))
+    assert text.use.startswith("Use any value between")
 
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:

@@ -111,11 +111,25 @@ def _open(results: Results, decision: Decision) -> list[str]:
             texts.append(caveat_text(caveat))
     if synthetic:
         texts.append(f"the tests of {listed(synthetic)} are synthetic, not measured")
+    if decision.verdict == "undecided":
+        texts += _undecided(decision)
     told = {caveat.subject for caveat in decision.caveats}
     for check in results.checks:
         if check.grade == "failure" and check.name not in told:
-            texts.append(f"check failed: {check.text}")
+            effect = f" ({check.effect})" if check.effect else ""
+            texts.append(f"check failed: {check.text}{effect}")
     return texts
+
+
+def _undecided(decision: Decision) -> list[str]:
+    """The doubt under which the planned value misses its target by most."""
+    doubts = [doubt for doubt in decision.doubts if doubt.counts and doubt.at_plan.value]
+    if not doubts:
+        return []
+    worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
+    p = plain_probability(as_event(decision, worst.at_plan))
+    name, side = plain_name(worst.subject), "down to" if decision.aim == "break" else "up to"
+    return [f"fracture probability at the planned value {side} {p} ({name}, {_considering(worst)})"]
 
 
 def listed(words: Sequence[str]) -> str:
@@ -152,7 +166,19 @@ class _Writer:
             return f"Use {self.allowed(self.decision.use.value)}"
         if self.free is None or self.decision.target is None:
             return capital(self.event(self.governing_range()))
+        if self.kept_everywhere():
+            return f"Use any value between {self.ends()}"
         return "No value to use"
+
+    def kept_everywhere(self) -> bool:
+        """Whether every doubt keeps its target in the whole range."""
+        margins = [doubt for doubt in self.decision.doubts if doubt.code != "assumed strength"]
+        return bool(margins) and all(doubt.margin_note == "everywhere" for doubt in margins)
+
+    def ends(self) -> str:
+        """Both ends of the range of the free number."""
+        assert self.free is not None
+        return " and ".join(value(x, self.free.path) for x in (self.free.low, self.free.high))
 
     def sentence(self) -> str:
         """What governs the number, its margin to the plan, and what else would be allowed."""
@@ -206,13 +232,12 @@ class _Writer:
 
     def why_none(self) -> str:
         """Why there is no number to use."""
-        assert self.free is not None
-        decision = self.decision
-        ends = " and ".join(value(x, self.free.path) for x in (self.free.low, self.free.high))
-        if decision.blocked_by:
-            name = plain_name(decision.blocked_by)
-            return f"{capital(name)} exceeds its target everywhere between {ends}."
-        return f"The target is not crossed between {ends}."
+        if self.decision.blocked_by:
+            name = plain_name(self.decision.blocked_by)
+            return f"{capital(name)} exceeds its target everywhere between {self.ends()}."
+        if self.kept_everywhere():
+            return "The target is kept in the whole range."
+        return f"The target is not crossed between {self.ends()}."
 
     def event(self, p: Range) -> str:
         """A failure probability as the probability of fracture."""
@@ -273,7 +298,7 @@ class _Writer:
 
 
 _REMEDIES: Final = {
-    "nothing": "No open issues for this target",
+    "nothing": "The target is met; no further step is needed",
     "set a target": "Set limits.{subject}.target for a verdict",
     "change the plan": (
         "Change the planned value or the target; further measurements cannot change this verdict"
