@@ -458,7 +458,7 @@ def _remedy(
         number, others = judged.line.number, None
         if number is None and len(judged.aim.limits) > 1:
             others = judged.settling.best(judged.line)
-        if number is None or (math.isinf(number) and verdict != "met"):
+        if number is None or math.isinf(number):
             return types.Remedy(code="widen the range", subject="margins.between", at_best=others)
     if verdict == "met":
         return types.Remedy(code="nothing")

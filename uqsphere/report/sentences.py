@@ -286,6 +286,8 @@ class _Writer:
         subject = plain_name(remedy.subject)
         if remedy.code == "leave the model's range":
             subject = subject.replace("_", " ")
+        if remedy.code == "widen the range" and self.kept_everywhere():
+            return "Widen margins.between to find where the target is missed."
         text = _REMEDIES[remedy.code].format(subject=subject, tail=tail)
         if remedy.code == "measure the strength":
             text = f"Measure the {_strength_name(self.results, remedy.subject)} of this rock"
