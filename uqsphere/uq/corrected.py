@@ -37,7 +37,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.chaos import projections
 from uqsphere.uq.describe import Description, heavy_tail
 from uqsphere.uq.estimate import Estimate, absent, distances, share, student
-from uqsphere.uq.response import METHOD, ROUNDING, Response, unseen
+from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
@@ -73,16 +73,6 @@ class Corrected:
         return self.response.count
 
     @cached_property
-    def outputs(self) -> Array:
-        """Outputs (n,) of the rows that are used."""
-        return self.response.outputs[self.response.rows]
-
-    @cached_property
-    def predicted(self) -> Array:
-        """Predictions (n,) for them."""
-        return self.response.levels[self.response.rows]
-
-    @cached_property
     def method(self) -> str:
         text = f"{METHOD}; {unseen(self.runs)}"
         if self.dropped:
@@ -92,7 +82,7 @@ class Corrected:
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
         """Values of the residuals, and the share of the rows that each of them stands for."""
-        residuals = self.outputs - self.predicted
+        residuals = self.response.residuals
         nodes = np.unique(np.quantile(residuals, np.linspace(0.0, 1.0, NODES)))
         if len(nodes) == 1:
             return nodes, np.ones(1)
@@ -109,30 +99,31 @@ class Corrected:
 
     # --- moments ----------------------------------------------------------------------------------
 
-    def _table_moment(self, power: int, centre: float = 0.0) -> tuple[float, float]:
-        """E_table[(f - centre)^power], power 1 or 2, and its half-width: of the integrals of the
-        expansions where these are more accurate than the table.
+    def _table_moment(self, power: int, centre: float = 0.0) -> tuple[Array, float]:
+        """E_table[(f_k - centre)^power] (K,) of every fold, power 1 or 2, and the half-width of
+        their mean: by the integrals of the expansions where these are more accurate than the table.
         """
-        response = self.response
-        values = ((self.table - centre) ** power).mean(axis=1)
-        table = float(values.mean()), float(self.table_error(values))
-        if any(response.folds[k].triangle is not None for k in response.used):
-            return table
-        integrals = [response.known[k] for k in response.used]
+        replicates = ((self.table - centre) ** power).mean(axis=1)
+        half = float(self.table_error(replicates))
+        table = replicates.reshape(-1, FOLDS).mean(axis=0)
+        if any(fold.reach for fold in self.response.folds):
+            return table, half
+        integrals = self.response.known
         values = np.array([each.mean - centre for each in integrals])
         if power == 2:
             values = values**2 + [each.sd**2 for each in integrals]
         # all of them are integrated at the same points
-        errors = [each.moment_errors[power - 1] for each in integrals]
-        rounding = ROUNDING * float(self.outputs.std()) ** power
-        integrated = float(values.mean()), float(np.mean(errors)) + rounding
-        return min(table, integrated, key=lambda moment: moment[1])
+        error = float(np.mean([each.moment_errors[power - 1] for each in integrals]))
+        error += ROUNDING * float(self.response.outputs.std()) ** power
+        if error < half:
+            return values, error
+        return table, half
 
     def mean(self) -> Estimate:
         """The mean by (1)."""
-        level, sampling = self._table_moment(1)
-        value = level + float((self.outputs - self.predicted).mean())
-        down, up = distances(self.outputs - self.predicted)
+        levels, sampling = self._table_moment(1)
+        value = float(levels.mean() + self.response.residuals.mean())
+        down, up = distances(self.response.residuals)
         return self._estimate(value, value - math.hypot(down, sampling), math.hypot(up, sampling))
 
     def _estimate(self, value: float, low: float, up: float) -> Estimate:
@@ -154,23 +145,22 @@ class Corrected:
 
         The upper end is open where the tail may be too heavy for a variance.
         """
-        centre = self._table_moment(1)[0] + float((self.outputs - self.predicted).mean())
-        influence = (self.outputs - centre) ** 2 - (self.predicted - centre) ** 2
-        square, sampling = self._table_moment(2, centre)
-        folds = [self.response.known[k].sd ** 2 for k in self.response.trusted]
-        if len(folds) > 1:
-            sampling = math.hypot(sampling, float(fold_spread(np.array(folds))))
+        outputs, levels = self.response.outputs, self.response.levels
+        centre = float(self._table_moment(1)[0].mean() + self.response.residuals.mean())
+        influence = (outputs - centre) ** 2 - (levels - centre) ** 2
+        squares, sampling = self._table_moment(2, centre)
+        sampling = math.hypot(sampling, float(fold_spread(squares)))
         down, up = distances(influence)
-        variance = square + float(influence.mean())
+        variance = float(squares.mean() + influence.mean())
         ends = variance - math.hypot(down, sampling), variance + math.hypot(up, sampling)
-        rows = (self.outputs - self.outputs.mean()) ** 2
+        rows = (outputs - outputs.mean()) ** 2
         alone = distances(rows)
         if sum(alone) < ends[1] - ends[0] or variance <= 0.0:
             variance = float(rows.mean())
             ends = variance - alone[0], variance + alone[1]
         value, low, high = (math.sqrt(max(end, 0.0)) for end in (variance, *ends))
         estimate = self._estimate(value, low, high - value)
-        reason = heavy_tail(self.table) or heavy_tail(self.outputs, certain=True)
+        reason = heavy_tail(self.table) or heavy_tail(self.response.outputs, certain=True)
         if reason and estimate.value is not None:
             return replace(estimate, high=None, reason=reason)
         return estimate
@@ -187,7 +177,6 @@ class Corrected:
         rows, left_out : (n,) g of the outputs of all rows, and of their predictions
         table : g (R, m) of the predictions of the table, where a residual is added to all of them
         """
-        rows, left_out = rows[self.response.rows], left_out[self.response.rows]
         predicted = table(0.0)
         nodes, weights = self.nodes
         changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
@@ -235,7 +224,7 @@ class Corrected:
         pooled = np.sort(self.table, axis=None)
         step = max(len(pooled) // PLACES, 1)
         # not at the rows and at their predictions: between the two a row would count, however close
-        rows = [self.outputs.min(), self.outputs.max()]
+        rows = np.quantile(self.response.outputs, [0.0, 1.0])
         places = np.unique(np.concatenate([pooled[::step], pooled[-1:], rows]))
         table = np.empty((len(self.table), len(places)))
         for r, values in enumerate(self.table):
@@ -245,8 +234,8 @@ class Corrected:
         for node, weight in zip(*self.nodes, strict=True):
             moved = np.searchsorted(pooled, places - node, side="right") / len(pooled)
             expected += weight * np.abs(moved - below)
-        crossed = (self.outputs[:, None] <= places) * 1.0 - (self.predicted[:, None] <= places)
-        influence = np.asarray(crossed, dtype=np.float64)
+        sides = [self.response.outputs[:, None] <= places, self.response.levels[:, None] <= places]
+        influence = np.subtract(*sides, dtype=float)
         sampling = self.table_error(table, 1.0 / self.table.shape[1])
         value, low, high = self._ends(table.mean(axis=0), influence, expected, sampling)
         up, down = np.maximum.accumulate, np.minimum.accumulate
@@ -287,7 +276,7 @@ class Corrected:
             sd=sd,
             quantiles={p: self.quantile(p) for p in quantiles},
             censored_share=share(np.zeros(self.table.shape, dtype=bool), "share of the samples"),
-            scale=sd.value or float(self.outputs.std()),
+            scale=sd.value or float(self.response.outputs.std()),
         )
 
 

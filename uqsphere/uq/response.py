@@ -6,9 +6,10 @@ compared with an expansion that has not seen it.  `uqsphere.uq.corrected` makes 
 No residual sees the variance that an expansion makes where no row lies: the exponential of a
 polynomial, or a polynomial of high degree in an unbounded input, can run away in the tails.  A fold
 is therefore compared with the rows and with the other folds (`_Allowed`).  One that is contradicted
-is held beyond the reach of its rows: with e its cross-validation error and h(x) the leverage of a
-point, its prediction is drawn to the mean of its rows by 1/(1 + e h(x)).  Where this does not help,
-the fold is rejected together with its rows.
+is held at the reach of its rows: a point beyond is predicted at the nearest place of the box about
+them.  Where this does not help, the mean of its rows stands for it.  Its own rows stay: they are
+often those that the others need in order to agree, and to leave them out would be to choose rows by
+their residuals.
 """
 
 from __future__ import annotations
@@ -23,17 +24,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import (
-    Chaos,
-    GermLike,
-    Integrals,
-    fit_chaos,
-    germ_points,
-    integrals,
-    predict,
-    rows_of,
-)
-from uqsphere.uq.chaos.fit import mean_and_sd
+from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, germ_points, integrals, predict
+from uqsphere.uq.chaos.fit import constant_fit, mean_and_sd
 from uqsphere.uq.chaos.select import Order, folds_of
 from uqsphere.uq.estimate import distances
 from uqsphere.uq.points import sobol_points
@@ -46,7 +38,7 @@ FOLDS: Final = 8
 #: the output.  Of a bivariate normal pair with half of the variance left, a prediction lies on the
 #: other side of a quantile as often as its output; a quarter leaves room for other pairs.
 MOST: Final = 0.25
-#: level at which a fold is rejected, and points of the law at which its variance is looked at
+#: level at which a fold is contradicted, and points of the law at which its variance is looked at
 REJECTED: Final = 0.99
 LOOKED: Final = 1024
 #: share of a variance that expansions of an exact polynomial differ by
@@ -67,38 +59,18 @@ class Fold:
     """The expansion that was fitted without one fold of the rows.
 
     fit : the expansion
-    triangle : inverse (P, P) of the triangle of its rows; None for one that is not held
-    centre : mean of the polynomial over its rows
+    reach : least and largest germ points (d,) each of its rows, at which it is held; empty for one
+        that is not
     """
 
     fit: Chaos
-    triangle: Array | None = None
-    centre: float = 0.0
-
-    def held(self, points: Array) -> Fold:
-        """The same, held beyond the reach of the points (n, d) that it was fitted to."""
-        if self.fit.constant:
-            return self
-        rows = rows_of(self.fit.germs, points, self.fit.multi_indices)
-        triangle = np.linalg.pinv(np.linalg.qr(rows.T, mode="r"))
-        centre = float((self.fit.coefficients @ rows).mean())
-        return replace(self, triangle=np.asarray(triangle, dtype=float), centre=centre)
+    reach: tuple[Array, ...] = ()
 
     def values(self, points: Array) -> Array:
         """Values (m,) at germ points (m, d)."""
-        fit = self.fit
-        if self.triangle is None:
-            return predict(fit, points)
-        values = np.empty(len(points))
-        for start in range(0, len(points), 4096):
-            basis = rows_of(fit.germs, points[start : start + 4096], fit.multi_indices)
-            leverage = np.square(self.triangle.T @ basis).sum(axis=0)
-            weight = 1.0 / (1.0 + fit.cross_validation_error * leverage)
-            polynomial = fit.coefficients @ basis
-            values[start : start + 4096] = self.centre + weight * (polynomial - self.centre)
-        if fit.log:
-            return np.asarray(fit.sign * np.exp(np.clip(values, *fit.bounds)))
-        return values
+        if self.reach:
+            points = np.clip(points, *self.reach)
+        return predict(self.fit, points)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,9 +84,8 @@ class Response:
     fold : (n,) the fold of every row
     points, outputs : (n, d) germ points and (n,) outputs of the rows
     levels, residuals : (n,) what the expansion without a row predicts for it, and what that lacks
-    used : folds whose predictions count, some of them held
     trusted : folds whose coefficients count
-    error : share of the variance that is left, of the rows of the used folds
+    error : share of the variance that is left
     """
 
     folds: tuple[Fold, ...]
@@ -122,7 +93,6 @@ class Response:
     points: Array
     outputs: Array
     levels: Array
-    used: tuple[int, ...]
     trusted: tuple[int, ...]
 
     @property
@@ -152,19 +122,12 @@ class Response:
         return all(fold.fit.constant for fold in self.folds)
 
     @cached_property
-    def rows(self) -> Order:
-        """The rows (m,) of the folds that are used."""
-        return np.flatnonzero(np.isin(self.fold, self.used))
-
-    @cached_property
     def error(self) -> float:
-        """Share of the variance that is left; 1 where no expansion can be used."""
+        """Share of the variance that is left, at most 1."""
         mean, sd = mean_and_sd(self.outputs)
         if sd <= 1e-14 * abs(mean):
             return 0.0
-        if not self.rows.size:
-            return 1.0
-        return min(float(np.mean((self.residuals[self.rows] / sd) ** 2)), 1.0)
+        return min(float(np.mean((self.residuals / sd) ** 2)), 1.0)
 
     @cached_property
     def known(self) -> tuple[Integrals, ...]:
@@ -190,8 +153,8 @@ class Response:
         )
 
     def owners(self, replicates: int) -> list[int]:
-        """The fold that predicts each replicate of a table: those that are used take turns."""
-        return [self.used[r % len(self.used)] for r in range(replicates)]
+        """The fold that predicts each replicate of a table: they take turns."""
+        return [r % FOLDS for r in range(replicates)]
 
     def table(self, points: Array) -> Array:
         """Predictions (R, m) at germ points (R, m, d) of the law."""
@@ -232,7 +195,7 @@ def cross_fit(
     outputs : (n, q) or (n,)
     plain : expand the outputs themselves, never their logarithms
     independent : whether the germs of the points are independent, as those of a run are; else the
-        variance of an expansion is not known, and no fold is rejected
+        variance of an expansion is not known, and no fold is held
 
     Raises ValueError for fewer than 8 rows.
     """
@@ -254,7 +217,6 @@ def cross_fit(
             points=points,
             outputs=y,
             levels=levels,
-            used=tuple(range(FOLDS)),
             trusted=tuple(range(FOLDS)),
         )
         if independent:
@@ -267,7 +229,7 @@ def cross_fit(
 
 
 def _bounded(response: Response) -> Response:
-    """The response with folds held, or rejected, that the rows or the other folds contradict."""
+    """The response with folds held that the rows or the other folds contradict."""
     whole = float(response.outputs.var())
     if response.constant or not whole > 0.0:
         return response
@@ -281,22 +243,17 @@ def _bounded(response: Response) -> Response:
     d = len(response.germs)
     uniforms = sobol_points(dimension=d, count=LOOKED, seed=0, task="polynomial chaos", replicate=0)
     law = germ_points(special.ndtri(uniforms), response.germs)
-    folds, levels, used = list(response.folds), response.levels.copy(), list(sound)
+    folds, levels = list(response.folds), response.levels.copy()
     for k in sorted({*range(FOLDS)} - {*sound}):
         left_out = response.fold == k
-        folds[k] = folds[k].held(response.points[~left_out])
+        points, outputs = response.points[~left_out], response.outputs[~left_out]
+        folds[k] = Fold(fit=folds[k].fit, reach=(points.min(axis=0), points.max(axis=0)))
+        if not folds[k].values(law).var() <= allowed.high:
+            folds[k] = Fold(fit=constant_fit(outputs, response.germs))
         levels[left_out] = folds[k].values(response.points[left_out])
-        if allowed.permits(k, float(folds[k].values(law).var()), missing[k]):
-            used.append(k)
-    if len(used) <= FOLDS // 2:
-        used, sound = [], []
-    return replace(
-        response,
-        folds=tuple(folds),
-        levels=levels,
-        used=tuple(sorted(used)),
-        trusted=tuple(sound) if len(sound) > FOLDS // 2 else (),
-    )
+    if len(sound) <= FOLDS // 2:
+        sound = []
+    return replace(response, folds=tuple(folds), levels=levels, trusted=tuple(sound))
 
 
 @dataclass(frozen=True, kw_only=True)

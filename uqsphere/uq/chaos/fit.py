@@ -200,16 +200,8 @@ def fit_chaos(
         )
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
-    mean, deviation = mean_and_sd(outputs)
-    flat = deviation <= 1e-14 * abs(mean)
-    constant = Chaos(
-        coefficients=np.array([mean]),
-        multi_indices=np.zeros((1, d), dtype=np.int64),
-        germs=germs,
-        cross_validation_error=0.0 if flat and d else 1.0,
-        samples=n,
-    )
-    if flat or not d:
+    constant = constant_fit(outputs, germs)
+    if not d or constant.cross_validation_error == 0.0:
         return constant
     tables = [
         orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)
@@ -241,6 +233,21 @@ def fit_chaos(
         bounds=target.bounds,
         samples=n,
         cross_validation_error=min(best.error + best.std_error, 1.0),
+    )
+
+
+def constant_fit(outputs: Array, germs: tuple[GermLike, ...]) -> Chaos:
+    """The mean of outputs (n,) as an expansion."""
+    mean, deviation = mean_and_sd(outputs)
+    error = 1.0
+    if deviation <= 1e-14 * abs(mean) and germs:
+        error = 0.0
+    return Chaos(
+        coefficients=np.array([mean]),
+        multi_indices=np.zeros((1, len(germs)), dtype=np.int64),
+        germs=germs,
+        cross_validation_error=error,
+        samples=len(outputs),
     )
 
 
