@@ -14,10 +14,10 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,14 +36,17 @@ _MOST_LINES: Final = 8
 _MOST_CELLS: Final = 400_000
 _COLUMN_UNIT: Final = re.compile(r"\s*[/,_]\s*|\s+in\s+|\s+")
 _BRACKET: Final = re.compile(r"[\[(]\s*([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)\s*[\])]")
-#: a factor before or behind a unit: 10 MPa, x10 MPa, 10^3 MPa, 1e3 N, MPa x 10
+#: a factor before or behind a unit: x10 MPa, MPa x 10; 10 MPa, 10^3 MPa, 1e3 N
+_TIMES: Final = re.compile(r"[x×*]\s*\d[\d.^*eE+-]*(?=[\s\]):/,_]|$)")
 _FACTOR: Final = re.compile(
-    r"(?<![A-Za-z0-9.^])(?:[x×*]\s*)?(?:10+|10\s*\^\s*[+-]?\d+|10\*\*[+-]?\d+|\d*\.?\d+[eE][+-]?\d+"
-    r"|0?\.0*1)(?=[\s\]):/,_]|$)|[x×*]\s*\d[\d.]*(?=[\s\]):/,_]|$)"
+    r"(?<![A-Za-z0-9.^=])(?:[x×*]\s*)?(?:10+|10\s*\^\s*[+-]?\d+|10\*\*[+-]?\d+"
+    rf"|\d*\.?\d+[eE][+-]?\d+|0?\.0*1)(?=[\s\]):/,_]|$)|{_TIMES.pattern}"
 )
-#: #DIV/0!, #N/A, #NAME?, #WERT!, #NV
-_ERROR_VALUE: Final = re.compile(r"#(?:[^\W\d_][\w/ ]*[!?]|DIV/0!|N/A|NV|N/D|NB)")
+#: #DIV/0!, #N/A, #NAME?, #WERT!, #¡VALOR!, #NV, #GETTING_DATA
+_ERROR_VALUE: Final = re.compile(r"#(?:¡?[^\W\d_][\w/ ]*[!?]|[A-Z]+[/_][A-Z\d]+|NV|NB)")
 _OTHER_SHEETS: Final = "other sheets"
+#: rows among which headings with units are looked for
+_PREAMBLE: Final = 40
 #: numbers beyond this have no squares
 LARGEST_NUMBER: Final = 1e150
 _TOO_LARGE: Final = "a number is too large"
@@ -82,9 +85,10 @@ _MARKED: Final = re.compile(
 )
 _PERHAPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 _SUMMARY: Final = re.compile(
-    r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard "
-    r"deviation|cov|cv|mittelwert|mittel|mw|standardabweichung|"
-    r"stabw|varianz|variance|anzahl)\b.*|(min|max|minimum|maximum|sum|summe|total)\W*",
+    r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard deviation|cov|cv|var|variance|σ|ø|x̄|"
+    r"mittelwert|mittel|mw|durchschnitt|standardabweichung|stabw|varianz|anzahl|moyenne|"
+    r"[ée]cart[- ]type|media|promedio|desviaci[óo]n)(?!\w).*|"
+    r"(min|max|minimum|maximum|sum|summe|somme|suma|total)\W*",
     re.IGNORECASE,
 )
 _FLAGS: Final = {
@@ -122,6 +126,9 @@ class TableError(UsageError):
         self.key = key
 
 
+# --- units in headings ----------------------------------------------------------------------------
+
+
 def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     """Bare name and unit of a heading; None where it names no unit of the dimension.
 
@@ -136,10 +143,9 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     brackets = [b for b in _BRACKET.finditer(heading) if _known_unit(b[1], dimension)]
     if len(brackets) == 1:
         (bracket,) = brackets
-        unit = _known_unit(bracket[1], dimension)
         name, behind = heading[: bracket.start()].strip(), heading[bracket.end() :]
-        if name and not factor_in_heading(behind):
-            return name, unit
+        if name and not (factor_in_heading(behind) or _TIMES.search(name)):
+            return name, _known_unit(bracket[1], dimension)
     for gap in _COLUMN_UNIT.finditer(heading):
         name, rest = heading[: gap.start()].strip(), heading[gap.end() :].strip()
         if not name or rest.isdigit() or _is_open(name) or factor_in_heading(name):
@@ -156,15 +162,6 @@ def factor_in_heading(heading: str) -> str:
     """The factor that a heading has beside a unit, such as x10 or 10^3; empty without one."""
     factor = _FACTOR.search(heading) or [""]
     return factor[0].strip()
-
-
-def _bare_name(heading: str, dimension: str) -> str:
-    """A heading without its unit, of this dimension or else of any."""
-    for name in (dimension, *UNITS):
-        bare = unit_in_heading(heading, name)[0]
-        if bare != heading:
-            return bare
-    return heading
 
 
 def _known_unit(text: str, dimension: str) -> str | None:
@@ -190,6 +187,8 @@ def unknown_unit(heading: str, dimension: str) -> str:
     "'KN' is not a unit of this column; did you mean 'kN'?"
     """
     heading = heading[:200].strip()
+    if _is_open(heading):
+        return "a bracket of its heading is not closed. Quote headings that contain the divider"
     brackets = _BRACKET.findall(heading)
     text = (brackets or re.split(r"[\s_/,]+", heading))[-1].strip()
     units = [unit for unit in UNITS[dimension] if unit]
@@ -205,13 +204,12 @@ def unknown_unit(heading: str, dimension: str) -> str:
         return message
     if text in units:
         return f"is {text!r} its unit? Write a name and [{text}]"
-    near = nearest_unit(text, dimension)
-    message = f"{as_text(text, 30)!r} is not a unit of this column"
+    message, near = f"{as_text(text, 30)!r} is not a unit of this column", ""
+    if text:
+        near = nearest_unit(text, dimension)
     if near:
         return f"{message}; did you mean {near!r}?"
-    if brackets:
-        return message
-    return ""
+    return message if brackets else ""
 
 
 def _decimal_mark(texts: Iterable[str]) -> str:
@@ -221,6 +219,9 @@ def _decimal_mark(texts: Iterable[str]) -> str:
         if not _PERHAPS.fullmatch(text):
             certain |= {m for m in ".," if m in text and NUMBER[m].fullmatch(text)}
     return "".join(sorted(certain, reverse=True))
+
+
+# --- tables ---------------------------------------------------------------------------------------
 
 
 @dataclass(kw_only=True)
@@ -248,39 +249,39 @@ class Table:
     @cached_property
     def _no_data(self) -> dict[str, Flags]:
         """Rows that are no data, by what they are."""
-        sums = _each(lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows)
-        again = _each(lambda row: row == self.headings, self.rows)
         return {
-            "this is a summary row, not data. Delete it": sums,
-            "the headings are repeated; pasted twice?": again,
+            "this is a summary row, not data. Delete it": _each(
+                lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows
+            ),
+            "the headings are repeated; pasted twice?": _each(
+                lambda row: row == self.headings, self.rows
+            ),
         }
 
     def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
         """Where a column stands, by its heading with or without its unit, or its number from 1 on;
         TableError else.
         """
-        column = str(column)
-        bare = [_bare_name(heading, dimension) for heading in self.headings]
+        column, bare = str(column), list[str]()
+        for heading in self.headings:
+            names = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
+            bare.append(next((name for name in names if name != heading), heading))
         for names in (self.headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
         if column not in bare and column.isdigit() and 1 <= int(column) <= len(self.headings):
             return int(column) - 1
-        twice = column in (*self.headings, *bare)
         near = get_close_matches(column, [*self.headings, *bare], n=1)
-        headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
-        often, hint = "not", ""
-        if twice:
+        often, hints = "not", [note for note in self.notes if _OTHER_SHEETS in note]
+        if column in (*self.headings, *bare):
             often = "twice or more"
         elif near:
-            hint = f"; did you mean {near[0]!r}?"
-        raise TableError(
-            f"the column {column!r} is {often} in {self.name!r}, which has {headings}{hint}", key
-        )
-
-    def unit_of(self, column: str | int, dimension: str) -> str | None:
-        """The unit of a dimension in the heading of a column."""
-        return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
+            hints = [f"did you mean {near[0]!r}?"]
+        elif not hints and len(self.headings) == 1 and re.search(r"\S[\s|]", self.headings[0]):
+            hints.append("divide columns by commas, semicolons or tabs")
+        headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
+        message = f"the column {column!r} is {often} in {self.name!r}, which has {headings}"
+        raise TableError("; ".join([message, *hints]), key)
 
     def texts(self, column: str | int, key: str = "") -> list[str]:
         """Cells of a column."""
@@ -301,40 +302,45 @@ class Table:
         unit : of the column; None: that of its heading.  TableError at `key` without any, or with a
             contradiction.
         """
-        at = self.place(column, dimension, key)
-        if dimension == "number":
-            values = self._parsed(at, str(column), key, blank)
-            self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
-            return values
-        heading, units, column = self.headings[at], UNITS[dimension], str(column)
+        at, column, factor = self.place(column, dimension, key), str(column), 1.0
         if column.isdigit():
-            column = heading
-        its_unit, unit_key = unit_in_heading(heading, dimension)[1], _UNIT_KEYS.get(key, "units")
+            column = self.headings[at]
+        if dimension != "number":
+            unit = self._unit(at, dimension, unit, key) or self._missing(column, at, dimension, key)
+            factor = UNITS[dimension][unit]
+        values = factor * self._parsed(at, column, key, blank)
+        self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
+        return values
+
+    def _unit(self, at: int, dimension: str, unit: str | None, key: str) -> str | None:
+        """The unit of a column as given or of its heading, which must agree."""
+        heading, units, unit_key = self.headings[at], UNITS[dimension], _UNIT_KEYS.get(key, "units")
+        in_heading = unit_in_heading(heading, dimension)[1]
         if unit is not None and unit not in units:
             near = nearest_unit(unit, dimension)
             hint = f"; did you mean {near!r}?" if near else ""
             raise TableError(
                 f"{unit_key} must be one of {typed_units(dimension)}, not {unit!r}{hint}", unit_key
             )
-        if unit and its_unit and units[unit] != units[its_unit]:
+        if unit and in_heading and units[unit] != units[in_heading]:
             raise TableError(
-                f"{unit_key} is {unit!r}, but the heading {heading!r} has {its_unit!r}", unit_key
+                f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key
             )
-        if unit is None and its_unit is None:
-            wrong = unknown_unit(heading, dimension)
-            if wrong:
-                raise TableError(f"{column!r}: {wrong} ({typed_units(dimension)})", key)
-            first, more = next(iter(units)), ""
-            if key in _UNIT_KEYS:
-                more = f', or add {unit_key} = "{first}"'
-            raise TableError(
-                f'the unit of the column {column!r} is missing. Write it in the heading, "{column} '
-                f'[{first}]"{more} ({typed_units(dimension)})',
-                key,
-            )
-        values = units[unit or its_unit or ""] * self._parsed(at, column, key, blank)
-        self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
-        return values
+        return in_heading if unit is None else unit
+
+    def _missing(self, column: str, at: int, dimension: str, key: str) -> str:
+        """Raises TableError for a column without a unit of its dimension."""
+        wrong, known = unknown_unit(self.headings[at], dimension), typed_units(dimension)
+        if wrong:
+            raise TableError(f"{column!r}: {wrong} ({known})", key)
+        first, more = next(iter(UNITS[dimension])), ""
+        if key in _UNIT_KEYS:
+            more = f', or add {_UNIT_KEYS[key]} = "{first}"'
+        raise TableError(
+            f'the unit of the column {column!r} is missing. Write it in the heading, "{column} '
+            f'[{first}]"{more} ({known})',
+            key,
+        )
 
     def _parsed(self, at: int, column: str, key: str, blank: bool) -> Array:
         """Numbers of a column without its unit: which mark is the decimal one, and what is no
@@ -372,21 +378,18 @@ class Table:
                 )
         number = _each(NUMBER.get(mark, NUMBER["."]).fullmatch, texts)
         empty = _each(lambda text: text.lower() in NOTHING if blank else not text, texts)
-        formulas = _each(lambda text: text.startswith("="), texts)
         refuse(
             "a formula without a stored value: save the file in a spreadsheet program, or paste "
             "values",
-            formulas & ~number,
+            _each(lambda text: text.startswith("="), texts),
         )
         strange = ~(number | empty | bad)
         if strange.any():
-            text = as_text(texts[int(np.argmax(strange))], 60)
-            refuse(f"{text!r} is not a number", strange)
+            refuse(f"{as_text(texts[int(np.argmax(strange))], 60)!r} is not a number", strange)
         if not blank:
             refuse("an empty cell", empty)
         pairs = zip(texts, number & ~bad, strict=True)
-        values = [float(text.replace(",", ".")) if good else math.nan for text, good in pairs]
-        return np.array(values)
+        return np.array([float(t.replace(",", ".")) if good else math.nan for t, good in pairs])
 
     def refuse(self, key: str, message: str, wrong: Flags) -> None:
         """Note that rows are wrong, (n,), which say what the others do not; each line is told of
@@ -430,17 +433,19 @@ class Table:
         # a block that was pasted twice repeats rows in their order; tests stopped at one load are
         # one row many times
         pasted = 2 * sum(back[k] == back[k - 1] for k in again) > len(again) > 1
-        if pasted or (
-            0 < len(again) <= _MOST_LINES and (len(again) > 1 or len(set(self.rows[again[0]])) > 2)
-        ):
+        if 0 < len(again) <= _MOST_LINES:
+            pasted |= len(again) > 1 or len(set(self.rows[again[0]])) > 2
+        if pasted:
             verb = "repeats" if len(again) == 1 else "repeat"
             lines = _lines([self.lines[k] for k in again])
             self.notes.append(f"{self.name}: {lines} {verb} earlier rows: pasted twice?")
         self._note_sums()
 
     def _note_sums(self) -> None:
-        """Note rows near the end that are the mean or the sd of all above; one that stands behind
-        an empty line needs a single column for that.
+        """Note a row near the end that is the mean, sd or sum of all above.
+
+        One behind an empty line needs a single column for that, and may be another measure; so does
+        one of the last two rows of a single column of fine digits.
         """
         columns, digits = [], []
         for cells in zip(*self.rows, strict=True):
@@ -450,15 +455,23 @@ class Table:
                 digits.append([len(text.partition(".")[2]) for text in column])
         if not columns or len(self.rows) < 5:
             return
-        values = np.array(columns, dtype=float)
-        for k in range(max(3, len(self.rows) - 8), len(self.rows)):
+        values, most = np.array(columns, dtype=float), len(self.rows)
+        for k in range(max(3, most - 8), most):
             above, step = values[:, :k], np.array([10.0 ** -column[k] for column in digits])
-            least = 1 if self.lines[k] in self.apart else max(2, len(columns) - 1)
-            for what, sums in (("mean", above.mean(axis=1)), ("sd", above.std(axis=1, ddof=1))):
-                alike = (np.abs(values[:, k] - sums) <= 0.51 * step) & (sums != 0.0)
+            apart, sd = self.lines[k] in self.apart, above.std(axis=1, ddof=1)
+            sums = {"mean": above.mean(axis=1), "sd": sd, "sum": above.sum(axis=1)}
+            if apart:
+                sums |= {
+                    name: getattr(np, name)(above, axis=1) for name in ("median", "min", "max")
+                }
+            fine = 10.0 ** -max(digits[0]) <= 0.02 * sd[0]
+            alone = len(columns) == 1 and k >= most - 2 and fine
+            least = 1 if apart or alone else max(2, len(columns) - 1)
+            for name, total in sums.items():
+                alike = (np.abs(values[:, k] - total) <= 0.51 * step) & (total != 0.0)
                 if alike.sum() >= least:
                     self.notes.append(
-                        f"{self.name}: line {self.lines[k]} is the {what} of the rows above; if it "
+                        f"{self.name}: line {self.lines[k]} is the {name} of the rows above; if it "
                         "is a summary row, delete it"
                     )
                     return
@@ -478,6 +491,9 @@ def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
     return np.array([bool(holds(cell)) for cell in cells], dtype=bool)
 
 
+# --- from files to tables -------------------------------------------------------------------------
+
+
 def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     """The table of a CSV or .xlsx file; its first line that is no comment (`#`) has the headings.
 
@@ -491,86 +507,70 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     lines, notes = read_lines(path, sheet=sheet)
     name = as_text(path.name)
     live = {k: line for k, line in lines.items() if not is_comment(line)}
-    first = next(iter(live.values()), "")
-    divider = next((mark for mark in "\t;" if mark in first), ",")
-    if divider == "," and len(live) > 1:  # a title has no divider
-        last = [*live.values()][-1]
-        divider = next((mark for mark in "\t;" if mark in last and mark not in first), ",")
-    rows = _below_preamble(cells_of(live, divider, name), name, notes)
+    ends = [*live.values()][:1] + [*live.values()][-1:]  # a title has no divider
+    divider = next((mark for mark in "\t;" if mark in "".join(ends)), ",")
+    rows = {k: _trimmed(row) for k, row in cells_of(live, divider, name).items()}
+    above = [*rows][: _place_of_headings([*rows.values()])]
+    if above:
+        notes.append(f"{name}: {_lines(above)}: above the headings, left out")
+        rows = {k: row for k, row in rows.items() if k not in above}
     start, end = min(rows, default=0), max(rows, default=0)
     comments = [k for k in lines if k not in live and start < k < end]
     if comments:
         notes.append(f"{name}: {_lines(comments)}: comments (#), left out")
-    empty = [k for k in range(start, end) if k not in lines]
-    apart = frozenset(k for k in rows if k - 1 in set(empty))
+    empty = {k: [""] for k in range(start, end) if k not in lines}
+    apart = frozenset(k for k in rows if k - 1 in empty)
     if empty and max(map(len, rows.values())) == 1:
-        rows = dict(sorted({**rows, **{k: [""] for k in empty}}.items()))
+        rows = dict(sorted({**rows, **empty}.items()))
     elif empty:
-        notes.append(f"{name}: {_lines(empty)}: empty, left out")
+        notes.append(f"{name}: {_lines([*empty])}: empty, left out")
     try:
-        table = table_of(name, rows, notes, decimal)
+        return replace(table_of(name, rows, notes, decimal), apart=apart)
     except TableError as error:
         others = [note for note in notes if _OTHER_SHEETS in note]
         raise TableError("; ".join([str(error), *others]), error.key) from None
-    table.apart = apart
-    return table
 
 
-def _below_preamble(
-    rows: dict[int, list[str]], name: str, notes: list[str]
-) -> dict[int, list[str]]:
-    """Rows from the headings on: below titles of one cell, and below what an instrument writes
-    above its columns.
+def _trimmed(row: list[str]) -> list[str]:
+    """A row without the empty cells at its end."""
+    last = max((place for place, cell in enumerate(row, 1) if cell), default=0)
+    return row[:last]
+
+
+def _place_of_headings(rows: Sequence[list[str]]) -> int:
+    """The place of the headings, below titles or what an instrument writes; 0 where the first row
+    has them.
+
+    Headings are a row without numbers: one that has a unit in brackets; else the first of several
+    cells, below rows of one text; else the last row of texts, if all rows below it are numbers.
     """
-    lines = list(rows)
-    start = _headings_below_titles(rows, lines) or _headings_above_numbers(rows, lines)
-    if start == 0:
-        return rows
-    notes.append(f"{name}: {_lines(lines[:start])}: above the headings, left out")
-    return {k: rows[k] for k in lines[start:]}
-
-
-def _headings_below_titles(rows: Mapping[int, list[str]], lines: list[int]) -> int:
-    """The place of the first row of several cells, none of which is a number, below rows of one
-    text; 0 without such.
-    """
-    for place, line in enumerate(lines):
-        cells = [cell for cell in rows[line] if cell]
-        if any(map(_is_numeric, cells)) or not cells:
-            return 0
-        if len(cells) > 1:
+    words = [not any(map(_is_numeric, row)) for row in rows]
+    cells = [[cell for cell in row if cell] for row in rows]
+    several = [len(texts) >= min(2, max(map(len, rows))) for texts in cells]
+    for place, texts in enumerate(cells[:_PREAMBLE]):
+        if words[place] and several[place] and any(map(_has_unit, texts)):
             return place
-    return 0
-
-
-def _headings_above_numbers(rows: Mapping[int, list[str]], lines: list[int]) -> int:
-    """The place of the last row of texts if all rows below it are numbers and none above it; 0
-    without such.
-    """
-    below = len(lines)
-    while below > 0 and _all_numbers(rows[lines[below - 1]]):
-        below -= 1
-    if below == len(lines) or below < 2:
-        return 0
+    place = next((k for k, texts in enumerate(cells) if len(texts) > 1 or not words[k]), 0)
+    if place > 0 and words[place]:
+        return place
+    numbers = [len(texts) > 1 and all(map(_is_numeric, texts)) for texts in cells]
+    below = len(rows) - next((k for k, whole in enumerate(numbers[::-1]) if not whole), len(rows))
     place = below - 1
-    if are_units(rows[lines[place]]):
+    if place > 0 and are_units(rows[place]):
         place -= 1
-    cells = rows[lines[place]]
-    texts = [cell for cell in cells if cell and cell.lower() not in NOTHING]
-    if len(texts) < 2 or any(map(_is_numeric, cells)) or any(map(is_error_value, cells)):
+    if not 1 <= place < below < len(rows) or not words[place] or any(numbers[:place]):
         return 0
-    if any(_all_numbers(rows[line]) for line in lines[:place]):
-        return 0
-    return place
+    texts = [cell for cell in cells[place] if cell.lower() not in NOTHING]
+    return place if len(texts) > 1 and not any(map(is_error_value, texts)) else 0
+
+
+def _has_unit(cell: str) -> bool:
+    """Whether a cell is a name with a unit in brackets."""
+    return bool(_BRACKET.search(cell)) and any(unit_in_heading(cell, name)[1] for name in UNITS)
 
 
 def _is_numeric(cell: str) -> bool:
     return bool(NUMBER["."].fullmatch(cell) or NUMBER[","].fullmatch(cell))
-
-
-def _all_numbers(row: Sequence[str]) -> bool:
-    cells = [cell for cell in row if cell]
-    return len(cells) > 1 and all(map(_is_numeric, cells))
 
 
 def read_lines(
@@ -648,8 +648,7 @@ def table_of(
     if not rows:
         raise TableError(f"{name!r} is empty")
     (_, headings), *numbered = rows.items()
-    while headings and not headings[-1]:
-        headings = headings[:-1]
+    headings = _trimmed(headings)
     width = len(headings)
     wide = [line for line, row in numbered if any(row[width:])]
     if wide:
@@ -660,7 +659,8 @@ def table_of(
         raise TableError(f"{name!r} has {width:,} columns; {MOST_COLUMNS:,} are read at most")
     if numbered and are_units(numbered[0][1]):
         units = [f" [{cell.strip('[]()- ')}]" for cell in numbered.pop(0)[1]]
-        headings = [h + unit.removesuffix(" []") for h, unit in zip(headings, units, strict=False)]
+        pairs = zip_longest(headings, units, fillvalue="")
+        headings = [heading + unit.removesuffix(" []") for heading, unit in pairs]
     if not numbered:
         raise TableError(f"{name!r} has no row below its headings")
     return Table(
@@ -675,12 +675,11 @@ def table_of(
 
 def _way_out(headings: Sequence[str], numbered: Sequence[tuple[int, list[str]]]) -> str:
     """What may have brought a row more cells than headings."""
+    cells = [cell for _, row in numbered[:20] for cell in row if cell]
+    if cells and all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells):
+        return "A decimal comma between commas? Save the file with semicolons"
     if sum(map(bool, headings)) == 1 and len(numbered) > 1:
         return f"Is {as_text(headings[0], 40)!r} a title? Delete its line"
-    rows = [row for _, row in numbered[:20]]
-    cells = [cell for cell in chain(*rows) if cell]
-    if cells and all(cell.lstrip("+-").isdigit() for cell in cells):
-        return "A decimal comma between commas? Save the file with semicolons"
     return "Give every column a heading"
 
 
@@ -689,9 +688,12 @@ def are_units(row: list[str]) -> bool:
     return any(row) and {cell.strip("[]() ") for cell in row} <= _ALL_UNITS
 
 
+# --- workbooks, encodings -------------------------------------------------------------------------
+
+
 def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, str]:
     """Rows of a sheet of a workbook, by default the first that has any, by their numbers, a tab
-    behind each cell.
+    behind each cell.  A formula stands in the place of a value that is not stored.
     """
     from openpyxl import load_workbook
 
@@ -704,20 +706,18 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
             raise TableError(
                 f"there is no sheet {wanted!r} in {name!r}, which has {listed}", "sheet"
             )
-        full: dict[str, dict[int, list[str]]] = {}
-        for sheet in book.worksheets:
-            if wanted in ("", sheet.title):
-                rows = _rows_of(sheet, name)
-                if rows:
-                    full[sheet.title] = rows
-        title, rows = next(iter(full.items()), (wanted, {}))
+        full = {title: _rows_of(book[title]) for title in titles if wanted in ("", title)}
+        title, *others = [title for title, rows in full.items() if rows] or [wanted]
+        rows = full.get(title, {})
         if formulas and title:
-            _mark_formulas(rows, load_workbook(io.BytesIO(data), read_only=True)[title])
+            written = _rows_of(load_workbook(io.BytesIO(data), read_only=True)[title])
+            for k, cells in written.items():
+                both = zip_longest(rows.get(k, []), cells, fillvalue="")
+                rows[k] = [stored or formula for stored, formula in both]
     except TableError:
         raise
     except Exception as error:
         raise TableError(f"{name!r} cannot be read as .xlsx: {type(error).__name__}") from None
-    others = [other for other in full if other != title]
     if others and not wanted:
         listed = ", ".join(repr(as_text(other, 40)) for other in others[:6])
         notes.append(
@@ -739,38 +739,24 @@ def _has_formulas(data: bytes, name: str) -> bool:
         raise TableError(
             f"{name!r} unpacks to {size >> 20:,} MiB; at most {8 * LARGEST >> 20} MiB are read"
         )
-    formulas, rows = False, 0
-    for part in archive.infolist():
-        if part.filename.startswith("xl/worksheets/"):
+    formulas, cells = False, 0
+    for part in archive.namelist():
+        if part.startswith("xl/worksheets/"):
             content = archive.read(part)
-            formulas = formulas or b"<f>" in content or b"<f " in content
-            rows += content.count(b"<c ") + content.count(b"<c>") + content.count(b"<row")
-            if rows > _MOST_CELLS:
+            formulas |= bool(re.search(rb"<f[ >]", content))
+            cells += len(re.findall(rb"<c[ >]|<row", content))
+            if cells > _MOST_CELLS:
                 raise TableError(
                     f"{name!r} has more than {_MOST_CELLS:,} cells. Save the sheet as CSV"
                 )
     return formulas
 
 
-def _rows_of(sheet: Any, name: str) -> dict[int, list[str]]:
+def _rows_of(sheet: Any) -> dict[int, list[str]]:
     """The cells of a sheet by the numbers of their rows, without empty rows."""
     sheet.reset_dimensions()  # what a file says of its size may be wrong
-    rows = {}
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
-        if any(cell is not None for cell in row):
-            rows[number] = [_cell_text(cell) for cell in row]
-    return rows
-
-
-def _mark_formulas(rows: dict[int, list[str]], sheet: Any) -> None:
-    """Put a formula in the place of each empty cell that holds one: it has no stored value."""
-    sheet.reset_dimensions()
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
-        for place, cell in enumerate(row):
-            if isinstance(cell, str) and cell.startswith("="):
-                cells = rows.setdefault(number, [])
-                cells += [""] * (place + 1 - len(cells))
-                cells[place] = cells[place] or _cell_text(cell)
+    rows = enumerate(sheet.iter_rows(values_only=True), 1)
+    return {k: [*map(_cell_text, row)] for k, row in rows if any(cell is not None for cell in row)}
 
 
 def _cell_text(cell: object) -> str:

@@ -109,6 +109,8 @@ def test_workbooks_that_are_larger_than_they_seem(
         ("stress [x10 MPa]", "pressure", ("stress [x10 MPa]", None)),
         ("stress [10^3 MPa]", "pressure", ("stress [10^3 MPa]", None)),
         ("stress [MPa x 10]", "pressure", ("stress [MPa x 10]", None)),
+        ("stress x 10 [MPa]", "pressure", ("stress x 10 [MPa]", None)),
+        ("stress [MPa] (n=10)", "pressure", ("stress", "MPa")),
         ("stress (MPa) x 10", "pressure", ("stress (MPa) x 10", None)),
         ("stress /10 MPa", "pressure", ("stress /10 MPa", None)),
         ("stress in 10 MPa", "pressure", ("stress in 10 MPa", None)),
@@ -160,6 +162,16 @@ FAULTY = {
         "n;F\n1;7.42\n2;9.85\nMittelwert;8.6\nsd;1.7\n",
         "lines 4, 5: this is a summary row",
     ),
+    "summary rows of other languages": (
+        "n;F\n1;7.42\n2;9.85\npromedio;8.6\nÉcart-type;1.7\nØ;2\n",
+        "lines 4, 5, 6: this is a summary row",
+    ),
+    "errors of spreadsheets": (
+        "F\n1\n#¡DIV/0!\n2\n#GETTING_DATA\n#DIV/0\n",
+        "lines 3, 5, 6: F: '#¡DIV/0!' is not a number",
+    ),
+    "columns divided by bars": ("D|F\n1|2\n", "divide columns by commas, semicolons or tabs"),
+    "a decimal comma in one column": ("F\n14,9\n15,1\n", "A decimal comma between commas?"),
     "a decimal comma between commas": ("D,F\n14,9,7,42\n", "line 2: more cells than headings"),
     "no such column": ("D,G\n1,2\n", "the column 'F' is not in 't.csv', which has 'D', 'G'"),
     "a column twice": ("F,F\n1,2\n", "'F' is twice or more in"),
@@ -235,6 +247,47 @@ def test_rows_pasted_twice_and_rows_of_sums_are_noted(tmp_path: Path) -> None:
         table.numbers("F")
         table.finish()
         assert [said in note for note in table.notes] == ([True] if said else [])
+
+
+@pytest.mark.parametrize(
+    ("above", "lines"),
+    [
+        ("Tests of May, granite\n", "line 1"),
+        ("Operator,Smith\nRate [1/s],2.5\n\n", "lines 1, 2"),
+        ("Brazilian tests\nLab,X\n", "lines 1, 2"),
+    ],
+)
+def test_headings_with_units_stand_below_a_preamble(above: str, lines: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(f"{above}probe,F [kN]\na,1\nb,2\n")
+    table = read_table(tmp_path / "t.csv")
+    assert table.numbers("F", "force").tolist() == [1000.0, 2000.0]
+    assert f"{lines}: above the headings, left out" in table.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["9.3"], "line 12 is the mean of the rows above"),
+        (["92.98"], "line 12 is the sum of the rows above"),
+        (["9.3", "0.77"], "line 12 is the mean of the rows above"),
+        (["9.4"], None),
+    ],
+)
+def test_sums_below_a_single_column_are_noted(
+    more: list[str], said: str | None, tmp_path: Path
+) -> None:
+    column = ["9.12", "10.45", "8.77", "9.63", "7.98", "9.91", "10.02", "8.35", "9.2", "9.55"]
+    (tmp_path / "t.csv").write_text("\n".join(["F", *column, *more]))
+    table = read_table(tmp_path / "t.csv")
+    table.numbers("F")
+    table.finish()
+    assert [str(said) in note for note in table.notes] == ([True] if said else [])
+    # behind an empty line they are refused, in a workbook as in a text
+    (tmp_path / "t.csv").write_text("\n".join(["F;", *(f"{x};" for x in column), ";", *more]))
+    table = read_table(tmp_path / "t.csv")
+    table.numbers("F")
+    with pytest.raises(TableError, match="line 12: F: an empty cell"):
+        table.finish()
 
 
 def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -> None:
