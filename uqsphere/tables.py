@@ -264,8 +264,8 @@ class Table:
         """
         column, bare = str(column), list[str]()
         for heading in self.headings:
-            names = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
-            bare.append(next((name for name in names if name != heading), heading))
+            without = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
+            bare.append(next((name for name in without if name != heading), heading))
         for names in (self.headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
@@ -282,6 +282,10 @@ class Table:
         headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
         message = f"the column {column!r} is {often} in {self.name!r}, which has {headings}"
         raise TableError("; ".join([message, *hints]), key)
+
+    def unit_of(self, column: str | int, dimension: str) -> str | None:
+        """The unit of a dimension in the heading of a column."""
+        return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
 
     def texts(self, column: str | int, key: str = "") -> list[str]:
         """Cells of a column."""

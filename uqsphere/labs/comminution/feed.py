@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import (
@@ -25,7 +26,7 @@ from uqsphere.labs.comminution.document import (
     SizesTable,
 )
 from uqsphere.labs.comminution.energies import Contact
-from uqsphere.labs.comminution.fit import UNTESTED, Posterior, quantiles
+from uqsphere.labs.comminution.fit import SYNTHETIC, UNTESTED, Posterior, quantiles
 from uqsphere.tables import Table, read_table
 
 #: draws for which a feed is computed
@@ -59,44 +60,46 @@ class Classes:
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
     """The classes of a feed; UsageError for a sieve table without more than 5 % of the mass."""
     notes: list[str] = []
+    passing: Callable[[Array], Array] = partial(_law, asked)
+    top = asked.top or math.inf
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
     else:
-        passing, top = _law(asked), asked.top or math.inf
         cut = 1.0 - float(passing(np.asarray(top)))
         if cut > 1e-6:
-            notes.append(
-                f"{cut:.2g} of the mass is coarser than top = {top * 1e3:.4g} mm: it is cut and "
-                "the rest is scaled"
-            )
+            notes.append(_cut(cut, f"top = {top * 1e3:.4g} mm"))
     edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
     share = np.clip(passing(edges), 0.0, None)
     mass = np.append(share[:-1] - share[1:], share[-1]) / share[0]
     return Classes(edges=edges, mass=mass, notes=tuple(notes))
 
 
-def _law(asked: SizesTable) -> Callable[[Array], Array]:
-    """Passing as a function of the size [m]."""
+def _cut(share: float, place: str) -> str:
+    return f"{share:.2g} of the mass is coarser than {place}: it is cut and the rest is scaled"
+
+
+def _law(asked: SizesTable, size: Array) -> Array:
+    """The share that passes a size [m] by a law."""
     from scipy.special import ndtr
 
-    numbers, top = asked.model_dump(), asked.top or math.inf
-    if asked.law == "rosin_rammler":
-        return lambda size: -np.expm1(-((size / numbers["d63"]) ** numbers["n"]))
+    n = asked.n or 1.0
+    if asked.d63 is not None and asked.law == "rosin_rammler":
+        return -np.expm1(-((size / asked.d63) ** n))
     if asked.law == "gaudin_schuhmann":
-        return lambda size: np.asarray((size / top) ** numbers["n"])
-    return lambda size: np.asarray(ndtr(np.log(size / numbers["d50"]) / numbers["sd"]))
+        return np.asarray((size / (asked.top or math.inf)) ** n)
+    return np.asarray(ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0)))
 
 
 def _sieves(
     asked: SizesTable, folder: Path, notes: list[str]
 ) -> tuple[Callable[[Array], Array], float]:
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
-    table = read_table(folder / str(asked.file))
+    table, column = read_table(folder / str(asked.file)), str(asked.passing)
     sieve = table.numbers(str(asked.sieve), "length", asked.sieve_unit or None)
-    passing = table.numbers(str(asked.passing))
+    passing = table.numbers(column)
     table.finish()
     order = np.argsort(sieve)
-    sieve, share = sieve[order], _as_shares(table, str(asked.passing), passing[order], notes)
+    sieve, share = sieve[order], _as_shares(table, column, passing[order], notes)
     rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
     if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
         raise UsageError(
@@ -118,10 +121,7 @@ def _sieves(
             "no size; add top, the size that all passes"
         )
     elif left > 1e-4:
-        notes.append(
-            f"{left:.2g} of the mass is coarser than the coarsest sieve: it is cut and the rest is "
-            "scaled"
-        )
+        notes.append(_cut(left, "the coarsest sieve"))
     log_sieve = np.log(sieve)
     # below the finest sieve the share goes with a power of the size, that of the first two sieves
     power = 1.0
@@ -170,31 +170,27 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class _Struck:
-    """Mass (D, K) of each class over all blows, and cumulative shares broken (D, K, n + 1).
+    """Classes (K,) after their blows, over draws.
 
-    struck : once for every blow; broke : that broke; whole : left whole at the end.
-    offered, taken : energy of a blow per mass (K,) [J/kg], offered and taken up by a particle.
+    cumulative (D, K, n + 1) : shares broken; struck, broke, whole (D, K) : mass over all blows,
+    struck once for every blow, broken, and left whole.
+    offered, taken (K,) : energy of a blow per mass [J/kg], offered and taken up by a particle.
+    sieves (S,) : [m]; passing (D, S), before (S,) : shares of product and feed that pass them.
+    fineness (K,) : t10; untested (K,) : whether a class is outside the tested sizes.
     """
 
+    classes: Classes
     cumulative: Array
     struck: Array
     broke: Array
     whole: Array
     offered: Array
     taken: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Product:
-    """Sieves (S,) [m], passing (D, S) after the blows, and of the feed (S,).
-
-    fineness : t10 of each class (K,).
-    """
-
     sieves: Array
     passing: Array
-    feed: Array
+    before: Array
     fineness: Array
+    untested: Flags
 
 
 def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
@@ -210,8 +206,7 @@ def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int
     """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,)
     [J/kg]."""
     u = laws.thresholds(posterior.parameters["gamma"], blows)
-    each = [posterior.broken(energy * u[:, k, None], sizes) for k in range(1, blows + 1)]
-    return np.stack([np.zeros((len(posterior), len(sizes))), *each], axis=2)
+    return np.stack([posterior.broken(energy * u[:, [k]], sizes) for k in range(blows + 1)], axis=2)
 
 
 def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> Answer:
@@ -219,40 +214,63 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
 
     Raises UsageError for a missing or impossible [feed].
     """
-    feed, density = asked.feed, asked.material.density
+    feed, density, product = asked.feed, asked.material.density, asked.product
     if feed is None:
         raise UsageError("the input file has no table [feed]")
-    if feed.rebreak and asked.product is None:
+    if feed.rebreak and product is None:
         raise UsageError("feed.rebreak needs the sizes of fragments: add [product]")
     if density is None:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
     posterior, rng = posterior.thin(DRAWS), np.random.default_rng([asked.seed, 739])
-    sizes, mass = classes.sizes, classes.mass
+    sizes, mass, edges = classes.sizes, classes.mass, classes.edges
     energy, share, notes = offered(feed, sizes, density), np.ones(len(sizes)), list[str]()
     if feed.impact_surface is not None:
         share, notes = Contact.of(asked, feed.impact_surface, False).shares(energy, sizes)
     cumulative = broken_by_blow(posterior, energy * share, sizes, feed.blows)
     if feed.undersize == "stays":
         cumulative[:, -1] = 0.0
-    sieves = _product_sieves(feed, classes)
-    curves = None
-    if asked.product is not None:
-        curves = _curves(asked.product, energy, (sizes, sieves), len(posterior), rng)
-    struck, broke, whole = population(cumulative, mass, _spread(feed, classes, sieves, curves))
+    # the edges of the classes and fourteen finer sieves
+    finer = edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)
+    sieves = np.unique(np.concatenate([edges, finer]))
+    # whole particles are uniform in the logarithm within a class, below the last sieve uniform
+    lower = np.append(edges[1:], 1e-6 * edges[-1])
+    unbroken = np.clip(np.log(sieves[:, None] / lower) / np.log(edges / lower), 0.0, 1.0)
+    unbroken[:, -1] = np.clip(sieves / edges[-1], 0.0, 1.0)
+    fineness, spread, curves = np.full(len(sizes), np.nan), None, None
+    if product is not None:
+        fineness = laws.t10(energy, product.A, product.b)
+        curves = _curves(product, fineness, sizes / sieves[:, None], len(posterior), rng)
+        if feed.rebreak:  # shares of the fragments of a class that are of another one
+            among = curves[:, np.searchsorted(sieves, edges)]
+            among[:, 0] = 1.0
+            spread = -np.diff(among, axis=1, append=0.0)
+    struck, broke, whole = population(cumulative, mass, spread)
+    passing = np.full((len(broke), len(sieves)), np.nan)
+    if curves is not None:
+        passing = whole @ unbroken.T
+        if not feed.rebreak:
+            passing = passing + (curves * broke[:, None]).sum(axis=2)
+        passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
+    low, high = posterior.tested
     blows = _Struck(
+        classes=classes,
         cumulative=cumulative,
         struck=struck,
         broke=broke,
         whole=whole,
         offered=energy,
         taken=energy * share,
+        sieves=sieves,
+        passing=passing,
+        before=unbroken @ mass,
+        fineness=fineness,
+        untested=(sizes < low / UNTESTED) | (sizes > high * UNTESTED),
     )
-    product = _product(asked, classes, blows, sieves, curves)
-    broken = cumulative[:, :, -1]
-    content = _content(asked, posterior, classes, blows, product)
+    content = _content(asked, feed, blows)
+    content["warnings"] = [*_warnings(asked, feed, posterior, blows), *notes]
     content["particle_share"] = share.tolist()
-    content["warnings"] += notes
+    broken = cumulative[:, :, -1]
     if feed.lot is not None:
         count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, density)), 0.0)
         content["lot"] = {"mass": feed.lot, **_lot(broken, mass, count, rng)}
@@ -261,7 +279,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         broken=broken,
         total=broken @ mass,
         sieves=sieves,
-        passing=product.passing,
+        passing=passing,
         content=content,
     )
 
@@ -288,122 +306,55 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
     return struck, broken, left
 
 
-# --- the product ----------------------------------------------------------------------------------
-
-
-def _product_sieves(feed: FeedTable, classes: Classes) -> Array:
-    """The edges of the classes and fourteen finer sieves (S,) [m]."""
-    finer = classes.edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)
-    return np.unique(np.concatenate([classes.edges, finer]))
-
-
 def _curves(
-    product: ProductTable,
-    energy: Array,
-    sizes_and_sieves: tuple[Array, Array],
-    draws: int,
-    rng: np.random.Generator,
+    product: ProductTable, fineness: Array, ratio: Array, draws: int, rng: np.random.Generator
 ) -> Array:
-    """Share of the fragments of a class that passes a sieve, (D or 1, S, K), from t_n."""
-    sizes, sieves = sizes_and_sieves
+    """Share of the fragments of a class that passes a sieve, (D or 1, S, K), by t_n; `ratio`: of
+    sizes to sieves."""
+    alpha = np.full(1, product.alpha)
     if isinstance(product.alpha, Lognormal):
         scatter = product.alpha.log_sd * rng.standard_normal(draws)
         alpha = np.exp(product.alpha.log_mean + scatter)
-    else:
-        alpha = np.full(1, product.alpha)
-    fine = laws.t10(energy, product.A, product.b)
-    ratio = (sizes / sieves[:, None])[None]
-    return laws.t_n(ratio, fine, product.curve, alpha[:, None, None])
-
-
-def _spread(feed: FeedTable, classes: Classes, sieves: Array, curves: Array | None) -> Array | None:
-    """Share of the fragments of class k that are of class j, (D or 1, K, K); None where they leave
-    the machine."""
-    if curves is None or not feed.rebreak:
-        return None
-    finer = curves[:, np.searchsorted(sieves, classes.edges)]
-    finer[:, 0] = 1.0
-    return -np.diff(finer, axis=1, append=0.0)
-
-
-def _product(
-    asked: ComminutionDocument,
-    classes: Classes,
-    blows: _Struck,
-    sieves: Array,
-    curves: Array | None,
-) -> _Product:
-    """The product: whole particles, and fragments where [product] gives their sizes."""
-    lower = np.append(classes.edges[1:], 1e-6 * classes.edges[-1])
-    # whole particles are uniform in the logarithm within a class, below the last sieve uniform
-    whole = np.clip(np.log(sieves[:, None] / lower) / np.log(classes.edges / lower), 0.0, 1.0)
-    whole[:, -1] = np.clip(sieves / classes.edges[-1], 0.0, 1.0)
-    passing = np.full((len(blows.broke), len(sieves)), np.nan)
-    fineness = np.full(len(classes.mass), np.nan)
-    if curves is not None and asked.product is not None and asked.feed is not None:
-        fineness = laws.t10(blows.offered, asked.product.A, asked.product.b)
-        passing = blows.whole @ whole.T
-        if not asked.feed.rebreak:
-            passing = passing + (curves * blows.broke[:, None]).sum(axis=2)
-        passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
-    return _Product(sieves=sieves, passing=passing, feed=whole @ classes.mass, fineness=fineness)
-
-
-def _size_at(share: float, sieves: Array, passing: Array) -> Array:
-    """The size [m] that a share passes, in every row."""
-    return np.asarray(np.exp([np.interp(share, row, np.log(sieves)) for row in passing]))
+    return laws.t_n(ratio[None], fineness, product.curve, alpha[:, None, None])
 
 
 # --- its description ------------------------------------------------------------------------------
 
 
-def _content(
-    asked: ComminutionDocument,
-    posterior: Posterior,
-    classes: Classes,
-    blows: _Struck,
-    product: _Product,
-) -> dict[str, Any]:
+def _content(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dict[str, Any]:
     """A feed after its blows as plain JSON."""
-    feed = asked.feed
-    assert feed is not None
-    low, high = posterior.tested
-    sizes, mass, broken = classes.sizes, classes.mass, blows.cumulative[:, :, -1]
-    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
+    classes, broken = blows.classes, blows.cumulative[:, :, -1]
     rows = [
         {
             "upper": float(classes.edges[k]),
-            "size": float(sizes[k]),
-            "mass": float(mass[k]),
+            "size": float(size),
+            "mass": float(classes.mass[k]),
             "broken": quantiles(broken[:, k]),
             "by_blow": blows.cumulative[:, k, 1:].mean(axis=0).tolist(),
-            "extrapolated": bool(untested[k]),
+            "extrapolated": bool(blows.untested[k]),
         }
-        for k in range(len(mass))
+        for k, size in enumerate(classes.sizes)
     ]
     passes = []
     if asked.product is not None:
-        for k, sieve in enumerate(product.sieves.tolist()):
-            share = quantiles(product.passing[:, k])
-            passes.append({"sieve": sieve, "feed": float(product.feed[k]), **share})
-    numbers = _numbers(asked, blows, product, mass)
+        for k, sieve in enumerate(blows.sieves.tolist()):
+            share = quantiles(blows.passing[:, k])
+            passes.append({"sieve": sieve, "feed": float(blows.before[k]), **share})
     return {
         "title": asked.title,
         "blows": feed.blows,
         "energy_offered": blows.offered.tolist(),
-        "numbers": {name: quantiles(values) for name, values in numbers.items()},
+        "numbers": {
+            name: quantiles(values) for name, values in _numbers(asked, feed, blows).items()
+        },
         "classes": rows,
         "product": passes,
-        "warnings": _warnings(asked, posterior, classes, blows),
     }
 
 
-def _numbers(
-    asked: ComminutionDocument, blows: _Struck, product: _Product, mass: Array
-) -> dict[str, Array]:
+def _numbers(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dict[str, Array]:
     """Single answers (D,) by name."""
-    feed = asked.feed
-    assert feed is not None
+    mass, log_sieves = blows.classes.mass, np.log(blows.sieves)
     hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
     total = blows.cumulative[:, :, -1] @ mass
     numbers = {
@@ -413,31 +364,27 @@ def _numbers(
     }
     if asked.product is not None:
         broke = np.maximum(blows.broke.sum(axis=1), 1e-300)
-        numbers["t10"] = (blows.broke * product.fineness).sum(axis=1) / broke
-        for share in (0.8, 0.5):
-            name = f"P{round(100 * share)} [m]"
-            numbers[name] = _size_at(share, product.sieves, product.passing)
-        before = _size_at(0.8, product.sieves, product.feed[None])[0]
-        numbers["F80/P80"] = before / numbers["P80 [m]"]
+        numbers["t10"] = (blows.broke * blows.fineness).sum(axis=1) / broke
+        rows = [*blows.passing, blows.before]
+        p80, p50 = (
+            np.exp([np.interp(share, row, log_sieves) for row in rows]) for share in (0.8, 0.5)
+        )
+        numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50[:-1], "F80/P80": p80[-1] / p80[:-1]}
         if feed.fines is not None:
-            size, log_sieves = math.log(feed.fines), np.log(product.sieves)
-            numbers["fines"] = np.array(
-                [np.interp(size, log_sieves, row) for row in product.passing]
-            )
+            size = math.log(feed.fines)
+            numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in rows[:-1]])
     numbers["never broken"] = 1.0 - total
     return numbers
 
 
 def _warnings(
-    asked: ComminutionDocument, posterior: Posterior, classes: Classes, blows: _Struck
+    asked: ComminutionDocument, feed: FeedTable, posterior: Posterior, blows: _Struck
 ) -> list[str]:
     """Where the numbers of a feed are extrapolated or assumed."""
-    feed = asked.feed
-    assert feed is not None
     low, high = posterior.tested
-    sizes, warnings = classes.sizes, [*classes.notes]
+    sizes, warnings = blows.classes.sizes, [*blows.classes.notes]
     if asked.tests.synthetic:
-        warnings.insert(0, "the tests are synthetic data: the numbers describe no real rock")
+        warnings.insert(0, SYNTHETIC)
     if asked.product is not None:
         outside = (blows.offered < _OFFERED[0]) | (blows.offered > _OFFERED[1])
         outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
@@ -448,8 +395,7 @@ def _warnings(
                 f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
                 "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
             )
-    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
-    share = float(classes.mass[untested].sum())
+    share = float(blows.classes.mass[blows.untested].sum())
     if share > 0.005:
         warnings.append(
             f"{share:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "

@@ -43,6 +43,7 @@ FEW: Final = 50
 _MOST_SIZES: Final = 200
 #: ratio to the tested sizes beyond which a strength is extrapolated
 UNTESTED: Final = 1.19
+SYNTHETIC: Final = "the tests are synthetic data: the numbers describe no real rock"
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
 _GAMMAS: Final = np.linspace(math.log(0.5), math.log(50.0), 93)
 
@@ -476,7 +477,7 @@ def _described(
     parameters, undetermined = _parameters(posterior)
     warnings = [*tests.notes, *undetermined, *_about_laws(about, float(tests.weight.sum()))]
     if want.synthetic:
-        warnings.append("the tests are synthetic data: the numbers describe no real rock")
+        warnings.append(SYNTHETIC)
     return {
         "title": asked.title,
         "seed": asked.seed,
