@@ -16,6 +16,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from tests.campaigns.stress_series import (
+    Load,
+    cross_in_closed_form,
+    load_coefficients,
+    pressure_on_surface,
+    terms_for,
+)
 from uqsphere.arrays import Array
 from uqsphere.mechanics import stress
 from uqsphere.mechanics.stress import (
@@ -23,12 +30,7 @@ from uqsphere.mechanics.stress import (
     MODULUS,
     POISSON,
     POISSON_WEIBULL,
-    Load,
-    cross_in_closed_form,
     half_space_rim,
-    load_coefficients,
-    pressure_on_surface,
-    terms_for,
 )
 
 # --- Weakest-link integrals of the hoop tension over the volume and the surface of the sphere.

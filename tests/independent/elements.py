@@ -324,7 +324,8 @@ def compare(
     contact_ratio: float = CONTACT_RATIO, nu: float = NU, count: int = 40, finest: float = 2e-3
 ) -> Comparison:
     """Both fields at the points of the elements, outside the zones at the rim and at the centre."""
-    from uqsphere.mechanics.stress import Load, core_ratio, series_stress
+    from tests.campaigns.stress_series import Load, series_stress
+    from uqsphere.mechanics.stress import core_ratio
 
     found = solve_elements(contact_ratio, nu, make_mesh(contact_ratio, count, finest))
     rim = np.array([contact_ratio, math.sqrt(1.0 - contact_ratio**2)])
