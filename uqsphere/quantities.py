@@ -1,6 +1,6 @@
 """The nomenclature: every number by its name, and the one formatter of its values.
 
-Numbers of a scene are declared in `uqsphere.mechanics.scene`, quantities of interest in
+Numbers of a scene are declared in `uqsphere.mechanics.inputs`, quantities of interest in
 `uqsphere.mechanics.outputs`, demands of criteria in `uqsphere.mechanics.criteria`.  Tables,
 axis labels and documentation read them here, so that a quantity has one name and one unit.
 """
@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from uqsphere.mechanics.criteria import DEMANDS
+from uqsphere.mechanics.inputs import INPUTS
 from uqsphere.mechanics.outputs import OUTPUTS
-from uqsphere.mechanics.scene import INPUTS
 from uqsphere.units import UNITS, Quantity
 
 __all__ = [

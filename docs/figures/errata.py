@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from docs.figures.linear_contact import linear_approaches
 from uqsphere.mechanics import as_printed
-from uqsphere.mechanics.closed_form import linear_approaches, massless_approach
+from uqsphere.mechanics.closed_form import massless_approach
 
 if TYPE_CHECKING:
     from docs.figures.canvas import Picture

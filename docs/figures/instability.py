@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.closed_form import linear_approaches
+from docs.figures.linear_contact import linear_approaches
 
 if TYPE_CHECKING:
     from docs.figures.canvas import Picture

@@ -155,6 +155,13 @@ def test_a_row_without_meaning_is_refused():
         as_printed.compare_with_paper(replace(SCENE, columns=columns))
 
 
+def test_no_approach_of_the_full_model_after_the_end_of_its_motion():
+    short = replace(SCENE, horizon=0.5 * float(SCENE.scales.time[0]))
+    rows = {row.quantity: row for row in as_printed.compare_with_paper(short)}
+    assert rows["approach_at_t_c"].full is None
+    assert rows["approach_after_pulse"].full is None
+
+
 @pytest.mark.slow
 def test_a_study_prints_the_comparison_in_its_run_and_its_history(tmp_path, capsys):
     import uqsphere

@@ -12,9 +12,9 @@ from scenes import scaled_scene
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from docs.figures.linear_contact import linear_approaches
 from uqsphere.mechanics.closed_form import (
     closed_form_applies,
-    linear_approaches,
     loading_approach,
     loading_time,
     massless_approach,

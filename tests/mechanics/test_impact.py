@@ -52,27 +52,33 @@ def solved(lam: float) -> tuple[float, float, float]:
 
 
 @cache
-def unit_blow(lam: float) -> closed_form.Impact:
-    return closed_form.impact(1.0, 1.0, 1.0, 1.0 / lam if lam else math.inf)
+def unit_blow(lam: float) -> dict[str, float]:
+    return {name: column[0] for name, column in closed_form.elastic_impact(np.array([lam])).items()}
+
+
+def force_of(beta, mass, speed, impedance=math.inf):
+    """Peak force [N] of an elastic impact by its table."""
+    unit = beta**0.4 * mass**0.6 * np.asarray(speed, dtype=float) ** 1.2
+    return unit * closed_form.elastic_impact(unit / (speed * impedance))["force"]
 
 
 @pytest.mark.parametrize("lam", [0.0, 0.004, 0.11, 0.77, 1.9, 3.0])
 def test_the_table_of_plates_solves_its_equation(lam):
     e, peak, duration = solved(lam)
     found = unit_blow(lam)
-    assert found.restitution == pytest.approx(e, abs=2e-11)
-    assert found.force == pytest.approx(peak, rel=1e-10)
-    assert found.duration == pytest.approx(duration, rel=1e-9)
+    assert found["restitution"] == pytest.approx(e, abs=2e-11)
+    assert found["force"] == pytest.approx(peak, rel=1e-10)
+    assert found["duration"] == pytest.approx(duration, rel=1e-9)
 
 
 def test_a_free_blow_is_hertz():
     """P_max = 1.25^0.6 beta^0.4 M^0.6 v^1.2; the often quoted 3.2145 of the duration is
     3.2180655.
     """
-    found = closed_form.impact(2e10, 0.02, 5.0)
-    assert found.force == pytest.approx(1.25**0.6 * 2e10**0.4 * 0.02**0.6 * 5.0**1.2, rel=1e-11)
-    assert found.duration == pytest.approx(3.2180655 * (0.02**2 / (2e10**2 * 5.0)) ** 0.2, rel=1e-8)
-    assert found.restitution == pytest.approx(1.0, abs=1e-11)
+    found = unit_blow(0.0)
+    assert found["force"] == pytest.approx(1.25**0.6, rel=1e-11)
+    assert found["duration"] == pytest.approx(3.2180655, rel=2e-8)
+    assert found["restitution"] == pytest.approx(1.0, abs=1e-11)
 
 
 def test_thin_plates_take_a_share_of_the_force():
@@ -82,10 +88,7 @@ def test_thin_plates_take_a_share_of_the_force():
     impedance = rigs.plate_impedance(210e9, 0.3, 7850.0, thickness)
     lam = beta**0.4 * mass**0.6 * 3.6**0.2 / impedance
     assert lam == pytest.approx([0.206, 0.116, 0.074, 0.052, 0.029], abs=6e-4)
-    share = (
-        closed_form.impact(beta, mass, 3.6, impedance).force
-        / closed_form.impact(beta, mass, 3.6).force
-    )
+    share = force_of(beta, mass, 3.6, impedance) / force_of(beta, mass, 3.6)
     assert share[[0, -1]] == pytest.approx([0.82, 0.97], abs=6e-3)
 
 
@@ -106,7 +109,7 @@ def test_a_face_that_yields_keeps_the_energy_of_the_blow():
     speeds = np.array([1e-3, 0.5, 5.0, 50.0])
     state = face.pressed(closed_form.yielding_depth(face, mass, speeds))
     assert state.stored + state.plastic == pytest.approx(0.5 * mass * speeds**2, rel=1e-12)
-    elastic = closed_form.impact(beta, mass, speeds).force
+    elastic = force_of(beta, mass, speeds)
     assert state.force[0] == pytest.approx(elastic[0], rel=1e-9)
     assert np.all(state.force[2:] < elastic[2:])
 

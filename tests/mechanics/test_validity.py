@@ -12,9 +12,15 @@ from scenes import EXAMPLE, example
 
 from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.rigs import RIGS, softest_partner, sphere_body
+from uqsphere.mechanics.rigs import RIGS, sphere_body
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.validity import RULES, ValidityCheck, check_ranges, check_validity
+from uqsphere.mechanics.validity import (
+    RULES,
+    ValidityCheck,
+    check_ranges,
+    check_validity,
+    softest_partner,
+)
 from uqsphere.mechanics.yielding import Face
 
 BASE = EXAMPLE | {

@@ -13,7 +13,7 @@ import numpy as np
 
 from uqsphere.arrays import Values
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
-from uqsphere.mechanics.integrator.solve import Motion, motion, solve
+from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 from uqsphere.units import UNITS
@@ -24,6 +24,13 @@ DURATION_FACTOR: Final = 6.715
 _SINE_IMPULSE: Final = math.gamma(1.25) / (math.sqrt(math.pi) * math.gamma(1.75))
 #: end of an endless step, in t_c, by which the approach has settled to nine digits
 _SETTLED: Final = 30.0
+#: what is wrong with each formula
+_LONG_PULSE: Final = "holds for a long pulse only"
+_SINE: Final = "from (3.9), a sine of the duration (3.8); the approach rises monotonically"
+_LOSS: Final = (
+    "(3.8) is the value of an integral that diverges; a massless sphere in infinite bars never "
+    "loses contact"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,31 +64,6 @@ class PaperLine:
     note: str
 
 
-def peak_approach(speed: Values, impedance: Values, hertz_constant: Values) -> Values:
-    """alpha_max = (v0 F0 rho c0/(2 beta))^(2/3) [m], (3.6); reached only by a long pulse."""
-    return np.cbrt(np.square(0.5 * speed * impedance / hertz_constant))
-
-
-def contact_radius(approach: Values, radius: Values) -> Values:
-    """r_k = (alpha_max r)^(1/2) [m], (5.1)."""
-    return np.sqrt(approach * radius)
-
-
-def peak_force(approach: Values, contact_radius: Values, modulus: Values) -> Values:
-    """P_max = 4 alpha_max r_k/(3 pi (k0 + k)) [N], (5.3), with 1/E* = pi (k0 + k)."""
-    return (4.0 / 3.0) * modulus * approach * contact_radius
-
-
-def peak_pressure(force: Values, contact_radius: Values) -> Values:
-    """p_max = 3 P_max/(2 pi r_k²) [Pa], (5.4)."""
-    return 1.5 * force / (math.pi * np.square(contact_radius))
-
-
-def mean_pressure(pressure: Values, fraction: Values) -> Values:
-    """Mean contact pressure [Pa] while alpha = f alpha_max, (5.9): (2/3) p_max f, not f^(1/2)."""
-    return (2.0 / 3.0) * pressure * fraction
-
-
 def contact_duration(approach: Values, speed: Values) -> Values:
     """t_k - t_1 = 6.715 alpha_max/v0 [s], (3.8); the integral behind it diverges."""
     return DURATION_FACTOR * approach / speed
@@ -112,11 +94,6 @@ def approach_after_pulse(
     return (1.0 / np.sqrt(start) + hertz_constant * after / impedance) ** -2.0
 
 
-def linear_plateau(speed: Values, impedance: Values, stiffness: Values) -> Values:
-    """alpha -> v0/lambda_1 [m] under a step, (4.10), lambda_1 = k/(F0 rho c0); twice too large."""
-    return speed * impedance / stiffness
-
-
 def paper_line(value: PaperValue) -> PaperLine:
     """A value as people read it, in display units; the note gives the full model's value."""
     entry = OUTPUTS[value.unit_of]
@@ -139,146 +116,110 @@ def compare_with_paper(
     """The paper's printed values beside the corrected ones and the full model's, for one row.
 
     tolerance: relative error of the integration of the full model.  Returns one `PaperValue` a
-    formula.  ValueError if the row lies outside the domain of the model.
+    formula, in the order of the paper.  ValueError if the row lies outside the domain of the model.
     """
     row = range(len(scene))[row]
     if scene.status[row] != 0:
         raise ValueError(f"row {row} cannot be compared: {STATUS[int(scene.status[row])]}")
     scene = scene.at(np.array([row]))
-    return _Comparison(scene, tolerance).values()
+    corrected, full = solve_closed(_idealised(scene)), solve(scene, tolerance=tolerance)
+    scales, speed = scene.scales, float(scene.columns["striker.speed"][0])
+    # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
+    force_at_speed = 0.5 * speed * float(scales.impedance[0])
+    alpha = float(np.cbrt(np.square(force_at_speed / float(scales.hertz_constant[0]))))
+    # (5.1), (5.3) with 1/E* = pi (k0 + k), (5.4)
+    radius = float(np.sqrt(alpha * scales.effective_radius[0]))
+    force = (4.0 / 3.0) * float(scales.modulus[0]) * alpha * radius
+    pressure = float(1.5 * force / (math.pi * np.square(radius)))
+    duration = float(contact_duration(alpha, speed))
+    loss = _LOSS
+    if _number(full, "time_to_first_loss") is None:
+        loss += f"; not over within the evaluation window of {1e6 * full.record[0]:.4g} us"
 
-
-class _Comparison:
-    """One row of a scene, computed three ways."""
-
-    def __init__(self, scene: Scene, tolerance: float) -> None:
-        scales = scene.scales
-        self.scene, self.tolerance = scene, tolerance
-        self.speed = float(scene.columns["striker.speed"][0])
-        self.impedance = float(scales.impedance[0])
-        self.beta = float(scales.hertz_constant[0])
-        self.alpha = float(peak_approach(self.speed, self.impedance, self.beta))
-        self.corrected = solve_closed(_idealised(scene))
-        self.full = solve(scene, tolerance=tolerance)
-
-    def values(self) -> tuple[PaperValue, ...]:
-        """All formulas in the order of the paper."""
-        return (*self._peaks(), *self._mean_pressures(), *self._times(), *self._approaches())
-
-    def _value(self, quantity: str, printed: float, note: str) -> PaperValue:
-        """A quantity of interest."""
+    def of(quantity: str, printed: float, note: str) -> PaperValue:
         return PaperValue(
             quantity=quantity,
             name=OUTPUTS[quantity].meaning.partition(":")[0],
-            printed=printed,
-            corrected=_number(self.corrected, quantity),
-            full=_number(self.full, quantity),
+            printed=float(printed),
+            corrected=_number(corrected, quantity),
+            full=_number(full, quantity),
             unit_of=quantity,
             note=note,
         )
 
-    def _peaks(self) -> list[PaperValue]:
-        scales = self.scene.scales
-        radius = float(contact_radius(self.alpha, scales.effective_radius[0]))
-        force = float(peak_force(self.alpha, radius, scales.modulus[0]))
-        self.pressure = float(peak_pressure(force, radius))
-        return [
-            self._value("alpha_max", self.alpha, "(3.6) holds for a long pulse only"),
-            self._value("a_max", radius, "(5.1) with (3.6) holds for a long pulse only"),
-            self._value("P_max", force, "(5.3) with (3.6) holds for a long pulse only"),
-            self._value("p_max", self.pressure, "(5.4) with (3.6) holds for a long pulse only"),
-            self._value("force_imbalance", 0.0, "(3.1) neglects the mass of the sphere"),
-        ]
+    peak = of("p_max", pressure, f"(5.4) with (3.6) {_LONG_PULSE}")
+    return (
+        of("alpha_max", alpha, f"(3.6) {_LONG_PULSE}"),
+        of("a_max", radius, f"(5.1) with (3.6) {_LONG_PULSE}"),
+        of("P_max", force, f"(5.3) with (3.6) {_LONG_PULSE}"),
+        peak,
+        of("force_imbalance", 0.0, "(3.1) neglects the mass of the sphere"),
+        _mean_pressure(peak, "mean_pressure", 1.0, "peak force"),
+        _mean_pressure(peak, "mean_pressure_at_half_approach", 0.5, "half the approach"),
+        of("contact_duration", equivalent_duration(duration), _SINE),
+        of("time_to_first_loss", duration, loss),
+        of("rise_time", rise_time(duration), _SINE),
+        *_approaches(scene, alpha, duration, tolerance),
+    )
 
-    def _mean_pressures(self) -> list[PaperValue]:
-        """At one instant p ~ f^(1/2) holds, in place of the printed p ~ f."""
-        corrected, full = _number(self.corrected, "p_max"), _number(self.full, "p_max")
-        values = []
-        for fraction, quantity, name in (
-            (1.0, "mean_pressure", "mean contact pressure at peak force"),
-            (0.5, "mean_pressure_at_half_approach", "mean contact pressure at half the approach"),
-        ):
-            right = 2.0 / 3.0 * math.sqrt(fraction)
-            note = f"(5.9) is proportional to f, here {fraction:g}, in place of its square root"
-            values.append(
-                PaperValue(
-                    quantity=quantity,
-                    name=name,
-                    printed=float(mean_pressure(self.pressure, fraction)),
-                    corrected=None if corrected is None else right * corrected,
-                    full=None if full is None else right * full,
-                    unit_of="p_mean",
-                    note=note,
-                )
-            )
-        return values
 
-    def _times(self) -> list[PaperValue]:
-        duration = float(contact_duration(self.alpha, self.speed))
-        loss = "(3.8) is the value of an integral that diverges; a massless sphere in infinite bars"
-        loss += " never loses contact"
-        if _number(self.full, "time_to_first_loss") is None:
-            end = 1e6 * self.full.record[0]
-            loss += f"; not over within the evaluation window of {end:.4g} us"
-        return [
-            self._value(
-                "contact_duration",
-                float(equivalent_duration(duration)),
-                "from (3.9), a sine of the duration (3.8); the approach rises monotonically",
-            ),
-            self._value("time_to_first_loss", duration, loss),
-            self._value(
-                "rise_time",
-                float(rise_time(duration)),
-                "from (3.9), a sine of the duration (3.8); the approach rises monotonically",
-            ),
-        ]
+def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) -> PaperValue:
+    """While alpha = f alpha_max the mean is (2/3) p_max f by (5.9), in place of f^(1/2)."""
+    right = 2.0 / 3.0 * math.sqrt(fraction)
+    return replace(
+        peak,
+        quantity=quantity,
+        name=f"mean contact pressure at {at}",
+        printed=(2.0 / 3.0) * peak.printed * fraction,
+        corrected=None if peak.corrected is None else right * peak.corrected,
+        full=None if peak.full is None else right * peak.full,
+        unit_of="p_mean",
+        note=f"(5.9) is proportional to f, here {fraction:g}, in place of its square root",
+    )
 
-    def _approaches(self) -> list[PaperValue]:
-        """Approaches at single instants, and the plateau of the linear contact."""
-        time = float(self.scene.scales.time[0])
-        theta = float(self.scene.scales.pulse_number[0])
-        course = motion(self.scene, 0, tolerance=self.tolerance)
-        duration = contact_duration(self.alpha, self.speed)
-        values = [
-            PaperValue(
-                quantity="approach_at_t_c",
-                name=f"approach at t_c = {time * 1e6:.4g} us",
-                printed=float(approach(time, self.alpha, duration)),
-                corrected=self.alpha * float(massless_approach(1.0, theta)),
-                full=_approach_at(course, time),
-                unit_of="alpha_max",
-                note="(3.9) is a sine; the approach follows theory (11)",
-            )
-        ]
-        if math.isfinite(theta):
-            start = self.alpha * float(massless_approach(theta, theta))
-            after = (theta + 1.0) * time
-            printed = approach_after_pulse(time, start, self.impedance, self.beta)
-            values.append(
-                PaperValue(
-                    quantity="approach_after_pulse",
-                    name=f"approach at t_i + t_c = {after * 1e6:.4g} us",
-                    printed=float(printed),
-                    corrected=self.alpha * float(massless_approach(theta + 1.0, theta)),
-                    full=_approach_at(course, after),
-                    unit_of="alpha_max",
-                    note="(3.16) lacks a factor 1/2, so that the approach falls twice as fast",
-                )
-            )
-        stiffness = self.beta * math.sqrt(self.alpha)
-        values.append(
-            PaperValue(
-                quantity="linear_plateau",
-                name="approach after an endless step, linear contact",
-                printed=float(linear_plateau(self.speed, self.impedance, stiffness)),
-                corrected=0.5 * self.speed * self.impedance / stiffness,
-                full=_settled(self.scene, self.tolerance),
-                unit_of="alpha_max",
-                note="(4.10) lacks a factor 1/2; stiffness: secant of Hertz at alpha_max",
-            )
+
+def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -> list[PaperValue]:
+    """Approaches at single instants, and the plateau of the linear contact."""
+    scales = scene.scales
+    time, theta = float(scales.time[0]), float(scales.pulse_number[0])
+    impedance, beta = float(scales.impedance[0]), float(scales.hertz_constant[0])
+    course = motion(scene, 0, tolerance=tolerance)
+
+    def at(key: str, name: str, s: float, printed: Values, note: str) -> PaperValue:
+        """The approach at the time s over t_c; no full value after the end of the motion."""
+        full = None
+        if s <= course.end:
+            full = float(course.states_at(np.array([s * time]))[0, :2].mean())
+        return PaperValue(
+            quantity=key,
+            name=f"approach at {name} = {s * time * 1e6:.4g} us",
+            printed=float(printed),
+            corrected=alpha * float(massless_approach(s, theta)),
+            full=full,
+            unit_of="alpha_max",
+            note=note,
         )
-        return values
+
+    sine = "(3.9) is a sine; the approach follows theory (11)"
+    values = [at("approach_at_t_c", "t_c", 1.0, approach(time, alpha, duration), sine)]
+    if math.isfinite(theta):
+        printed = approach_after_pulse(
+            time, alpha * float(massless_approach(theta, theta)), impedance, beta
+        )
+        fall = "(3.16) lacks a factor 1/2, so that the approach falls twice as fast"
+        values.append(at("approach_after_pulse", "t_i + t_c", theta + 1.0, printed, fall))
+    # (4.10): alpha -> v0/lambda_1 under a step, lambda_1 = k/(F0 rho c0)
+    speed, stiffness = float(scene.columns["striker.speed"][0]), beta * math.sqrt(alpha)
+    plateau = PaperValue(
+        quantity="linear_plateau",
+        name="approach after an endless step, linear contact",
+        printed=speed * impedance / stiffness,
+        corrected=0.5 * speed * impedance / stiffness,
+        full=_settled(scene, tolerance),
+        unit_of="alpha_max",
+        note="(4.10) lacks a factor 1/2; stiffness: secant of Hertz at alpha_max",
+    )
+    return [*values, plateau]
 
 
 def _number(answers: SceneAnswers, quantity: str) -> float | None:
@@ -286,13 +227,6 @@ def _number(answers: SceneAnswers, quantity: str) -> float | None:
     if quantity in answers.censored and answers.censored[quantity][0]:
         return None
     return float(answers.values[quantity][0])
-
-
-def _approach_at(course: Motion, time: float) -> float | None:
-    """Mean approach [m] of both contacts at a time [s], None after the end of the motion."""
-    if time > course.end:
-        return None
-    return float(course.states_at(np.array([time]))[0, :2].mean())
 
 
 def _idealised(scene: Scene) -> Scene:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import resources
 from typing import Final
@@ -24,9 +23,9 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import SceneAnswers, answers_from, merged_answers
-from uqsphere.mechanics.rigs import LARGEST_LAM, Partner
+from uqsphere.mechanics.rigs import LARGEST_LAM
 from uqsphere.mechanics.roots import newton
-from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.scene import Partner, Scene
 from uqsphere.mechanics.yielding import Face
 
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the
@@ -150,43 +149,6 @@ def massless_approach(s: Values, theta: Values) -> Array:
     return np.where(over, relaxing_approach(np.where(over, loading, 1.0), after), loading)
 
 
-def _step_difference(s: Array, mu: Array) -> Array:
-    """Half the difference of the approaches under a linear step.
-
-    It is e^(-s/2) sin(w s)/w with w² = 2/mu - 1/4.
-    """
-    square = 2.0 / mu - 0.25
-    swinging = square > 0.0
-    w = np.sqrt(np.abs(square))
-    swing = np.exp(-0.5 * s) * s * np.sinc(w * s / math.pi)
-    # overdamped, mu > 8: the hyperbolic sine in decaying exponentials only, so that nothing
-    # overflows
-    k = np.where(swinging, 0.0, w)
-    creep = np.where(k > 0.0, -np.expm1(-2.0 * k * s) / (2.0 * np.where(k > 0.0, k, 1.0)), s)
-    return np.where(swinging, swing, creep * np.exp((k - 0.5) * s))
-
-
-def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[Array, Array]:
-    """Scaled approaches x_1, x_2 of the linear contact in infinite bars, theory (14).
-
-    Under a step x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4 (hyperbolic for mu >
-    8, s e^(-s/2) at mu = 8); a rectangular pulse is a step minus a later one.  s: time over t_c.
-    mu: M/(Z t_c) > 0.  theta: pulse length over t_c.  Valid until an approach becomes negative.
-    Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (4.5) and (4.8); (4.9) lacks the decay.
-
-    >>> x_1, x_2 = linear_approaches(30.0, 0.1)
-    >>> bool(abs(x_1 - 1.0) < 1e-6), bool(abs(x_2 - 1.0) < 1e-6)
-    (True, True)
-    """
-    s, mu, theta = np.broadcast_arrays(
-        *(np.asarray(value, dtype=float) for value in (s, mu, theta))
-    )
-    late = np.maximum(s - theta, 0.0)
-    mean = -np.expm1(-s) + np.expm1(-late)
-    half = _step_difference(s, mu) - _step_difference(late, mu)
-    return mean + half, mean - half
-
-
 def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     """Whether `solve_closed` applies: massless, infinite bars, rectangular or step pulse."""
     plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
@@ -244,16 +206,6 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Impact:
-    """An impact: peak force [N], approach there [m], contact time [s], restitution; elementwise."""
-
-    force: Array
-    approach: Array
-    duration: Array
-    restitution: Array
-
-
 def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
     """M* = M m/(M + m) [kg] of a sphere and a free counter-body (fixed: m = inf). (R6)."""
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
@@ -273,37 +225,29 @@ def _impact_table() -> Mapping[str, np.polynomial.Chebyshev]:
 
 
 @cache
-def _on_thick() -> Mapping[str, Array]:
+def _on_rigid() -> Mapping[str, Array]:
     """`_COLUMNS` of a rigid counter-body: one number each for all rows."""
-    return {name: np.asarray(series(np.zeros(1))) for name, series in _impact_table().items()}
+    return elastic_impact(np.zeros(1))
 
 
-def _elastic(lam: Array) -> Mapping[str, Array]:
-    """`_COLUMNS` at lam, NaN above 3."""
+def elastic_impact(lam: Array) -> Mapping[str, Array]:
+    """Restitution, peak force, contact time and rise time at lam, (R10) to (R13); NaN above 3.
+
+    Force in beta^0.4 M*^0.6 v^1.2, times in (M*²/(beta² v))^0.2.  Above 3 a plate is punched.
+
+    >>> round(float(elastic_impact(np.zeros(1))["force"][0]), 4)
+    1.1435
+    """
     inside = np.where(lam <= LARGEST_LAM, lam, np.nan)
     return {name: np.asarray(series(inside)) for name, series in _impact_table().items()}
 
 
-def impact(
-    hertz_constant: Values, mass: Values, speed: Values, impedance: Values = math.inf
-) -> Impact:
-    """Elastic impact of a reduced mass M* at speed v on an impedance Z [N s/m], (R10) to (R13).
-
-    NaN for lam above 3, where the plate is punched.
-
-    >>> round(float(impact(6680584551.148, 0.010890854532, 3.6).force), 3)
-    3005.19
-    """
-    beta, v = np.asarray(hertz_constant, dtype=float), np.asarray(speed, dtype=float)
-    force = beta**0.4 * mass**0.6 * v**1.2
-    at = _elastic(force / (v * np.asarray(impedance, dtype=float)))
-    force = force * at["force"]
-    return Impact(
-        force=force,
-        approach=np.cbrt(np.square(force / beta)),
-        duration=at["duration"] * (mass**2 / (beta**2 * v)) ** 0.2,
-        restitution=at["restitution"],
-    )
+def _elastic(scene: Scene, ahead: Partner, force: Array) -> tuple[Mapping[str, Array], Array]:
+    """`_COLUMNS` of an impact of unit force `force` on a counter-body, and its lam."""
+    if ahead.kind not in ("bar", "plate"):
+        return _on_rigid(), np.zeros(1)
+    lam = force / (scene.scales.speed * ahead.impedance)
+    return elastic_impact(lam), lam
 
 
 def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
@@ -349,8 +293,7 @@ def closed_form_rows(scene: Scene) -> Flags:
     if ahead.kind != "bar" or not np.any(ahead.reflection):
         return np.ones(len(scene), dtype=bool)
     with np.errstate(all="ignore"):
-        lam = scene.scales.force / (scene.scales.speed * ahead.impedance)
-        duration = scene.scales.time * _elastic(lam)["duration"]
+        duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)[0]["duration"]
         return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
 
 
@@ -416,11 +359,7 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Scen
         both = light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
         moved = reduced_mass(behind.mass, ahead.mass)
         force = both**0.4 * moved**0.6 * scales.speed**1.2
-        waves = ahead.kind in ("bar", "plate")
-        at = _on_thick()
-        if waves:
-            lam = force / (scales.speed * ahead.impedance)
-            at = _elastic(lam)
+        at, lam = _elastic(scene, ahead, force)
         time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
         q = at["force"] * force / scales.force
         slow_a = np.cbrt(np.square(q))
@@ -440,56 +379,44 @@ def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> Scen
             "duration": (1.0 + at["restitution"]) / at["force"] * time,
             "stored": 0.4 * q * (slow_a + slow_b),
             "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
-            **{name: at[of] * time for name, of in _DURATIONS.items()},
+            "rise": at["rise"] * time,
             "end_speed": np.full(1, np.nan),
             "end_speed_a": share - (1.0 - share) * at["restitution"],
             "end_speed_b": share * (1.0 + at["restitution"]),
-            **_CENSORED,
+            **_over(at["duration"] * time),
         }
-        if waves:
-            lost = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
-            tracked["carried_b"] = lost * force**2 * time / scales.force**2
+        tracked["carried_b"] = _radiated(at, lam) * force**2 * time / scales.force**2
     return _answers(scene, tracked, quantities)
-
-
-#: times of an impact -> their column in `_COLUMNS`
-_DURATIONS: Final = {
-    "contact": "duration",
-    "parting": "duration",
-    "ended": "duration",
-    "rise": "rise",
-}
 
 
 def _elastic_impact(scene: Scene, ahead: Partner) -> dict[str, Array]:
     """An elastic impact in scaled variables, (R13), in the centre-of-mass frame."""
-    waves = ahead.kind in ("bar", "plate")
-    at = _on_thick()
-    if waves:
-        lam = scene.scales.force / (scene.scales.speed * ahead.impedance)
-        at = _elastic(lam)
+    at, lam = _elastic(scene, ahead, scene.scales.force)
     x = np.cbrt(np.square(at["force"]))
-    found = {
+    return {
         "x_max": x,
         "x_b": x,
         "stored": 0.4 * at["force"] * x,
-        "contact": at["duration"],
-        "parting": at["duration"],
         "rise": at["rise"],
-        "ended": at["duration"],
         # momentum: each body leaves with e times its speed in the centre-of-mass frame
         "duration": (1.0 + at["restitution"]) / at["force"],
+        "carried_b": _radiated(at, lam),
         **_speeds(scene, ahead, at["restitution"]),
-        **_CENSORED,
+        **_over(at["duration"]),
     }
-    if waves:
-        # the lost energy is radiated: (1 - e²)/2 = lam times the integral of q²
-        found["carried_b"] = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
-    return found
 
 
-#: an impact in closed form ends by itself, with a single contact
-_CENSORED: Final = dict.fromkeys(("contact_censored", "touches"), np.zeros(1))
+def _radiated(at: Mapping[str, Array], lam: Array) -> Array:
+    """Integral of q²: the lost energy is radiated, (1 - e²)/2 = lam times it."""
+    return np.asarray((1.0 - np.square(at["restitution"])) / (2.0 * lam))
+
+
+def _over(time: Array) -> dict[str, Array]:
+    """Times of an impact, which ends by itself at a time over t_c, with a single contact."""
+    return {
+        **dict.fromkeys(("contact", "parting", "ended"), time),
+        **dict.fromkeys(("contact_censored", "touches"), np.zeros(1)),
+    }
 
 
 def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:
@@ -520,13 +447,10 @@ def _plastic_impact(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array
         "x_max": x,
         "x_b": x,
         "stored": state.stored / (scales.force * scales.approach),
-        "contact": whole,
-        "parting": whole,
-        "ended": whole,
         "duration": (1.0 + restitution) * scales.force / state.force,
         "rise": (low - high) * to_scaled,
         **_speeds(scene, ahead, restitution),
-        **_CENSORED,
+        **_over(whole),
     }
 
 
@@ -598,23 +522,17 @@ def _force_at(partner: Partner, displacement: Array, softness: Array) -> Array:
     if face is None:
         scale = partner.effective_radius
         unit = partner.hertz_constant * scale**1.5
-        force_of, slope_of = _hertz_force, _hertz_slope
     else:
         scale, unit = face.onset_approach, face.onset_force
-        force_of, slope_of = face.force, face.slope
     wanted, stiff = displacement / scale, softness * unit / scale
 
+    def force_of(depth: Array) -> Array:
+        return np.asarray(depth**1.5 if face is None else face.force(depth))
+
     def step(depth: Array) -> Array:
+        slope = 1.5 * np.sqrt(depth) if face is None else face.slope(depth)
         excess = 2.0 * depth + stiff * force_of(depth) - wanted
-        return np.asarray(excess / (2.0 + stiff * slope_of(depth)))
+        return np.asarray(excess / (2.0 + stiff * slope))
 
     depth = newton(step, 0.5 * wanted, 0.0)
-    return np.asarray(unit * force_of(depth))
-
-
-def _hertz_force(depth: Array) -> Array:
-    return np.asarray(depth**1.5)
-
-
-def _hertz_slope(depth: Array) -> Array:
-    return np.asarray(1.5 * np.sqrt(depth))
+    return unit * force_of(depth)

@@ -20,8 +20,8 @@ from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
-from uqsphere.mechanics.rigs import Partner, loss_to_waves
-from uqsphere.mechanics.scene import Scales, Scene, answered
+from uqsphere.mechanics.rigs import wave_loss
+from uqsphere.mechanics.scene import Partner, Scales, Scene, answered
 from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
@@ -617,6 +617,24 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSo
         return total
 
     return columns | {"carried_off": carried}
+
+
+def loss_to_waves(scene: Scene) -> Array | None:
+    """Fraction of the impact energy that a thick target radiates, (n,), (R14).
+
+    The compliance is that of nu = 1/4.  None for other targets, or without a density.
+    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory.
+    """
+    partner = scene.partners[1]
+    if partner is None or scene.partners[0] is not None or partner.kind != "thick":
+        return None
+    table, c = partner.table, scene.columns
+    if f"{table}.density" not in c:
+        return None
+    scales, density = scene.scales, c[f"{table}.density"]
+    with np.errstate(all="ignore"):
+        shear_speed = np.sqrt(c[f"{table}.E"] / (2.0 * (1.0 + c[f"{table}.nu"]) * density))
+        return wave_loss(scales.hertz_constant, scales.mass, scales.speed, density, shear_speed)
 
 
 def _radiated_fraction(scene: Scene, tracked: Mapping[str, Array]) -> Array | None:

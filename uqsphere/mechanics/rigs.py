@@ -10,49 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import reduce
-from typing import TYPE_CHECKING, Final, Literal, TypedDict
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values
-from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, Face, metal_body, softer
-
-if TYPE_CHECKING:
-    from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
 
 #: keys of the three parameters of a contact law
 LAW: Final = ("onset_pressure", "hardness", "pile_up")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Partner:
-    """The counter-body at one contact; (n,) each.
-
-    table: table of the study with its numbers.  kind: `bar`, `plate`, `thick`, `mass` or `platen`.
-    modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of the contact.
-    share: chi = E* (1 - nu²)/E, the sphere's fraction of the elastic energy, (R22).  impedance: Z
-    [N s/m], infinite if it is rigid.  mass: [kg], infinite if it is not free.  speed: V [m/s] at
-    first touch, positive from A to B.  round_trip, reflection: of a bar and its far end; infinite
-    and 0 without a reflected wave.  face: its contact law if it yields.  takes: the sphere's
-    fraction of the plastic work, 1 if the sphere itself yields.
-    """
-
-    table: str
-    kind: str
-    modulus: Array
-    effective_radius: Array
-    hertz_constant: Array
-    share: Array
-    impedance: Array
-    mass: Array
-    speed: Array
-    round_trip: Array
-    reflection: Array
-    face: Face | None
-    takes: Array
 
 
 def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
@@ -64,97 +31,14 @@ def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -
     return np.asarray(4.0 / math.sqrt(3.0) * np.square(thickness) * stiffness)
 
 
-def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) -> Partner:
-    """The counter-body of a table of the scene; not finite in rows outside the domain."""
-    c = scene.columns
-    face_E = c.get(f"{table}.insert_E", scene.column(f"{table}.E"))
-    face_nu = c.get(f"{table}.insert_nu", scene.column(f"{table}.nu"))
-    mass = _everywhere(np.inf, scene)
-    if kind == "mass":
-        mass = _mass(scene, table)
-    with np.errstate(all="ignore"):
-        modulus = contact.reduced_modulus(
-            c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
-        )
-        share = np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"])
-        radius = contact.effective_radius(c["sphere.radius"], _face_radius(scene, table))
-        return Partner(
-            table=table,
-            kind=kind,
-            modulus=modulus,
-            effective_radius=radius,
-            hertz_constant=contact.hertz_constant(modulus, radius),
-            share=share,
-            impedance=_impedance(scene, table, kind),
-            mass=mass,
-            speed=_everywhere(0.0, scene) if speed is None else speed,
-            **_law(scene, table, modulus, radius),
-            **_echo(scene, table, kind),
-        )
-
-
-def _everywhere(value: float, scene: Scene) -> Array:
-    """One number in every row, (n,), without a copy."""
-    return np.broadcast_to(np.float64(value), (len(scene),))
-
-
-def _face_radius(scene: Scene, table: str) -> Array:
-    if table == "bars":
-        return scene.column("bars.end_radius", np.inf)
-    if table == "other":
-        return scene.column("other.radius")
-    if table == "hammer" and scene.options.get("hammer.shape") == "ball":
-        return 0.5 * scene.column("hammer.diameter")
-    return scene.column(f"{table}.face_radius", np.inf)
-
-
-def _impedance(scene: Scene, table: str, kind: str) -> Array:
-    if kind not in ("bar", "plate"):
-        return _everywhere(np.inf, scene)
-    E, nu, density = (scene.column(f"{table}.{key}") for key in ("E", "nu", "density"))
-    if kind == "bar":
-        return np.asarray(bars.impedance(E, density, scene.column(f"{table}.diameter")))
-    return plate_impedance(E, nu, density, scene.column(f"{table}.thickness"))
-
-
-def _mass(scene: Scene, table: str) -> Array:
-    """Mass of a free counter-body: as given, or of a ball."""
-    if table == "other":
-        return np.asarray(
-            contact.sphere_mass(scene.column("other.radius"), scene.column("other.density"))
-        )
-    if table == "hammer" and scene.options.get("hammer.shape") == "ball":
-        radius = 0.5 * scene.column("hammer.diameter")
-        return np.asarray(contact.sphere_mass(radius, scene.column("hammer.density")))
-    return scene.column(f"{table}.mass")
-
-
-def _echo(scene: Scene, table: str, kind: str) -> dict[str, Array]:
-    """Round trip and reflection of a rod; those of the two Hopkinson bars are in `Scene`."""
-    if kind != "bar" or table == "bars" or f"{table}.length" not in scene.columns:
-        return {"round_trip": _everywhere(np.inf, scene), "reflection": _everywhere(0.0, scene)}
-    E, density, length = (scene.column(f"{table}.{key}") for key in ("E", "density", "length"))
-    # the far end is free unless it is given
-    reflection = scene.column(f"{table}.end", bars.END_COEFFICIENTS["free"])
-    return {"round_trip": np.asarray(bars.round_trip(length, E, density)), "reflection": reflection}
-
-
-def _column(columns: Mapping[str, Array], name: str, default: Values) -> Array:
-    """A column, or `default` in every row."""
-    if name in columns:
-        return columns[name]
-    return np.full(len(next(iter(columns.values()))), default)
-
-
 def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> ContactParameters:
     """Contact parameters of a counter-body: as given, else of a metal; infinite onset if rigid."""
+    none = np.full(len(columns["sphere.E"]), np.nan)
     strength, nu = (
-        columns.get(f"{table}.insert_{key}", _column(columns, f"{table}.{key}", np.nan))
+        columns.get(f"{table}.insert_{key}", columns.get(f"{table}.{key}", none))
         for key in ("yield_strength", "nu")
     )
-    if rigid:
-        strength = np.full_like(nu, np.nan)
-    body = _with_columns(columns, table, metal_body(strength, nu))
+    body = _with_columns(columns, table, metal_body(none if rigid else strength, nu))
     if rigid:
         return body._replace(onset=np.full_like(nu, np.inf))
     return body
@@ -171,13 +55,9 @@ def _with_columns(
 
 def sphere_body(columns: Mapping[str, Array]) -> ContactParameters:
     """Contact parameters of the sphere, which is elastic without an onset pressure."""
-    defaults = (np.inf, np.inf, CAP_PILE_UP)
-    return ContactParameters(
-        *(
-            _column(columns, f"sphere.{key}", value)
-            for key, value in zip(LAW, defaults, strict=True)
-        )
-    )
+    defaults = np.full((3, len(columns["sphere.E"])), np.inf)
+    defaults[2] = CAP_PILE_UP
+    return _with_columns(columns, "sphere", ContactParameters(*defaults))
 
 
 def law_of(
@@ -189,33 +69,6 @@ def law_of(
     if at_onset:
         return body._replace(hardness=body.onset)
     return body
-
-
-def softest_partner(scene: Scene) -> ContactParameters:
-    """Contact parameters of the counter-body that yields first in each row."""
-    tables = dict.fromkeys(partner.table for partner in scene.there)
-    return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
-
-
-class _Law(TypedDict):
-    face: Face | None
-    takes: Array
-
-
-def _law(scene: Scene, table: str, modulus: Array, radius: Array) -> _Law:
-    """The contact law of a counter-body, if any row can yield."""
-    elastic = _Law(face=None, takes=_everywhere(0.0, scene))
-    if scene.contact_law != "plastic":
-        return elastic
-    numbers = law_of(
-        scene.columns, table, rigid=scene.rigid_contact, at_onset=scene.hardness_at_onset
-    )
-    if np.isinf(numbers.onset).all():
-        return elastic
-    face = Face(**numbers._asdict(), modulus=modulus, effective_radius=radius)
-    body = body_of(scene.columns, table, scene.rigid_contact)
-    sphere_yields = sphere_body(scene.columns).onset < body.onset
-    return _Law(face=face, takes=np.where(sphere_yields, 1.0, 0.0))
 
 
 #: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³] (from memory)
@@ -382,73 +235,6 @@ def terminal_speed(radius: Values, density: Values) -> Array:
     return np.asarray(np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR)))
 
 
-def closing_speed(scene: Scene) -> Array:
-    """Normal closing speed, (n,) [m/s]: as given, or after a fall."""
-    rig, c = RIGS[scene.rig], scene.columns
-    with np.errstate(all="ignore"):
-        if f"{rig.mover}.drop_height" not in c:
-            speed = scene.column(f"{rig.mover}.speed")
-        elif rig.sphere_moves:
-            speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
-        else:
-            # the drag on a drop weight depends on its shape; it is small
-            speed = np.sqrt(2.0 * GRAVITY * c[f"{rig.mover}.drop_height"])
-        if "rig.angle" in c:
-            speed = speed * np.sin(c["rig.angle"])
-        return np.asarray(speed)
-
-
-def partners_of(scene: Scene) -> tuple[Partner | None, Partner | None]:
-    """Counter-bodies behind (A) and ahead (B) of the sphere; None without a contact."""
-    rig = RIGS[scene.rig]
-    if rig.behind == rig.ahead:
-        partner = partner_of(scene, rig.behind, rig.kinds[0])
-        if not rig.by_wave:
-            return partner, partner
-        trips, ends = scene.round_trips, scene.reflections
-        incident = replace(partner, round_trip=trips[:, 0], reflection=ends[:, 0])
-        receiving = replace(partner, round_trip=trips[:, 1], reflection=ends[:, 1])
-        return incident, receiving
-    ahead = partner_of(scene, rig.ahead, rig.kind(1, scene.options))
-    if not rig.behind:
-        return None, ahead
-    return partner_of(scene, rig.behind, rig.kind(0, scene.options), scene.closing_speed), ahead
-
-
-def speeds_at_touch(scene: Scene) -> Array:
-    """Speeds of sphere and counter-bodies A, B at first touch, (n, 3) [m/s], from A to B. (R7)."""
-    rig = RIGS[scene.rig]
-    start = np.zeros((len(scene), 3))
-    if rig.sphere_moves:
-        start[:, 0] = scene.closing_speed
-    elif rig.weight_falls:
-        start[:, 1] = scene.closing_speed
-    return start
-
-
-def outside(scene: Scene) -> Array:
-    """Rows of a rig without a wave that are outside the domain of its equations, (n,)."""
-    rig, scales = scene.setup, scene.scales
-    rows = np.zeros(len(scene), dtype=bool)
-    behind, ahead = scene.partners
-    with np.errstate(all="ignore"):
-        for partner in scene.there:
-            struck_bar = rig.contacts == 1 and partner.kind == "bar"
-            if partner.kind == "plate" or struck_bar:
-                rows |= ~(scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM)
-        if behind is not None and ahead is not None:
-            rows |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
-            if rig.weight_falls:
-                rows |= _beyond(scales.mass / behind.mass, MASS_RATIO)
-        if "platens.displacement" in scene.columns:
-            rows |= scene.columns["platens.displacement"] >= scene.columns["sphere.radius"]
-    return rows
-
-
-def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
-    return np.asarray(~((ratio >= bounds[0]) & (ratio <= bounds[1])))
-
-
 def wave_loss(
     hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values
 ) -> Array:
@@ -459,21 +245,3 @@ def wave_loss(
     compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
     contact_factor = np.asarray(hertz_constant) ** 1.2 * mass**-0.2
     return np.asarray(_PULSE * compliance * contact_factor * np.asarray(speed) ** 0.6)
-
-
-def loss_to_waves(scene: Scene) -> Array | None:
-    """Fraction of the impact energy that a thick target radiates, (n,), (R14).
-
-    The compliance is that of nu = 1/4.  None for other targets, or without a density.
-    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory.
-    """
-    partner = scene.partners[1]
-    if partner is None or scene.partners[0] is not None or partner.kind != "thick":
-        return None
-    table, c = partner.table, scene.columns
-    if f"{table}.density" not in c:
-        return None
-    scales, density = scene.scales, c[f"{table}.density"]
-    with np.errstate(all="ignore"):
-        shear_speed = np.sqrt(c[f"{table}.E"] / (2.0 * (1.0 + c[f"{table}.nu"]) * density))
-        return wave_loss(scales.hertz_constant, scales.mass, scales.speed, density, shear_speed)

@@ -1,11 +1,7 @@
-"""Batches of scenes: n rows of numbers in columns, with the scale factors that follow from them.
-
-`INPUTS` declares every number that a scene can have.
-"""
+"""Batches of scenes: n rows of numbers in columns, with the scale factors that follow from them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,544 +9,27 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
+from uqsphere.mechanics.inputs import INPUTS
 from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
 from uqsphere.mechanics.pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
 from uqsphere.mechanics.rigs import (
     DEFAULT_RIG,
+    GRAVITY,
+    LARGEST_LAM,
+    MASS_RATIO,
     RIGS,
-    Partner,
+    STIFFNESS_RATIO,
     Rig,
-    closing_speed,
-    outside,
-    partners_of,
-    speeds_at_touch,
+    body_of,
+    drop_speed,
+    law_of,
+    plate_impedance,
+    sphere_body,
 )
 from uqsphere.mechanics.yielding import Face
-from uqsphere.units import Quantity
-
-#: one degree of an angle [rad]
-_DEGREE: Final = math.pi / 180.0
-#: tables of counter-bodies -> index of their symbols, and name
-_BODIES: Final = {
-    "target": ("t", "target"),
-    "anvil": ("a", "anvil"),
-    "other": ("2", "other sphere"),
-    "hammer": ("h", "drop weight"),
-    "rod": ("r", "rod"),
-    "platens": ("p", "platens"),
-}
-
-
-#: usual moduli [Pa] and Poisson ratios: of spheres and bars, and of bodies that may be rubber
-_STIFF: Final = ((1e9, 6e11), (0.05, 0.45))
-_ANY: Final = ((1e6, 1e12), (0.05, 0.5))
-
-
-def _elastic(
-    table: str, index: str, name: str, usual: tuple[tuple[float, float], ...] = _STIFF
-) -> tuple[Quantity, ...]:
-    """Young's modulus, Poisson ratio and density of a body."""
-    of, (moduli, ratios) = f"_{index}" if index else "", usual
-    return (
-        Quantity(
-            name=f"{table}.E",
-            symbol=f"E{of}",
-            dimension="pressure",
-            display="GPa",
-            plausible=moduli,
-            meaning=f"Young's modulus of the {name}",
-        ),
-        Quantity(
-            name=f"{table}.nu",
-            symbol=f"nu{of}",
-            dimension="number",
-            lower=-1.0,
-            upper=0.5,
-            plausible=ratios,
-            meaning=f"Poisson ratio of the {name}",
-        ),
-        Quantity(
-            name=f"{table}.density",
-            symbol=f"rho{of}",
-            dimension="density",
-            display="kg/m3",
-            plausible=(500.0, 2e4),
-            meaning=f"density of the {name}",
-        ),
-    )
-
-
-def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
-    """The three parameters of a contact that yields."""
-    of = f",{index}" if index else ""
-    return (
-        Quantity(
-            name=f"{table}.onset_pressure",
-            symbol=f"p_y{of}",
-            dimension="pressure",
-            display="GPa",
-            plausible=(1e8, 2e10),
-            meaning=(
-                f"onset pressure of the {name}: peak Hertz pressure p_0 at the start of yield or "
-                "crushing"
-            ),
-        ),
-        Quantity(
-            name=f"{table}.hardness",
-            symbol=f"H_{index}" if index else "H",
-            dimension="pressure",
-            display="GPa",
-            plausible=(1e8, 5e10),
-            meaning=f"hardness of the {name}: mean contact pressure at full plasticity",
-        ),
-        Quantity(
-            name=f"{table}.pile_up",
-            symbol=f"C_{index}" if index else "C",
-            dimension="number",
-            lower=1.0,
-            upper=3.0,
-            closed=True,
-            plausible=(1.0, 3.0),
-            meaning=f"pile-up factor of the {name}: a²/(r alpha) far beyond yield",
-        ),
-    )
-
-
-def _numbers_of(table: str) -> tuple[Quantity, ...]:
-    """Material and contact parameters of a counter-body."""
-    index, name = _BODIES[table]
-    return (
-        *_elastic(table, index, name, _ANY),
-        Quantity(
-            name=f"{table}.yield_strength",
-            symbol=f"Y_{index}",
-            dimension="pressure",
-            display="MPa",
-            plausible=(1e6, 1e10),
-            meaning=f"yield strength of the {name}",
-        ),
-        *_law_of(table, index, name),
-    )
-
-
-def _struck(table: str) -> tuple[Quantity, ...]:
-    """All numbers of a target or an anvil, whose shape depends on its kind."""
-    index, name = _BODIES[table]
-    return (
-        *_numbers_of(table),
-        Quantity(
-            name=f"{table}.thickness",
-            symbol=f"h_{index}",
-            dimension="length",
-            display="mm",
-            plausible=(1e-4, 1.0),
-            meaning=f"plate thickness of the {name}",
-        ),
-        Quantity(
-            name=f"{table}.width",
-            symbol=f"w_{index}",
-            dimension="length",
-            display="mm",
-            plausible=(1e-2, 10.0),
-            meaning=f"plate width of the {name}: for a validity check only",
-        ),
-        *_rod(table),
-        _heavy(table),
-        _rounded(table),
-    )
-
-
-def _rod(table: str) -> tuple[Quantity, ...]:
-    index, name = _BODIES[table]
-    return (
-        Quantity(
-            name=f"{table}.diameter",
-            symbol=f"d_{index}",
-            dimension="length",
-            display="mm",
-            plausible=(1e-3, 0.5),
-            meaning=f"diameter of the {name}",
-        ),
-        Quantity(
-            name=f"{table}.length",
-            symbol=f"l_{index}",
-            dimension="length",
-            display="m",
-            plausible=(0.05, 30.0),
-            meaning=f"length of the {name}: infinite if omitted",
-        ),
-        Quantity(
-            name=f"{table}.end",
-            symbol=f"R_{index}",
-            dimension="number",
-            lower=-1.0,
-            upper=1.0,
-            closed=True,
-            plausible=(-1.0, 1.0),
-            meaning=f"velocity reflection coefficient of the {name}'s far end",
-        ),
-    )
-
-
-def _heavy(table: str) -> Quantity:
-    index, name = _BODIES[table]
-    return Quantity(
-        name=f"{table}.mass",
-        symbol=f"m_{index}",
-        dimension="mass",
-        display="kg",
-        lower=1e-6,
-        upper=1e5,
-        closed=True,
-        plausible=(1e-3, 1e4),
-        meaning=f"mass of the {name}",
-    )
-
-
-def _rounded(table: str) -> Quantity:
-    index, name = _BODIES[table]
-    return Quantity(
-        name=f"{table}.face_radius",
-        symbol=f"R_f,{index}",
-        dimension="length",
-        display="mm",
-        plausible=(1e-3, 1e3),
-        meaning=f"face radius of the {name}: flat if omitted",
-    )
-
-
-def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
-    """An impact speed, or a drop height."""
-    return (
-        Quantity(
-            name=f"{table}.speed",
-            symbol=symbol,
-            dimension="speed",
-            display="m/s",
-            lower=1e-3,
-            upper=300.0,
-            closed=True,
-            plausible=(1e-2, 150.0),
-            meaning=meaning,
-        ),
-        Quantity(
-            name=f"{table}.drop_height",
-            symbol="h_drop",
-            dimension="length",
-            display="m",
-            lower=1e-6,
-            upper=1e3,
-            closed=True,
-            plausible=(1e-3, 100.0),
-            meaning="drop height",
-        ),
-    )
-
-
-#: every number of a scene, fixed or random, by its dotted path in the study file
-INPUTS: Final[dict[str, Quantity]] = {
-    entry.name: entry
-    for entry in (
-        *_elastic("sphere", "", "sphere"),
-        Quantity(
-            name="sphere.radius",
-            symbol="r",
-            dimension="length",
-            display="mm",
-            plausible=(1e-4, 0.1),
-            meaning="radius of the sphere",
-        ),
-        *_law_of("sphere", "", "sphere")[:2],
-        *_elastic("bars", "b", "bars"),
-        Quantity(
-            name="bars.diameter",
-            symbol="d_b",
-            dimension="length",
-            display="mm",
-            plausible=(1e-3, 0.2),
-            meaning="diameter of both bars",
-        ),
-        Quantity(
-            name="bars.incident_length",
-            symbol="l_1",
-            dimension="length",
-            display="m",
-            plausible=(0.05, 30.0),
-            meaning="length of the incident bar",
-        ),
-        Quantity(
-            name="bars.receiving_length",
-            symbol="l_3",
-            dimension="length",
-            display="m",
-            plausible=(0.05, 30.0),
-            meaning="length of the receiving bar",
-        ),
-        Quantity(
-            name="bars.incident_end",
-            symbol="R_1",
-            dimension="number",
-            lower=-1.0,
-            upper=1.0,
-            closed=True,
-            plausible=(-1.0, 1.0),
-            meaning="velocity reflection coefficient of the incident bar's far end",
-        ),
-        Quantity(
-            name="bars.receiving_end",
-            symbol="R_3",
-            dimension="number",
-            lower=-1.0,
-            upper=1.0,
-            closed=True,
-            plausible=(-1.0, 1.0),
-            meaning="velocity reflection coefficient of the receiving bar's far end",
-        ),
-        Quantity(
-            name="bars.end_radius",
-            symbol="r_end",
-            dimension="length",
-            display="mm",
-            plausible=(1e-3, 1e3),
-            meaning="radius of rounded bar ends: flat if omitted",
-        ),
-        Quantity(
-            name="bars.yield_strength",
-            symbol="Y_b",
-            dimension="pressure",
-            display="MPa",
-            plausible=(1e7, 5e9),
-            meaning="yield strength of the bars",
-        ),
-        Quantity(
-            name="bars.insert_E",
-            symbol="E_i",
-            dimension="pressure",
-            display="GPa",
-            plausible=(1e9, 1.2e12),
-            meaning="Young's modulus of inserts between bars and sphere",
-        ),
-        Quantity(
-            name="bars.insert_nu",
-            symbol="nu_i",
-            dimension="number",
-            lower=-1.0,
-            upper=0.5,
-            plausible=(0.05, 0.45),
-            meaning="Poisson ratio of the inserts",
-        ),
-        Quantity(
-            name="bars.insert_yield_strength",
-            symbol="Y_i",
-            dimension="pressure",
-            display="MPa",
-            plausible=(1e7, 1e10),
-            meaning="yield strength of the inserts",
-        ),
-        Quantity(
-            name="bars.insert_thickness",
-            symbol="t_i",
-            dimension="length",
-            display="mm",
-            plausible=(1e-4, 0.2),
-            meaning="thickness of the inserts",
-        ),
-        *_law_of("bars", "b", "bars"),
-        Quantity(
-            name="striker.speed",
-            symbol="v_0",
-            dimension="speed",
-            display="m/s",
-            plausible=(1e-3, 50.0),
-            meaning="striker speed",
-        ),
-        Quantity(
-            name="striker.length",
-            symbol="l_0",
-            dimension="length",
-            display="m",
-            plausible=(0.01, 5.0),
-            meaning="striker length",
-        ),
-        Quantity(
-            name="striker.E",
-            symbol="E_s",
-            dimension="pressure",
-            display="GPa",
-            plausible=(1e9, 6e11),
-            meaning="Young's modulus of the striker: the bars' if omitted",
-        ),
-        Quantity(
-            name="striker.density",
-            symbol="rho_s",
-            dimension="density",
-            display="kg/m3",
-            plausible=(500.0, 2e4),
-            meaning="density of the striker: the bars' if omitted",
-        ),
-        Quantity(
-            name="striker.diameter",
-            symbol="d_s",
-            dimension="length",
-            display="mm",
-            plausible=(1e-3, 0.2),
-            meaning="diameter of the striker: the bars' if omitted",
-        ),
-        Quantity(
-            name="pulse.duration",
-            symbol="t_i",
-            dimension="time",
-            display="us",
-            plausible=(1e-6, 1e-2),
-            meaning="duration of the pulse: at half height for a trapezoid",
-        ),
-        Quantity(
-            name="pulse.rise",
-            symbol="t_rise",
-            dimension="time",
-            display="us",
-            closed=True,
-            plausible=(0.0, 1e-3),
-            meaning="rise time of a trapezoidal pulse",
-        ),
-        Quantity(
-            name="pulse.fall",
-            symbol="t_fall",
-            dimension="time",
-            display="us",
-            closed=True,
-            plausible=(0.0, 1e-3),
-            meaning="fall time of a trapezoidal pulse",
-        ),
-        Quantity(
-            name="pulse.t1",
-            symbol="t_1",
-            dimension="time",
-            display="us",
-            plausible=(1e-6, 1e-2),
-            meaning="time of the first peak of a two-peak pulse",
-        ),
-        Quantity(
-            name="pulse.level1",
-            symbol="g_1",
-            dimension="number",
-            plausible=(0.1, 2.0),
-            meaning="level of the first peak, relative to v_0/2",
-        ),
-        Quantity(
-            name="pulse.t2",
-            symbol="t_2",
-            dimension="time",
-            display="us",
-            plausible=(1e-6, 1e-2),
-            meaning="time of the second peak of a two-peak pulse",
-        ),
-        Quantity(
-            name="pulse.level2",
-            symbol="g_2",
-            dimension="number",
-            plausible=(0.1, 2.0),
-            meaning="level of the second peak, relative to v_0/2",
-        ),
-        Quantity(
-            name="pulse.valley",
-            symbol="g_v",
-            dimension="number",
-            plausible=(0.0, 2.0),
-            closed=True,
-            meaning="level midway between the peaks of a two-peak pulse",
-        ),
-        Quantity(
-            name="pulse.gain",
-            symbol="G",
-            dimension="number",
-            plausible=(0.5, 2.0),
-            meaning="gain of a measured pulse: true over measured strain",
-        ),
-        *_law_of("contact", "", "softer body of a contact"),
-        *_moving("rig", "v", "closing speed"),
-        Quantity(
-            name="rig.angle",
-            symbol="phi",
-            dimension="angle",
-            display="deg",
-            lower=5.0 * _DEGREE,
-            upper=90.0 * _DEGREE,
-            closed=True,
-            plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
-            meaning="impact angle from the surface: 90 deg is normal impact",
-        ),
-        *_struck("target"),
-        *_struck("anvil"),
-        *_numbers_of("other"),
-        Quantity(
-            name="other.radius",
-            symbol="r_2",
-            dimension="length",
-            display="mm",
-            plausible=(1e-4, 0.1),
-            meaning="radius of the other sphere",
-        ),
-        *_moving("hammer", "v_h", "impact speed of the drop weight"),
-        *_numbers_of("hammer"),
-        _heavy("hammer"),
-        Quantity(
-            name="hammer.diameter",
-            symbol="d_h",
-            dimension="length",
-            display="mm",
-            plausible=(1e-3, 0.5),
-            meaning="diameter of the falling ball",
-        ),
-        _rounded("hammer"),
-        *_numbers_of("rod"),
-        *_rod("rod"),
-        *_numbers_of("platens"),
-        Quantity(
-            name="platens.force",
-            symbol="F",
-            dimension="force",
-            display="kN",
-            plausible=(1.0, 1e6),
-            meaning="maximum force of the platens",
-        ),
-        Quantity(
-            name="platens.displacement",
-            symbol="delta",
-            dimension="length",
-            display="um",
-            plausible=(1e-6, 1e-2),
-            meaning="crosshead displacement after first contact: alternative to the force",
-        ),
-        Quantity(
-            name="platens.speed",
-            symbol="v_p",
-            dimension="speed",
-            display="mm/s",
-            plausible=(1e-8, 1.0),
-            meaning="closing speed of the platens",
-        ),
-        Quantity(
-            name="platens.loading_rate",
-            symbol="dF/dt",
-            dimension="loading_rate",
-            display="kN/s",
-            plausible=(1.0, 1e7),
-            meaning="loading rate at the maximum force: alternative to the speed",
-        ),
-        Quantity(
-            name="platens.machine_stiffness",
-            symbol="k",
-            dimension="stiffness",
-            display="kN/mm",
-            plausible=(1e5, 1e10),
-            meaning="stiffness of the testing machine: rigid if omitted",
-        ),
-    )
-}
 
 #: what the status of a row means; only rows with status 0 have values
 STATUS: dict[int, str] = {
@@ -616,20 +95,48 @@ class Scales:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Partner:
+    """The counter-body at one contact; (n,) each.
+
+    table: table of the study with its numbers.  kind: `bar`, `plate`, `thick`, `mass` or `platen`.
+    modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of the contact.
+    share: chi = E* (1 - nu²)/E, the sphere's fraction of the elastic energy, (R22).  impedance: Z
+    [N s/m], infinite if it is rigid.  mass: [kg], infinite if it is not free.  speed: V [m/s] at
+    first touch, positive from A to B.  round_trip, reflection: of a bar and its far end; infinite
+    and 0 without a reflected wave.  face: its contact law if it yields.  takes: the sphere's
+    fraction of the plastic work, 1 if the sphere itself yields.
+    """
+
+    table: str
+    kind: str
+    modulus: Array
+    effective_radius: Array
+    hertz_constant: Array
+    share: Array
+    impedance: Array
+    mass: Array
+    speed: Array
+    round_trip: Array
+    reflection: Array
+    face: Face | None
+    takes: Array
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """n scenes that share their structure and differ in their numbers.
 
-    columns: (n,) arrays [SI] by their dotted path in `INPUTS`.  shape: of the incident pulse, a key
-    of `pulses.SHAPES` or `measured`.  infinite: without reflected waves.  rigid_contact: the bars
-    are rigid in the contact, 1/E* = (1 - nu²)/E.  first_loading_only: the evaluation window ends
-    when the first reflected wave returns.  whole_record: between bars it extends to the horizon,
-    recontacts included.  horizon: its end [s]; None: the rule of docs/theory.md.  contact_law:
-    `hertz` or `plastic`.  hardness_at_onset: the hardness equals the onset pressure in every row
-    (Thornton's law).  record: the pulse of `measured`, the same in every row except for its gain;
-    `striker.speed` is then 2 c0 times its peak strain and gain.  rig: a key of `rigs.RIGS`; shape,
-    infinite, first_loading_only and record belong to rigs loaded by a wave.  options: words of the
-    study, ``target.kind``, ``anvil.kind``, ``hammer.shape``.  demands: further quantities, name ->
-    criterion and its parameters.
+    columns: (n,) arrays [SI] by their dotted path in `inputs.INPUTS`.  shape: of the incident
+    pulse, a key of `pulses.SHAPES` or `measured`.  infinite: without reflected waves.
+    rigid_contact: the bars are rigid in the contact, 1/E* = (1 - nu²)/E.  first_loading_only: the
+    evaluation window ends when the first reflected wave returns.  whole_record: between bars it
+    extends to the horizon, recontacts included.  horizon: its end [s]; None: the rule of
+    docs/theory.md.  contact_law: `hertz` or `plastic`.  hardness_at_onset: the hardness equals the
+    onset pressure in every row (Thornton's law).  record: the pulse of `measured`, the same in
+    every row except for its gain; `striker.speed` is then 2 c0 times its peak strain and gain.
+    rig: a key of `rigs.RIGS`; shape, infinite, first_loading_only and record belong to rigs loaded
+    by a wave.  options: words of the study, ``target.kind``, ``anvil.kind``, ``hammer.shape``.
+    demands: further quantities, name -> criterion and its parameters.
 
     Raises ValueError for a missing, unknown or misshapen column, an unknown word, or an evaluation
     window without an end.
@@ -700,6 +207,14 @@ class Scene:
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
+    def at(self, rows: Places | slice) -> Scene:
+        """The scene of some of its rows."""
+        return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
+
+    def column(self, name: str, default: float = np.nan) -> Array:
+        """A column, or `default` in every row."""
+        return np.asarray(self.columns.get(name, np.full(len(self), default)), dtype=float)
+
     @property
     def setup(self) -> Rig:
         """The entry of its rig in `rigs.RIGS`."""
@@ -708,18 +223,9 @@ class Scene:
     @property
     def by_wave(self) -> bool:
         """Whether a stress wave loads the sphere, between bars."""
-        return RIGS[self.rig].by_wave
+        return self.setup.by_wave
 
-    def at(self, rows: Places | slice) -> Scene:
-        """The scene of some of its rows."""
-        return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
-
-    def column(self, name: str, default: Values = np.nan) -> Array:
-        """A column, or `default` in every row."""
-        column = self.columns.get(name)
-        if column is None:
-            return np.full(len(self), default)
-        return np.asarray(column, dtype=float)
+    # --- the pulse --------------------------------------------------------------------------------
 
     @cached_property
     def pulse(self) -> Pulse:
@@ -741,7 +247,28 @@ class Scene:
         }
         if self.striker_ratio is not None:
             numbers["striker_ratio"] = self.striker_ratio
-        return build_pulse(self.shape, self.scales.duration, numbers)
+        return build_pulse(self.shape, self._duration, numbers)
+
+    @property
+    def _duration(self) -> Array:
+        """Length of the pulse, (n,) [s]; infinite for a step, and without a wave."""
+        if not self.by_wave or self.shape == "step":
+            return np.full(len(self), np.inf)
+        if self.record is not None:
+            return np.full(len(self), self.record.duration)
+        if "pulse.duration" in self.columns:
+            return self.columns["pulse.duration"]
+        with np.errstate(all="ignore"):
+            return np.asarray(
+                2.0 * self.columns["striker.length"] / bars.wave_speed(*self._striker)
+            )
+
+    @property
+    def _striker(self) -> tuple[Array, Array]:
+        """E and density of the striker, (n,) each: the bars' if omitted."""
+        c = self.columns
+        E = c.get("striker.E", c["bars.E"])
+        return E, c.get("striker.density", c["bars.density"])
 
     @cached_property
     def striker_ratio(self) -> Array | None:
@@ -752,23 +279,47 @@ class Scene:
             diameter = self.columns.get("striker.diameter", self.columns["bars.diameter"])
             return np.asarray(bars.impedance(*self._striker, diameter) / self.scales.impedance)
 
+    # --- the counter-bodies -----------------------------------------------------------------------
+
+    @cached_property
+    def partners(self) -> tuple[Partner | None, Partner | None]:
+        """Counter-bodies at contact A (behind the sphere) and B (ahead), None without a contact."""
+        rig = self.setup
+        if rig.by_wave:
+            partner = _partner(self, rig.behind, "bar")
+            ends = zip(self.round_trips.T, self.reflections.T, strict=True)
+            incident, receiving = (
+                replace(partner, round_trip=trip, reflection=end) for trip, end in ends
+            )
+            return incident, receiving
+        ahead = _partner(self, rig.ahead, rig.kind(1, self.options))
+        if not rig.behind:
+            return None, ahead
+        if rig.by_press:
+            return ahead, ahead
+        behind = _partner(self, rig.behind, rig.kind(0, self.options))
+        return replace(behind, speed=self.closing_speed), ahead
+
     @property
-    def _striker(self) -> tuple[Array, Array]:
-        """E and density of the striker, (n,) each: the bars' if omitted."""
-        columns = self.columns
-        E = columns.get("striker.E", columns["bars.E"])
-        density = columns.get("striker.density", columns["bars.density"])
-        return E, density
+    def there(self) -> tuple[Partner, ...]:
+        """The counter-bodies, A first."""
+        return tuple(partner for partner in self.partners if partner is not None)
+
+    @property
+    def struck(self) -> Partner:
+        """The counter-body whose contact gives the scale factors: A, or B if there is no A."""
+        return self.there[0]
+
+    @property
+    def faces(self) -> Face | None:
+        """The contact law of `struck` (of both bars), (n,) each; None if elastic."""
+        return self.struck.face
 
     @cached_property
     def round_trips(self) -> Array:
         """Round trips of the bars at A and B, (n, 2) [s]; infinite without a bar, or its length."""
         if not self.by_wave:
-            trips = np.full((len(self), 2), np.inf)
-            for pole, partner in enumerate(self.partners):
-                if partner is not None:
-                    trips[:, pole] = partner.round_trip
-            return trips
+            return self._of_poles("round_trip", np.inf)
         E, density = self.columns["bars.E"], self.columns["bars.density"]
         lengths = [self.column(f"bars.{bar}_length", np.inf) for bar in ("incident", "receiving")]
         with np.errstate(all="ignore"):
@@ -778,20 +329,20 @@ class Scene:
     def reflections(self) -> Array:
         """Velocity reflection coefficients of the far ends, (n, 2); 0 without a reflected wave."""
         if not self.by_wave:
-            reflections = np.zeros((len(self), 2))
-            for pole, partner in enumerate(self.partners):
-                if partner is not None:
-                    reflections[:, pole] = partner.reflection
-            return reflections
+            return self._of_poles("reflection", 0.0)
         if self.infinite:
             return np.zeros((len(self), 2))
-        return np.stack(
-            [
-                self.column("bars.incident_end", bars.END_COEFFICIENTS["free"]),
-                self.column("bars.receiving_end", bars.END_COEFFICIENTS["absorbing"]),
-            ],
-            axis=1,
-        )
+        incident = self.column("bars.incident_end", bars.END_COEFFICIENTS["free"])
+        receiving = self.column("bars.receiving_end", bars.END_COEFFICIENTS["absorbing"])
+        return np.stack([incident, receiving], axis=1)
+
+    def _of_poles(self, name: str, default: float) -> Array:
+        """A number of the counter-bodies at A and B, (n, 2); `default` without a contact."""
+        columns = np.full((len(self), 2), default)
+        for pole, partner in enumerate(self.partners):
+            if partner is not None:
+                columns[:, pole] = getattr(partner, name)
+        return columns
 
     @cached_property
     def first_echo(self) -> Array:
@@ -812,35 +363,33 @@ class Scene:
             ends = np.minimum(ends, self.first_echo)
         return ends
 
-    @cached_property
-    def partners(self) -> tuple[Partner | None, Partner | None]:
-        """Counter-bodies at contact A (behind the sphere) and B (ahead), None without a contact."""
-        return partners_of(self)
-
-    @property
-    def there(self) -> tuple[Partner, ...]:
-        """The counter-bodies, A first."""
-        return tuple(partner for partner in self.partners if partner is not None)
-
-    @property
-    def contacts(self) -> int:
-        """Number of contacts of the sphere."""
-        return self.setup.contacts
-
-    @property
-    def struck(self) -> Partner:
-        """The counter-body whose contact gives the scale factors: A, or B if there is no A."""
-        return self.there[0]
+    # --- speeds and scale factors -----------------------------------------------------------------
 
     @cached_property
     def closing_speed(self) -> Array:
-        """Normal closing speed of an impact, (n,) [m/s]."""
-        return closing_speed(self)
+        """Normal closing speed of an impact, (n,) [m/s]: as given, or after a fall."""
+        c, mover = self.columns, self.setup.mover
+        with np.errstate(all="ignore"):
+            if f"{mover}.drop_height" not in c:
+                speed = self.column(f"{mover}.speed")
+            elif self.setup.sphere_moves:
+                speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
+            else:
+                # the drag on a drop weight depends on its shape; it is small
+                speed = np.sqrt(2.0 * GRAVITY * c[f"{mover}.drop_height"])
+            if "rig.angle" in c:
+                speed = speed * np.sin(c["rig.angle"])
+            return np.asarray(speed)
 
     @cached_property
     def start(self) -> Array:
-        """Speeds of sphere and counter-bodies A, B at first touch, (n, 3) [m/s], from A to B."""
-        return speeds_at_touch(self)
+        """Speeds of sphere and counter-bodies A, B at first touch, (n, 3) [m/s], A to B. (R7)."""
+        start = np.zeros((len(self), 3))
+        if self.setup.sphere_moves:
+            start[:, 0] = self.closing_speed
+        elif self.setup.weight_falls:
+            start[:, 1] = self.closing_speed
+        return start
 
     @cached_property
     def scales(self) -> Scales:
@@ -859,30 +408,19 @@ class Scene:
             mass_number = mass * speed / (force * time)
             if self.by_wave:
                 mass_number = mass / (impedance * time)
-            return Scales(
-                modulus=face.modulus,
-                effective_radius=face.effective_radius,
-                hertz_constant=face.hertz_constant,
-                mass=mass,
-                impedance=impedance,
-                force=force,
-                approach=approach,
-                time=time,
-                mass_number=mass_number,
-                duration=self._duration,
-                speed=speed,
-            )
-
-    @property
-    def _duration(self) -> Array:
-        """Length of the pulse, (n,) [s]; infinite for a step, and without a wave."""
-        if not self.by_wave or self.shape == "step":
-            return np.full(len(self), np.inf)
-        if self.record is not None:
-            return np.full(len(self), self.record.duration)
-        with np.errstate(all="ignore"):
-            width = 2.0 * self.column("striker.length") / bars.wave_speed(*self._striker)
-        return self.columns.get("pulse.duration", np.asarray(width))
+        return Scales(
+            modulus=face.modulus,
+            effective_radius=face.effective_radius,
+            hertz_constant=face.hertz_constant,
+            mass=mass,
+            impedance=impedance,
+            force=force,
+            approach=approach,
+            time=time,
+            mass_number=mass_number,
+            duration=self._duration,
+            speed=speed,
+        )
 
     def _impact_scales(self, mass: Array) -> tuple[Array, Array]:
         """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), of an impact.
@@ -902,10 +440,7 @@ class Scene:
         impulse = moved * speed * speed
         return speed, (beta * beta * impulse * impulse * impulse) ** 0.2
 
-    @property
-    def faces(self) -> Face | None:
-        """The contact law of `struck` (of both bars), (n,) each; None if elastic."""
-        return self.struck.face
+    # --- the domain -------------------------------------------------------------------------------
 
     @cached_property
     def status(self) -> Places:
@@ -914,7 +449,7 @@ class Scene:
         with np.errstate(all="ignore"):
             codes[~self._in_domain()] = 1
             if not self.by_wave:
-                codes[outside(self)] = 1
+                codes[self._outside()] = 1
                 if self.setup.by_impact:
                     codes[self.closing_speed <= 0.0] = NEVER_CLOSES
                 return codes
@@ -947,8 +482,99 @@ class Scene:
             inside &= ~(brief & (self.reflections != 0.0)).any(axis=1)
         return inside
 
+    def _outside(self) -> Flags:
+        """Rows of a rig without a wave that are outside the domain of its equations, (n,)."""
+        scales, (behind, ahead) = self.scales, self.partners
+        rows = np.zeros(len(self), dtype=bool)
+        for partner in self.there:
+            if partner.kind == "plate" or (behind is None and partner.kind == "bar"):
+                rows |= ~(scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM)
+        if behind is not None and ahead is not None:
+            rows |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
+            if self.setup.weight_falls:
+                rows |= _beyond(scales.mass / behind.mass, MASS_RATIO)
+        if "platens.displacement" in self.columns:
+            rows |= self.columns["platens.displacement"] >= self.columns["sphere.radius"]
+        return rows
+
 
 def _check_word(name: str, word: str, allowed: Collection[str]) -> None:
     """Raise ValueError for a word that is not allowed."""
     if word not in allowed:
         raise ValueError(f"unknown {name} {word!r} (allowed: {', '.join(allowed)})")
+
+
+def _beyond(ratio: Array, bounds: tuple[float, float]) -> Flags:
+    return np.asarray(~((ratio >= bounds[0]) & (ratio <= bounds[1])))
+
+
+def _partner(scene: Scene, table: str, kind: str) -> Partner:
+    """The counter-body of a table, at rest; not finite in rows outside the domain."""
+    c = scene.columns
+    E, nu, density = (scene.column(f"{table}.{key}") for key in ("E", "nu", "density"))
+    rigid, still = (np.broadcast_to(np.float64(value), len(scene)) for value in (np.inf, 0.0))
+    impedance = mass = round_trip = rigid
+    reflection = still
+    ball = _ball_radius(scene, table)
+    face_radius = scene.column(f"{table}.{'end' if table == 'bars' else 'face'}_radius", np.inf)
+    with np.errstate(all="ignore"):
+        modulus = contact.reduced_modulus(
+            c["sphere.E"],
+            c["sphere.nu"],
+            c.get(f"{table}.insert_E", E),
+            c.get(f"{table}.insert_nu", nu),
+            rigid_bars=scene.rigid_contact,
+        )
+        radius = contact.effective_radius(c["sphere.radius"], face_radius if ball is None else ball)
+        if kind == "bar":
+            impedance = bars.impedance(E, density, scene.column(f"{table}.diameter"))
+            # round trips and ends of the two Hopkinson bars differ: `Scene.partners`
+            if f"{table}.length" in c:
+                round_trip = bars.round_trip(c[f"{table}.length"], E, density)
+                reflection = scene.column(f"{table}.end", bars.END_COEFFICIENTS["free"])
+        elif kind == "plate":
+            impedance = plate_impedance(E, nu, density, scene.column(f"{table}.thickness"))
+        elif kind == "mass":
+            mass = scene.column(f"{table}.mass")
+            if ball is not None:
+                mass = np.asarray(contact.sphere_mass(ball, density))
+        face, takes = _law(scene, table, modulus, radius)
+        return Partner(
+            table=table,
+            kind=kind,
+            modulus=modulus,
+            effective_radius=radius,
+            hertz_constant=contact.hertz_constant(modulus, radius),
+            share=np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"]),
+            impedance=impedance,
+            mass=mass,
+            speed=still,
+            round_trip=round_trip,
+            reflection=reflection,
+            face=face,
+            takes=still if takes is None else takes,
+        )
+
+
+def _ball_radius(scene: Scene, table: str) -> Array | None:
+    """Radius of a counter-body that is a ball, (n,) [m]; None for another."""
+    if table == "other":
+        return scene.columns["other.radius"]
+    if table == "hammer" and scene.options.get("hammer.shape") == "ball":
+        return 0.5 * scene.columns["hammer.diameter"]
+    return None
+
+
+def _law(
+    scene: Scene, table: str, modulus: Array, radius: Array
+) -> tuple[Face, Array] | tuple[None, None]:
+    """The contact law of a counter-body, if any row can yield, and the rows whose sphere yields."""
+    if scene.contact_law != "plastic":
+        return None, None
+    c, rigid = scene.columns, scene.rigid_contact
+    numbers = law_of(c, table, rigid=rigid, at_onset=scene.hardness_at_onset)
+    if np.isinf(numbers.onset).all():
+        return None, None
+    sphere_yields = sphere_body(c).onset < body_of(c, table, rigid).onset
+    face = Face(**numbers._asdict(), modulus=modulus, effective_radius=radius)
+    return face, np.where(sphere_yields, 1.0, 0.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Final
 
 import numpy as np
@@ -16,19 +17,10 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range, ranges_of
-from uqsphere.mechanics.outputs import SceneAnswers
-from uqsphere.mechanics.rigs import (
-    GRAVITY,
-    Partner,
-    Rig,
-    body_of,
-    loss_to_waves,
-    softest_partner,
-    sphere_body,
-    terminal_speed,
-)
-from uqsphere.mechanics.scene import Scene, answered
-from uqsphere.mechanics.yielding import ContactParameters, Face
+from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
+from uqsphere.mechanics.rigs import GRAVITY, Rig, body_of, sphere_body, terminal_speed
+from uqsphere.mechanics.scene import Partner, Scene, answered
+from uqsphere.mechanics.yielding import ContactParameters, Face, softer
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
 _RELAP: Final = 1e-6
@@ -120,6 +112,12 @@ _NO_FACE: Final = "not checked: no contact yields"
 _NO_ROW: Final = "not checked: no row was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
 _NO_ONSET: Final = "not checked: the onset pressure of the sphere is not given"
+
+
+def softest_partner(scene: Scene) -> ContactParameters:
+    """Contact parameters of the counter-body that yields first in each row."""
+    tables = dict.fromkeys(partner.table for partner in scene.there)
+    return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
 
 
 def _contact_over_radius(scene: Scene, answers: SceneAnswers) -> Array | str:
