@@ -262,7 +262,7 @@ def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
 def light_sphere_constant(behind: Values, ahead: Values) -> Array:
     """Hertz constant of two contacts in series, with a massless sphere between them, (R15)."""
     compliance = np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)
-    return np.asarray(compliance**-1.5)
+    return compliance**-1.5
 
 
 # --- scenes ---------------------------------------------------------------------------------------
@@ -408,7 +408,7 @@ def _elastic_impact(scene: Scene, ahead: Partner) -> dict[str, Array]:
 
 def _radiated(at: Mapping[str, Array], lam: Array) -> Array:
     """Integral of q²: the lost energy is radiated, (1 - e²)/2 = lam times it."""
-    return np.asarray((1.0 - np.square(at["restitution"])) / (2.0 * lam))
+    return (1.0 - np.square(at["restitution"])) / (2.0 * lam)
 
 
 def _over(time: Array) -> dict[str, Array]:
@@ -527,12 +527,12 @@ def _force_at(partner: Partner, displacement: Array, softness: Array) -> Array:
     wanted, stiff = displacement / scale, softness * unit / scale
 
     def force_of(depth: Array) -> Array:
-        return np.asarray(depth**1.5 if face is None else face.force(depth))
+        return depth**1.5 if face is None else face.force(depth)
 
     def step(depth: Array) -> Array:
         slope = 1.5 * np.sqrt(depth) if face is None else face.slope(depth)
         excess = 2.0 * depth + stiff * force_of(depth) - wanted
-        return np.asarray(excess / (2.0 + stiff * slope))
+        return excess / (2.0 + stiff * slope)
 
     depth = newton(step, 0.5 * wanted, 0.0)
     return unit * force_of(depth)

@@ -321,9 +321,7 @@ def equivalent_tension(
     size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).
     """
     field = stress.ratio(over, contact_ratio, nu, modulus)
-    return np.asarray(
-        np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus))
-    )
+    return np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus))
 
 
 def _weakest(over: str) -> Callable[[ColumnMap, Parameters], Array]:

@@ -73,8 +73,8 @@ def _sided(motion: Motion, times: Array, sides: Array | None) -> Array:
     scale = float(motion.scene.scales.time[motion.row])
     nudge = 1e-12 * (np.abs(times) + scale)
     if sides is None:
-        return np.asarray(nudge)
-    return np.asarray(nudge * sides)
+        return nudge
+    return nudge * sides
 
 
 def _echoes(motion: Motion, bar: int, times: Array, nudge: Array, *, first: int) -> Array:
@@ -383,7 +383,7 @@ def gauge_strain(
     """
     check_position(motion, bar, position)
     stress = field_at(motion, bar, position, times, sides=sides).stress
-    return np.asarray(stress / float(motion.scene.columns["bars.E"][motion.row]))
+    return stress / float(motion.scene.columns["bars.E"][motion.row])
 
 
 def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
@@ -434,9 +434,9 @@ def _jumps(motion: Motion, number: int) -> Array:
     breaks = motion.scene.pulse.breaks[motion.row]
     breaks = breaks[np.isfinite(breaks)] if number == 0 else np.zeros(0)
     if not motion.echoes(number):
-        return np.asarray(breaks)
+        return breaks
     trips = np.arange(1 + int(min(motion.horizon / motion.round_trip(number), 16.0)))
-    return np.asarray((breaks[:, None] + trips * motion.round_trip(number)).ravel())
+    return (breaks[:, None] + trips * motion.round_trip(number)).ravel()
 
 
 def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:

@@ -166,7 +166,7 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
     """
     wanted = share * _demands(scene, rows, path, top)
     if path.criterion is None:
-        return np.asarray(share ** (1.0 / path.power))
+        return share ** (1.0 / path.power)
     low, high = np.zeros(len(rows)), np.ones(len(rows))
     return bisect(
         lambda part: _demands(scene, rows, path, part * top) < wanted, low, high, _HALVINGS

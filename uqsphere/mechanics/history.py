@@ -15,14 +15,17 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.errors import UsageError
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.bars import wave_speed
 from uqsphere.mechanics.field import (
     BARS,
     GaugeRecord,
     Tension,
     Waves,
+    arriving,
     field_grid,
     first_tension,
     force_imbalance,
+    leaving,
     waves_at,
     with_jumps,
 )
@@ -91,45 +94,38 @@ def balance_of(motion: Motion, times: Array) -> Balance:
     """
     if motion.fidelity == "massless":
         raise ValueError("a massless sphere has no velocity of its own; use the full model")
-    scene, row = motion.scene, motion.row
-    states, rates, forces = (
-        motion.states_at(times),
-        motion.rates_at(times),
-        motion.forces_at(times).T,
+    scene = motion.scene
+    states, rates = motion.states_at(times), motion.rates_at(times)
+    forces, sphere = motion.forces_at(times).T, states[:, 2]
+    approach, radius, dent, stored, plastic = (
+        np.stack(column)
+        for column in zip(
+            *(_face(motion, pole, states[:, pole], forces[pole]) for pole in (0, 1)), strict=True
+        )
     )
-    sphere = states[:, 2]
-    faces = [_face(motion, pole, states[:, pole], forces[pole]) for pole in (0, 1)]
-    signs = (1.0, -1.0)
-    partner = np.stack(
-        [
-            sphere + sign * rates[:, pole]
-            if scene.partners[pole] is not None
-            else np.zeros(len(times))
-            for pole, sign in enumerate(signs)
-        ]
-    )
+    partner = np.zeros((2, len(times)))
+    for pole, sign in enumerate((1.0, -1.0)):
+        if scene.partners[pole] is not None:
+            partner[pole] = sphere + sign * rates[:, pole]
     power = forces * partner
-    steps = 0.5 * (power[:, 1:] + power[:, :-1]) * np.diff(times)
-    passed = np.concatenate([np.zeros((2, 1)), np.cumsum(steps, axis=1)], axis=1)
-    columns = [np.stack(column) for column in zip(*faces, strict=True)]
+    passed = np.zeros((2, len(times)))
+    passed[:, 1:] = np.cumsum(0.5 * (power[:, 1:] + power[:, :-1]) * np.diff(times), axis=1)
     return Balance(
         time=times,
-        approach=columns[0],
+        approach=approach,
         force=forces,
-        radius=columns[1],
-        dent=columns[2],
-        stored=columns[3],
-        plastic=columns[4],
+        radius=radius,
+        dent=dent,
+        stored=stored,
+        plastic=plastic,
         sphere=sphere,
         partner=partner,
-        kinetic=0.5 * float(scene.scales.mass[row]) * np.square(sphere),
+        kinetic=0.5 * float(scene.scales.mass[motion.row]) * np.square(sphere),
         passed=passed,
     )
 
 
-def _face(
-    motion: Motion, pole: int, gap: Array, force: Array
-) -> tuple[Array, Array, Array, Array, Array]:
+def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, ...]:
     """Approach, radius, dent, elastic and plastic energy of a contact.
 
     gap: its approach above the residual indentation.
@@ -137,48 +133,35 @@ def _face(
     partner = motion.scene.partners[pole]
     none = np.zeros_like(gap)
     if partner is None:
-        return none, none, none, none, none
-    law = partner.face if motion.forces is not None else None
-    if law is None or not law.own[motion.row]:
-        beta, radius = (
-            float(partner.hertz_constant[motion.row]),
-            float(partner.effective_radius[motion.row]),
-        )
+        return (none,) * 5
+    if motion.forces is None or partner.face is None or not partner.face.own[motion.row]:
+        beta = float(partner.hertz_constant[motion.row])
         pressed = np.maximum(gap, 0.0)
-        return (
-            gap,
-            np.sqrt(radius * pressed),
-            none,
-            np.asarray(contact.contact_energy(pressed, beta)),
-            none,
-        )
-    law, largest = law.at(motion.row), np.maximum.accumulate(force)
+        radius = np.sqrt(float(partner.effective_radius[motion.row]) * pressed)
+        return gap, radius, none, np.asarray(contact.contact_energy(pressed, beta)), none
+    law, largest = partner.face.at(motion.row), np.maximum.accumulate(force)
     peak = law.pressed(law.depth_at(largest))
     back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.cbrt(np.square(np.where(largest > 0.0, force / largest, 0.0)))
         # a² = r_p (alpha - alpha_r) on the spring, (C9)
-        radius_now = np.where(largest > 0.0, peak.radius * np.sqrt(share), 0.0)
+        radius = np.where(largest > 0.0, peak.radius * np.sqrt(share), 0.0)
     above = np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
-    return (
-        peak.dent + above,
-        radius_now,
-        peak.dent,
-        0.4 * force * np.maximum(above, 0.0),
-        peak.plastic,
-    )
+    stored = 0.4 * force * np.maximum(above, 0.0)
+    return peak.dent + above, radius, peak.dent, stored, peak.plastic
 
 
 def rod_length(motion: Motion) -> float:
     """Length of the rod ahead of the sphere [m]; infinite without a reflection, 0 without a rod."""
-    partner, row = motion.scene.partners[1], motion.row
+    partner = motion.scene.partners[1]
     if partner is None or partner.kind != "bar" or partner.table == "bars":
         return 0.0
-    columns = motion.scene.columns
-    speed = float(
-        np.sqrt(columns[f"{partner.table}.E"][row] / columns[f"{partner.table}.density"][row])
-    )
-    return 0.5 * speed * float(partner.round_trip[row])
+    return 0.5 * _rod_speed(motion, partner.table) * motion.round_trip(1)
+
+
+def _rod_speed(motion: Motion, table: str) -> float:
+    E, density = (motion.scene.columns[f"{table}.{key}"][motion.row] for key in ("E", "density"))
+    return float(wave_speed(E, density))
 
 
 def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
@@ -190,33 +173,20 @@ def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
 
     Raises ValueError without a rod, or for a position beyond its end.
     """
-    partner, row = motion.scene.partners[1], motion.row
+    partner = motion.scene.partners[1]
     if partner is None or partner.kind != "bar":
         raise ValueError("a gauge needs a rod or a bar ahead of the sphere")
-    columns, table = motion.scene.columns, partner.table
-    speed = float(np.sqrt(columns[f"{table}.E"][row] / columns[f"{table}.density"][row]))
-    trip, end = float(partner.round_trip[row]), float(partner.reflection[row])
-    if not 0.0 <= position <= 0.5 * speed * trip:
-        raise ValueError(
-            f"the gauge must be on the rod, at most {0.5 * speed * trip:.4g} m from the sphere"
-        )
-
-    def leaving(at: Array) -> Array:
-        total, strength = np.zeros_like(at), 1.0
-        while strength != 0.0 and (at > 0.0).any():
-            total += strength * np.where(
-                at >= 0.0, motion.forces_at(np.maximum(at, 0.0))[:, 1], 0.0
-            )
-            at, strength = at - trip, strength * end
-        return total / float(partner.impedance[row])
-
+    speed = _rod_speed(motion, partner.table)
+    length = 0.5 * speed * motion.round_trip(1)
+    if not 0.0 <= position <= length:
+        raise ValueError(f"the gauge must be on the rod, at most {length:.4g} m from the sphere")
     delay = position / speed
-    returning = end * leaving(times - trip + delay) if end != 0.0 else 0.0
+    away, towards = leaving(motion, 1, times - delay), arriving(motion, 1, times + delay)
     return GaugeRecord(
         bar="rod",
         position=position,
         time=times,
-        strain=np.asarray((returning - leaving(times - delay)) / speed),
+        strain=(towards - away) / speed,
         overlaps=(),
     )
 
@@ -382,20 +352,17 @@ def trace(
         pressure_a=pressures[0],
         pressure_b=pressures[1],
         velocity=velocity,
-        incident=waves.incident,
-        returning=waves.returning,
-        leaving_a=waves.leaving_a,
-        leaving_b=waves.leaving_b,
-        changes=changes,
-        first_peak=first,
-        later_peak=later,
-        horizon=found.horizon,
-        record_end=record_end,
+        **vars(waves),
         mass_number=float(scales.mass_number[row]),
         pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]),
         effective_radius=float(scales.effective_radius[row]),
         hertz_constant=float(scales.hertz_constant[row]),
+        changes=changes,
+        first_peak=first,
+        later_peak=later,
+        horizon=found.horizon,
+        record_end=record_end,
         fidelity=fidelity,
         motion=found,
         balance=balance,

@@ -379,7 +379,7 @@ class Scene:
                 speed = np.sqrt(2.0 * GRAVITY * c[f"{mover}.drop_height"])
             if "rig.angle" in c:
                 speed = speed * np.sin(c["rig.angle"])
-            return np.asarray(speed)
+            return speed
 
     @cached_property
     def start(self) -> Array:
@@ -505,7 +505,7 @@ def _check_word(name: str, word: str, allowed: Collection[str]) -> None:
 
 
 def _beyond(ratio: Array, bounds: tuple[float, float]) -> Flags:
-    return np.asarray(~((ratio >= bounds[0]) & (ratio <= bounds[1])))
+    return ~((ratio >= bounds[0]) & (ratio <= bounds[1]))
 
 
 def _partner(scene: Scene, table: str, kind: str) -> Partner:

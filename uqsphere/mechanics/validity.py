@@ -19,7 +19,7 @@ from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range, ranges_of
 from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
 from uqsphere.mechanics.rigs import GRAVITY, Rig, body_of, sphere_body, terminal_speed
-from uqsphere.mechanics.scene import Partner, Scene, answered
+from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.yielding import ContactParameters, Face, softer
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
@@ -37,8 +37,9 @@ class Rule:
     rows it does not apply to; or a text, why the check was not made; or None for a scene it does
     not apply to.  information, warning, failure: thresholds of the grades 1, 2, 3; exceeded above
     if `rising`, else below.  words: sentence on a breach, with {worst} and {limit}.  laws: contact
-    laws it applies to.  applies: whether it applies to a rig.  further: function of (scene,
-    answers, good rows) that returns what is added on a breach.
+    laws it applies to.  applies: whether it applies to a rig.  advice: function of (scene, answers,
+    good rows) that returns what is added to the sentence on a breach.  needs: column without which
+    the check is not made.
     """
 
     name: str
@@ -51,7 +52,8 @@ class Rule:
     words: str
     laws: tuple[str, ...] = ("hertz", "plastic")
     applies: Callable[[Rig], bool] = lambda rig: True
-    further: Callable[[Scene, SceneAnswers, Flags], str] | None = None
+    advice: Callable[[Scene, SceneAnswers, Flags], str] = lambda scene, answers, good: ""
+    needs: str = "sphere.E"
 
     @property
     def thresholds(self) -> dict[int, float]:
@@ -59,23 +61,19 @@ class Rule:
         values = {1: self.information, 2: self.warning, 3: self.failure}
         return {grade: value for grade, value in values.items() if value is not None}
 
-    def grade_of(self, number: float) -> int:
-        """Grade 0 to 3 of one number."""
-        return int(grades(self, np.array([number]))[0])
-
-    def statement(self, worst: float, rows: str, further: str = "") -> str:
+    def statement(self, worst: float, rows: str, advice: str = "") -> str:
         """The sentence on the worst number, with the threshold of the grade that it reaches.
 
         rows: which rows break the check; empty if none does.
         """
-        seen = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
-        grade = self.grade_of(worst)
+        shown = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
+        grade = int(grades(self, np.array([worst]))[0])
         if not rows or grade == 0:
             side = "at most" if self.rising else "at least"
             limit = next(iter(self.thresholds.values()))
-            return f"{self.meaning}: {side} {seen} (limit {limit:.3g})"
+            return f"{self.meaning}: {side} {shown} (limit {limit:.3g})"
         limit = self.thresholds[grade]
-        return f"{rows}: {self.words.format(worst=seen, limit=f'{limit:.3g}')}{further}"
+        return f"{rows}: {self.words.format(worst=shown, limit=f'{limit:.3g}')}{advice}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,17 +119,21 @@ def softest_partner(scene: Scene) -> ContactParameters:
 
 
 def _contact_over_radius(scene: Scene, answers: SceneAnswers) -> Array | str:
-    return np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
+    return answers.values["a_max"] / scene.columns["sphere.radius"]
 
 
-def _bars_of(scene: Scene) -> list[tuple[Partner, Array]]:
-    """Counter-bodies that are bars, and their diameters."""
-    partners = {partner.table: partner for partner in scene.there if partner.kind == "bar"}
-    return [(partner, scene.columns[f"{table}.diameter"]) for table, partner in partners.items()]
+def _bars_of(scene: Scene) -> list[tuple[Array, Array]]:
+    """Diameters and wave speeds of the counter-bodies that are bars."""
+    c = scene.columns
+    tables = dict.fromkeys(partner.table for partner in scene.there if partner.kind == "bar")
+    return [
+        (c[f"{table}.diameter"], bars.wave_speed(c[f"{table}.E"], c[f"{table}.density"]))
+        for table in tables
+    ]
 
 
 def _contact_over_bar(scene: Scene, answers: SceneAnswers) -> Array | str | None:
-    ratios = [2.0 * answers.values["a_max"] / diameter for _, diameter in _bars_of(scene)]
+    ratios = [2.0 * answers.values["a_max"] / diameter for diameter, _ in _bars_of(scene)]
     if not ratios:
         return None
     return np.asarray(np.maximum.reduce(ratios))
@@ -151,30 +153,31 @@ def _over_onset(
     return np.asarray(answers.values["p_max"] / onset)
 
 
-def _static(
-    body_of: Callable[[Scene], ContactParameters],
-) -> Callable[[Scene, SceneAnswers, Flags], str]:
-    """Static estimate of pressure and indentation for a body that was taken as elastic."""
+def _static_estimate(
+    scene: Scene, answers: SceneAnswers, good: Flags, body: ContactParameters
+) -> str:
+    """Pressure and indentation, by statics, of a body that was taken as elastic."""
+    with np.errstate(all="ignore"):
+        scales = scene.scales
+        law = Face(
+            **body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius
+        )
+        rows = np.flatnonzero(good & np.isfinite(body.onset) & np.isfinite(body.hardness))
+        face = law.at(rows)
+        press = face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[rows]))
+    centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
+    if len(centre) == 0 or len(dent) == 0:
+        return ""
+    pressure, depth = f"{centre.max() / 1e9:.3g} GPa", f"{1e6 * dent.max():.2g} um"
+    return f". Static plastic estimate: p_max up to {pressure}, indentation {depth}"
 
-    def further(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
-        yields = body_of(scene)
-        with np.errstate(all="ignore"):
-            rows = good & np.isfinite(yields.onset) & np.isfinite(yields.hardness)
-            face = Face(
-                onset=yields.onset[rows],
-                hardness=yields.hardness[rows],
-                pile_up=yields.pile_up[rows],
-                modulus=scene.scales.modulus[rows],
-                effective_radius=scene.scales.effective_radius[rows],
-            )
-            press = face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[rows]))
-        centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
-        if len(centre) == 0 or len(dent) == 0:
-            return ""
-        pressure, depth = f"{centre.max() / 1e9:.3g} GPa", f"{1e6 * dent.max():.2g} um"
-        return f". Static plastic estimate: p_max up to {pressure}, indentation {depth}"
 
-    return further
+def _partner_estimate(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
+    return _static_estimate(scene, answers, good, softest_partner(scene))
+
+
+def _sphere_estimate(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
+    return _static_estimate(scene, answers, good, sphere_body(scene.columns))
 
 
 def _over_partner_onset(scene: Scene, answers: SceneAnswers) -> Array | str:
@@ -244,7 +247,7 @@ def _contact_over_insert(scene: Scene, answers: SceneAnswers) -> Array | str:
     thickness = scene.columns.get("bars.insert_thickness")
     if thickness is None:
         return "not checked: the thickness of the inserts is not given"
-    return np.asarray(3.0 * answers.values["a_max"] / thickness)
+    return 3.0 * answers.values["a_max"] / thickness
 
 
 def _pulse_over_yield(scene: Scene, answers: SceneAnswers) -> Array | str:
@@ -269,7 +272,7 @@ def _imbalance(scene: Scene, answers: SceneAnswers) -> Array | str:
     factor, power = _IMBALANCE
     with np.errstate(all="ignore"):
         estimate = factor * scene.scales.mass_number**power
-        return np.asarray(estimate * scene.scales.force / answers.values["P_max"])
+        return estimate * scene.scales.force / answers.values["P_max"]
 
 
 def _transits(scene: Scene, answers: SceneAnswers, time: str) -> Array:
@@ -280,6 +283,15 @@ def _transits(scene: Scene, answers: SceneAnswers, time: str) -> Array:
         return np.asarray(answers.values[time] / transit)
 
 
+def _plate_of(scene: Scene) -> tuple[str, tuple[Array, ...]] | None:
+    """Table of the counter-body that is a plate; its E, nu, density and thickness."""
+    for partner in scene.there:
+        if partner.kind == "plate":
+            keys = (f"{partner.table}.{key}" for key in ("E", "nu", "density", "thickness"))
+            return partner.table, tuple(scene.columns[key] for key in keys)
+    return None
+
+
 def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     """Thickness over contact radius, or wave transits of the thickness if fewer, but at least 2.
 
@@ -288,9 +300,7 @@ def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     plate = _plate_of(scene)
     if plate is None:
         return None
-    E, nu, density, thickness = (
-        scene.columns[f"{plate}.{key}"] for key in ("E", "nu", "density", "thickness")
-    )
+    _, (E, nu, density, thickness) = plate
     with np.errstate(all="ignore"):
         sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
         transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
@@ -299,47 +309,41 @@ def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | str | None:
         )
 
 
-def _plate_of(scene: Scene) -> str | None:
-    """Table of the counter-body that is a plate."""
-    for partner in scene.there:
-        if partner.kind == "plate":
-            return partner.table
-    return None
-
-
 def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     """Contact time over the return time of the flexural wave from the plate edge.
 
     The group speed is that of a half period equal to the contact time t, c_g = 2 (D/(rho h))^(1/4)
     sqrt(pi/t), over a path of one width.
     """
-    plate, c = _plate_of(scene), scene.columns
+    plate = _plate_of(scene)
     if plate is None:
         return None
-    if f"{plate}.width" not in c:
-        return f"not checked: {plate}.width is not given"
-    E, nu, density, thickness = (c[f"{plate}.{key}"] for key in ("E", "nu", "density", "thickness"))
+    table, (E, nu, density, thickness) = plate
+    width = scene.columns.get(f"{table}.width")
+    if width is None:
+        return f"not checked: {table}.width is not given"
     with np.errstate(all="ignore"):
         loaded = answers.values["loaded_time"]
         bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
-        return np.asarray(
-            loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / c[f"{plate}.width"]
-        )
+        return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
 
 
 def _gravity(scene: Scene, answers: SceneAnswers) -> Array | str:
     behind, moving = scene.partners[0], scene.scales.mass
     if behind is not None:
         moving = moving + behind.mass
-    return np.asarray(moving * GRAVITY / answers.values["P_max"])
+    return moving * GRAVITY / answers.values["P_max"]
+
+
+def _drag(scene: Scene, answers: SceneAnswers) -> Array:
+    c = scene.columns
+    terminal = terminal_speed(c["sphere.radius"], c["sphere.density"])
+    return c["rig.drop_height"] * GRAVITY / terminal**2
 
 
 def _rod_rise(scene: Scene, answers: SceneAnswers) -> Array | str | None:
-    ratios = []
-    for partner, diameter in _bars_of(scene):
-        E, density = (scene.columns[f"{partner.table}.{key}"] for key in ("E", "density"))
-        speed = bars.wave_speed(E, density)
-        ratios.append(answers.values["rise_time"] * speed / (0.5 * diameter))
+    rise = answers.values["rise_time"]
+    ratios = [rise * speed / (0.5 * diameter) for diameter, speed in _bars_of(scene)]
     if not ratios:
         return None
     return np.asarray(np.minimum.reduce(ratios))
@@ -349,7 +353,7 @@ def _echo_under_load(scene: Scene, answers: SceneAnswers) -> Array | str | None:
     if not np.any(np.isfinite(scene.first_echo)):
         return None
     with np.errstate(all="ignore"):
-        return np.asarray(answers.values["loaded_time"] / scene.first_echo)
+        return answers.values["loaded_time"] / scene.first_echo
 
 
 def _one_sided(scene: Scene, answers: SceneAnswers) -> Array | str:
@@ -416,7 +420,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=1.0,
         laws=("hertz",),
         applies=lambda rig: rig.by_wave,
-        further=_static(softest_partner),
+        advice=_partner_estimate,
         words="the bars yield under the sphere, p_0 up to {worst} times their onset pressure. Use "
         'harder bars or inserts, thinner bars or a shorter pulse, or contact.law = "plastic"',
     ),
@@ -480,11 +484,12 @@ RULES: Final[tuple[Rule, ...]] = (
     ),
     Rule(
         name="sphere_yield_contact",
+        needs="sphere.onset_pressure",
         meaning="contact pressure / onset pressure of the sphere",
         measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET),
         warning=1.0,
         laws=("hertz",),
-        further=_static(lambda s: sphere_body(s.columns)),
+        advice=_sphere_estimate,
         words="the sphere yields or crushes at the contacts, p_0 up to {worst} times its onset "
         "pressure",
     ),
@@ -494,7 +499,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_depth,
         information=1.0,
         laws=("plastic",),
-        further=_dents,
+        advice=_dents,
         words="a contact yields: the approach is up to {worst} times that at first yield (included "
         "in the pressures)",
     ),
@@ -533,6 +538,7 @@ RULES: Final[tuple[Rule, ...]] = (
     ),
     Rule(
         name="insert_thickness",
+        needs="bars.insert_E",
         meaning="three contact radii / thickness of the inserts",
         measure=_contact_over_insert,
         warning=1.0,
@@ -569,7 +575,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=1.0,
         laws=("hertz",),
         applies=lambda rig: not rig.by_wave,
-        further=_static(softest_partner),
+        advice=_partner_estimate,
         words="the counter-body yields under the sphere, p_0 up to {worst} times its onset "
         "pressure",
     ),
@@ -607,13 +613,8 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(
         name="drag",
         meaning="air drag of the fall, g h/v_t²",
-        measure=lambda s, a: (
-            s.columns["rig.drop_height"]
-            * GRAVITY
-            / terminal_speed(s.columns["sphere.radius"], s.columns["sphere.density"]) ** 2
-            if "rig.drop_height" in s.columns
-            else None
-        ),
+        measure=_drag,
+        needs="rig.drop_height",
         information=0.05,
         warning=0.2,
         applies=lambda rig: rig.contacts == 1,
@@ -622,9 +623,8 @@ RULES: Final[tuple[Rule, ...]] = (
     Rule(
         name="oblique",
         meaning="impact angle from the surface [deg] (friction and spin are neglected)",
-        measure=lambda s, a: (
-            np.rad2deg(s.columns["rig.angle"]) if "rig.angle" in s.columns else None
-        ),
+        measure=lambda s, a: np.rad2deg(s.columns["rig.angle"]),
+        needs="rig.angle",
         information=75.0,
         warning=45.0,
         failure=20.0,
@@ -709,17 +709,12 @@ def grades(rule: Rule, measured: Array) -> Places:
 
 def rules_of(scene: Scene) -> tuple[Rule, ...]:
     """The checks that apply to a scene, by its contact law, its rig and its columns."""
-    #: columns without which a check says nothing
-    needed = {
-        "insert_thickness": "bars.insert_E",
-        "sphere_yield_contact": "sphere.onset_pressure",
-    }
     return tuple(
         rule
         for rule in RULES
         if scene.contact_law in rule.laws
         and rule.applies(scene.setup)
-        and needed.get(rule.name, "sphere.E") in scene.columns
+        and rule.needs in scene.columns
     )
 
 
@@ -748,10 +743,7 @@ def _check(rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags) -> Vali
     shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
     if not shares.any():
         return _result(rule.name, shares, worst, rule.statement(worst, ""))
-    further = ""
-    if rule.further is not None:
-        further = rule.further(scene, answers, good)
-    text = rule.statement(worst, _rows_text(float(shares.sum())), further)
+    text = rule.statement(worst, _rows_text(float(shares.sum())), rule.advice(scene, answers, good))
     return _result(rule.name, shares, worst, text)
 
 

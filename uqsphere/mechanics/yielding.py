@@ -48,7 +48,7 @@ def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
     >>> round(float(metal_onset(1.0, 0.3)), 3)
     1.615
     """
-    return np.asarray(1.295 * np.exp(0.736 * np.asarray(nu)) * yield_strength)
+    return 1.295 * np.exp(0.736 * np.asarray(nu)) * yield_strength
 
 
 class ContactParameters(NamedTuple):
@@ -203,7 +203,7 @@ class Face:
     @property
     def softening(self) -> Array:
         """b of (C3): 0 for Thornton, infinite for Hertz."""
-        return np.asarray(self.pile_up * self.hardness / self.onset - 1.0)
+        return self.pile_up * self.hardness / self.onset - 1.0
 
     @property
     def valid(self) -> Flags:
@@ -232,9 +232,7 @@ class Face:
     @property
     def onset_force(self) -> Array:
         """P_y [N], (C2)."""
-        return np.asarray(
-            (2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach
-        )
+        return (2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach
 
     def force(self, depth: Array) -> Array:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
@@ -305,4 +303,4 @@ class Face:
     def restitution(self, depth: Array) -> Array:
         """Coefficient of restitution of an impact to the depth z, without waves."""
         recovered = 0.4 * self.force(depth) * self.recovery(depth)
-        return np.asarray(np.sqrt(recovered / self.work(depth)))
+        return np.sqrt(recovered / self.work(depth))
