@@ -236,7 +236,7 @@ def elastic_impact(lam: Array) -> Mapping[str, Array]:
     Force in beta^0.4 M*^0.6 v^1.2, times in (M*²/(beta² v))^0.2.  Above 3 a plate is punched.
 
     >>> round(float(elastic_impact(np.zeros(1))["force"][0]), 4)
-    1.1435
+    1.1433
     """
     inside = np.where(lam <= LARGEST_LAM, lam, np.nan)
     return {name: np.asarray(series(inside)) for name, series in _impact_table().items()}
