@@ -130,6 +130,10 @@ _HINTS: Final = {
     r"character '\\n'|Unterminated": "a text in quotes does not end on its line",
     "\x00": "found a NUL byte, and a study is a text file",
     "[“”„‘’]": 'quotes are straight: "…"',
+    r",\s*\}": "no comma stands before }",
+    r";\s*$": "no ; stands at the end of a line",
+    r"\n\s*//": "a comment begins with #",
+    r"\n\s*[\w.]+\s*:": "a key and its value are separated by =",
     r"=\s*([+-]?\d+),(\d+)\s*(?=[,}#]|$)": r"a decimal point is required: \1.\2",
     r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)": (
         r'a value with a unit stands in quotes: "\1"'

@@ -271,12 +271,18 @@ class Table:
                 return names.index(column)
         if column not in bare and column.isdigit() and 1 <= int(column) <= len(self.headings):
             return int(column) - 1
+        named = [h for h in self.headings if _BRACKET.sub("", h).strip() == column]
+        if len(named) == 1 and dimension != "number" and column not in (*self.headings, *bare):
+            wrong = unknown_unit(named[0], dimension)
+            raise TableError(f"{named[0]!r}: {wrong} ({typed_units(dimension)})", key)
         near = get_close_matches(column, [*self.headings, *bare], n=1)
         often, hints = "not", [note for note in self.notes if _OTHER_SHEETS in note]
         if column in (*self.headings, *bare):
             often = "twice or more"
         elif near:
             hints = [f"did you mean {near[0]!r}?"]
+        elif all(map(_is_numeric, self.headings)):
+            hints.append("the first row holds numbers: add a row of headings")
         elif not hints and len(self.headings) == 1 and re.search(r"\S[\s|]", self.headings[0]):
             hints.append("divide columns by commas, semicolons or tabs")
         headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
@@ -689,7 +695,13 @@ def _way_out(headings: Sequence[str], numbered: Sequence[tuple[int, list[str]]])
 
 def are_units(row: list[str]) -> bool:
     """Whether the cells of a row are units."""
-    return any(row) and {cell.strip("[]() ") for cell in row} <= _ALL_UNITS
+    texts = [cell.strip("[]() ") for cell in row]
+    if set(texts) <= _ALL_UNITS:
+        return any(row)
+    # one of them may be misspelled, which the column tells
+    like = [text for text in texts if any(nearest_unit(text, name) for name in UNITS)]
+    certain = any(len(text) > 1 and text in _ALL_UNITS for text in texts)
+    return certain and all(text in _ALL_UNITS or text in like for text in texts)
 
 
 # --- workbooks, encodings -------------------------------------------------------------------------

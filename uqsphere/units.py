@@ -145,6 +145,8 @@ _NUMBER: Final = re.compile(
 )
 #: tip speed of a rotor: revolutions per minute, and diameter
 _ROTOR: Final = re.compile(r"(.+?)\s*rpm\s*(?:at|@|x)\s*(.+)")
+#: what stands between two numbers: 40-60 GPa, 52 ± 3 GPa, 40 to 60 GPa
+_RANGE: Final = re.compile(r"[^\W\d]*\s*(?:[-–—…]|±|\+/?-|\.\.+|to\b)\s*\d")
 _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
 
 
@@ -261,6 +263,11 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     if match is None:
         raise UnitError(f"{text!r} is not a number{with_unit}. Write, for example, {such}")
     number, unit = match.group(), stripped[match.end() :].strip()
+    if _RANGE.match(unit):
+        raise UnitError(
+            f'{text!r} is a range. Write a distribution, such as {{ dist = "uniform", lower = …, '
+            "upper = … }"
+        )
     if unit.startswith(",") and unit[1:2].isdigit():
         raise UnitError(f'{text!r} has a decimal comma. Write "{stripped.replace(",", ".", 1)}"')
     if dimension == "number":

@@ -348,6 +348,40 @@ def test_shapes_that_no_law_has_are_refused_at_once() -> None:
             'did you mean "52 GPa"?',
             SCENE.replace('radius = "10 mm"', 'radius = "10 mm"\nE = "52 kg"'),
         ),
+        *(
+            (
+                SCENE.replace('radius = "10 mm"', f'radius = "{text}"'),
+                "is a range. Write a distribution",
+                SCENE.replace('radius = "10 mm"', 'radius = "10 -mm"'),
+            )
+            for text in ("9-11 mm", "9 mm - 11 mm", "10 ± 1 mm", "9 to 11 mm", "9…11 mm")
+        ),
+        (
+            BOX.replace("normal", "gaussian"),
+            "did you mean 'normal'?",
+            BOX.replace("normal", "bell"),
+        ),
+        (
+            BOX.replace("mean", "mu"),
+            "did you mean 'mean'?",
+            BOX.replace("mean", "middle"),
+        ),
+        (BOX.replace(" }", ", }"), "no comma stands before }", BOX.replace(" }", ",, x }")),
+        (
+            BOX.replace('["y"]', '["y"];'),
+            "no ; stands at the end of a line",
+            BOX.replace('["y"]', '["y"] x'),
+        ),
+        (
+            BOX.replace("[outputs]", "// what it answers\n[outputs]"),
+            "a comment begins with #",
+            BOX.replace("[outputs]", "? what it answers\n[outputs]"),
+        ),
+        (
+            BOX.replace("names = ", "names: "),
+            "a key and its value are separated by =",
+            BOX.replace("names = ", "names "),
+        ),
     ],
 )
 def test_a_slip_is_told_with_its_way_out(text: str, words: str, other: str) -> None:

@@ -522,7 +522,7 @@ def _gauges(draft: Draft) -> Faults:
         if bar == "rod":
             path, name = "rod.length", bar
         length = draft.mean(path)
-        if (bar == "rod") != ("rod" in RIGS[draft.rig].tables):
+        if not (RIGS[draft.rig].by_wave if bar != "rod" else "rod" in RIGS[draft.rig].tables):
             yield Fault(
                 f"the rig has no {name}. Gauges stand on the bars, or on the rod of a load_cell",
                 *place,

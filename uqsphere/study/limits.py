@@ -43,6 +43,8 @@ _PRESSURES: Final = (
 _SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
 #: a criterion increases at least with this power of the force
 _RISES: Final = 0.05
+#: a demand at which every sphere breaks, over its bound
+_BEYOND: Final = 1e9
 #: at equal strength the force goes with this power of the diameter, without flaws (default: 2)
 _POWERS: Final = {
     "ring_crack": 1.0,
@@ -271,15 +273,18 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         return value_at(factor * force, weakest.demand, sphere, 0.5 * diameter, platens, rate)
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
-    if not np.isfinite(value(8.0)).all():
+    demand, bound = (
+        limit.criterion or limit.quantity,
+        limit.parameters.get("largest_energy", math.inf),
+    )
+    if not (value(8.0) < bound * _BEYOND).all():
         raise Fault(
-            f"some tests exceed the largest possible {limit.quantity}. Raise largest_energy or the "
-            "hardness"
+            f"some tests exceed the largest possible {demand}. Raise largest_energy or the hardness"
         )
     if not (slopes > _RISES).all():
         raise Fault(
-            f"{limit.quantity} is insensitive to the force of such tests, so the strength cannot "
-            f"be inferred. Use another criterion{hint and f' ({hint})'}"
+            f"{demand} is insensitive to the force of such tests, so the strength cannot be "
+            f"inferred. Use another criterion{hint and f' ({hint})'}"
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:

@@ -138,7 +138,7 @@ def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
     if not _MODULI[0] <= modulus <= _MODULI[1]:
         text = (
             f"a Weibull modulus of {modulus:.3g} is unusual (usual: {_MODULI[0]:g} to "
-            f"{_MODULI[1]:g}); are two numbers swapped?"
+            f"{_MODULI[1]:g}). Are two numbers swapped?"
         )
         draft.warn(("limits", limit.name, "strength"), text, holds="plausibility")
 
@@ -168,8 +168,8 @@ def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     rig = float(np.mean([partner.modulus[0] for partner in scene.there]))
     if abs(tests / rig - 1.0) > _STIFFER:
         text = (
-            f"E* is {format_value(tests, 'sphere.E', 3)} in the tests and "
-            f"{format_value(rig, 'sphere.E', 3)} in the rig: equal values of {limit.quantity} are "
-            'other forces; a limit on the force itself is quantity = "P_max"'
+            f"E* is {format_value(tests, 'sphere.E', 3)} in the tests but "
+            f"{format_value(rig, 'sphere.E', 3)} in the rig, so equal values of {limit.quantity} "
+            'mean different forces. quantity = "P_max" limits the force itself'
         )
         draft.warn(("limits", limit.name, "strength", "platens"), text)

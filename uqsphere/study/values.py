@@ -57,6 +57,18 @@ NOTABLE: Final = 1e-6
 _FEW: Final = 10
 #: keys that a column or tests need, with an example
 _EXAMPLES: Final = {"file": "tests.csv", "column": "strength", "force": "F", "diameter": "D"}
+#: other names of distributions and of their parameters
+_SYNONYMS: Final = {
+    "gaussian": "normal",
+    "gauss": "normal",
+    "rectangular": "uniform",
+    "log-uniform": "loguniform",
+    "min": "lower",
+    "max": "upper",
+    "mu": "mean",
+    "sigma": "sd",
+    "std": "sd",
+}
 #: a fit less likely than this is worth a warning
 _UNLIKELY: Final = 0.01
 
@@ -165,14 +177,15 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     if isinstance(kind, str):
         family = family_named(kind)
     if family is None:
-        raise Fault(unknown("distribution", kind, FAMILIES), "dist")
+        near = suggestion(_SYNONYMS.get(str(kind), ""), FAMILIES)
+        raise Fault(unknown("distribution", kind, FAMILIES) + near, "dist")
     keys = (*family.keys, "lower", "upper")
     parameters: dict[str, float] = {}
     for key in (key for key in raw if key != "dist"):
         if key not in keys:
             raise Fault(
                 f"{shown(key)} is not a parameter of the distribution {family.name}, which takes "
-                f"{one_of(keys)}{suggestion(key, keys)}",
+                f"{one_of(keys)}{suggestion(_SYNONYMS.get(key, key), keys)}",
                 key,
             )
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
