@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, TestsTable
@@ -55,11 +56,13 @@ class Specimens:
     @property
     def last(self) -> Array:
         """(s,) energy of the last blow [J/kg]."""
-        return np.asarray(self.blows[np.arange(len(self.blows)), self._last_blow])
+        return np.asarray((self.blows * self._is_last).sum(axis=1))
 
     @property
-    def _last_blow(self) -> Places:
-        return np.asarray(np.maximum((self.blows > 0).sum(axis=1) - 1, 0))
+    def _is_last(self) -> Flags:
+        """(s, K) whether a blow is the last one of its specimen."""
+        number = (self.blows > 0).sum(axis=1, keepdims=True)
+        return np.arange(self.blows.shape[1]) == np.maximum(number - 1, 0)
 
     @property
     def repeated(self) -> Flags:
@@ -77,41 +80,11 @@ class Specimens:
         """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
         known exactly."""
         exponent = np.asarray(gamma, dtype=float)[..., None]
-        before = self.blows.copy()
-        before[np.arange(len(before)), self._last_blow] = 0.0
-        survived = laws.survivor_bound(np.where(self.broke[:, None], before, self.blows), exponent)
+        breaking = self._is_last & self.broke[:, None]
+        survived = laws.survivor_bound(np.where(breaking, 0.0, self.blows), exponent)
         ended = np.where(self.broke, laws.survivor_bound(self.blows, exponent), np.inf)
         known = self.exact & self.broke
         return np.where(known, self.last, survived), np.where(known, self.last, ended)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Rows:
-    """Rows (n,) of a table of tests.
-
-    names : specimens; at_failure : whether the energy is that at failure; particles, broken :
-    numbers of particles; blows : equal blows of the row.
-    """
-
-    table: Table
-    names: list[str]
-    diameter: Array
-    energy: Array
-    at_failure: Flags
-    particles: Array
-    broken: Array
-    blows: Places
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Specimen:
-    """One specimen, or several alike: its blows [J/kg] in order."""
-
-    diameter: float
-    blows: list[float]
-    broke: bool
-    exact: bool
-    weight: float
 
 
 def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
@@ -137,40 +110,38 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         rig = np.array(table.texts(want.rig_column))
     at_failure = np.isin(rig, AT_FAILURE)
     complete = ~np.isnan(diameter + particles + broken + blows)
-
-    def refuse(text: str, wrong: Flags) -> None:
-        table.refuse("", text, np.asarray(wrong & complete))
-
     rigs = (*AT_FAILURE, *_OFFERING)
-    refuse(f"rig must be one of {', '.join(rigs)}", ~np.isin(rig, rigs))
-    refuse("the size must be above 0", diameter <= 0.0)
     whole = particles == np.round(particles)
-    refuse("particles must be a whole number of at least 1", ~whole | (particles < 1))
-    refuse("broken must be between 0 and particles", (broken < 0) | (broken > particles))
-    refuse(f"blows must be from 1 to {_MOST_BLOWS:,}", (blows < 1) | (blows > _MOST_BLOWS))
-    refuse(
-        "a press tests a particle once: blows need drop_weight, impact or drop",
-        at_failure & (blows > 1),
-    )
+    for message, wrong in {
+        f"rig must be one of {', '.join(rigs)}": ~np.isin(rig, rigs),
+        "the size must be above 0": diameter <= 0.0,
+        "particles must be a whole number of at least 1": ~whole | (particles < 1),
+        "broken must be between 0 and particles": (broken < 0) | (broken > particles),
+        f"blows must be from 1 to {_MOST_BLOWS:,}": (blows < 1) | (blows > _MOST_BLOWS),
+        "a press tests a particle once: blows need drop_weight, impact or drop": at_failure
+        & (blows > 1),
+    }.items():
+        table.refuse("", message, wrong & complete)
     energy, notes = particle_energies(asked, table, diameter, rig)
     table.refuse("", "the energy must be above 0", energy <= 0.0)
     names = [str(row) for row in range(len(energy))]
     if want.specimen is not None:
         names = table.texts(want.specimen)
     table.finish()
-    rows = _Rows(
-        table=table,
-        names=names,
-        diameter=diameter,
-        energy=energy,
-        at_failure=at_failure,
-        particles=particles,
-        broken=broken,
-        blows=blows.astype(int),
+    rows = pd.DataFrame(
+        {
+            "line": table.lines,
+            "diameter": diameter,
+            "energy": energy,
+            "at_failure": at_failure,
+            "particles": particles,
+            "broken": broken,
+            "blows": blows.astype(int),
+        }
     )
-    made = _specimens(rows, [*table.notes, *notes, *_odd_rows(rows)])
+    made = _specimens(rows, names, table.name)
     _check_bounded(made)
-    return made
+    return replace(made, notes=(*table.notes, *notes, *_odd_rows(rows)))
 
 
 def _chosen(table: Table, want: TestsTable) -> Table:
@@ -190,19 +161,17 @@ def _chosen(table: Table, want: TestsTable) -> Table:
 
 def _diameters(table: Table, want: TestsTable) -> Array:
     """Diameters (n,) [m]: a column, or the geometric mean of two sieves."""
+    names = [want.diameter or str(want.mesh_lower), want.diameter or str(want.mesh_upper)]
     unit = want.diameter_unit or None
-    if want.diameter is not None:
-        return table.numbers(want.diameter, "length", unit, key="diameter")
-    lower = table.numbers(str(want.mesh_lower), "length", unit, key="diameter")
-    upper = table.numbers(str(want.mesh_upper), "length", unit, key="diameter")
-    return np.asarray(np.sqrt(lower * upper))
+    sizes = [table.numbers(name, "length", unit, key="diameter") for name in dict.fromkeys(names)]
+    return np.asarray(np.sqrt(sizes[0] * sizes[1])) if len(sizes) > 1 else sizes[0]
 
 
-def _odd_rows(rows: _Rows) -> list[str]:
+def _odd_rows(rows: pd.DataFrame) -> list[str]:
     """A note on rows 5 robust deviations from a line of ln e over ln d."""
-    if len(rows.energy) < 8:
+    if len(rows) < 8:
         return []
-    x, y = np.log(rows.diameter), np.log(rows.energy)
+    x, y = np.log(rows["diameter"].to_numpy()), np.log(rows["energy"].to_numpy())
     slope, middle = 0.0, float(np.median(y))
     if np.ptp(x) > 0.05:
         slope, middle = np.polyfit(x, y, 1)
@@ -211,63 +180,41 @@ def _odd_rows(rows: _Rows) -> list[str]:
     odd = away > 5.0 * max(1.4826 * float(np.median(away)), 0.05)
     if not odd.any():
         return []
-    lines = ", ".join(map(str, np.array(rows.table.lines)[odd][:8]))
+    lines = ", ".join(map(str, rows["line"][odd][:8]))
     return [f"line {lines}: the energy lies far from the others: is its unit right?"]
 
 
-def _specimens(rows: _Rows, notes: list[str]) -> Specimens:
+def _specimens(rows: pd.DataFrame, names: list[str], file: str) -> Specimens:
     """Rows of one name as the series of blows on one particle; groups as broken and unbroken
     ones."""
-    order: dict[str, list[int]] = {}
-    for row, name in enumerate(rows.names):
-        order.setdefault(name, []).append(row)
-    specimens: list[_Specimen] = []
-    for group in order.values():
-        _check_series(rows, group)
-        blows: list[float] = []
-        for row in group:
-            blows += [float(rows.energy[row])] * int(rows.blows[row])
-        last = group[-1]
-        broken, survived = rows.broken[last], rows.particles[last] - rows.broken[last]
-        for number, broke in ((broken, True), (survived, False)):
+    series, specimens = list[Array](), list[dict[str, Any]]()
+    for _, group in rows.groupby(pd.Index(names), sort=False):
+        early = group[:-1][group["broken"][:-1] > 0]
+        if len(early):
+            raise UsageError(
+                f"{file}: line {early['line'].iloc[0]}: a specimen is hit again after it broke"
+            )
+        if len(group) > 1 and (group["particles"] > 1).any():
+            raise UsageError(
+                f"{file}: line {group['line'].iloc[0]}: a specimen that is hit again must be one "
+                "particle"
+            )
+        blows, last = np.repeat(group["energy"], group["blows"]), group.iloc[-1]
+        for number, broke in (
+            (last["broken"], True),
+            (last["particles"] - last["broken"], False),
+        ):
             if number > 0:
+                series.append(blows.to_numpy())
+                exact = last["at_failure"] and len(blows) == 1
                 specimens.append(
-                    _Specimen(
-                        diameter=float(rows.diameter[last]),
-                        blows=blows,
-                        broke=broke,
-                        exact=bool(rows.at_failure[last]) and len(blows) == 1,
-                        weight=float(number),
-                    )
+                    {"diameter": last["diameter"], "broke": broke, "exact": exact, "weight": number}
                 )
-    every = np.zeros((len(specimens), max(len(specimen.blows) for specimen in specimens)))
-    for row, specimen in enumerate(specimens):
-        every[row, : len(specimen.blows)] = specimen.blows
-    return Specimens(
-        diameter=np.array([specimen.diameter for specimen in specimens]),
-        blows=every,
-        broke=np.array([specimen.broke for specimen in specimens]),
-        exact=np.array([specimen.exact for specimen in specimens]),
-        weight=np.array([specimen.weight for specimen in specimens]),
-        notes=tuple(notes),
-    )
-
-
-def _check_series(rows: _Rows, group: list[int]) -> None:
-    """Refuse blows on a broken particle, and on several at once."""
-    table = rows.table
-    if len(group) == 1:
-        return
-    early = [row for row in group[:-1] if rows.broken[row] > 0]
-    if early:
-        raise UsageError(
-            f"{table.name}: line {table.lines[early[0]]}: a specimen is hit again after it broke"
-        )
-    if (rows.particles[group] > 1).any():
-        raise UsageError(
-            f"{table.name}: line {table.lines[group[0]]}: a specimen that is hit again must be one "
-            "particle"
-        )
+    every = np.zeros((len(series), max(map(len, series))))
+    for row, blows in zip(every, series, strict=True):
+        row[: len(blows)] = blows
+    columns = {name: np.array([specimen[name] for specimen in specimens]) for name in specimens[0]}
+    return Specimens(blows=every, **columns)
 
 
 def _check_bounded(tests: Specimens) -> None:
