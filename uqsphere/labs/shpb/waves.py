@@ -82,43 +82,35 @@ class Reading:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Gauge:
-    """The wave that a gauge records on its way from or to a face.
-
-    distance : signed way of the wave from the gauge to the face [m]; first : its sample at first
-    touch; count : samples from there that are known.
-    """
-
-    signal: Signal
-    bar: BarTable
-    distance: float
-    first: float
-    count: int
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Window:
     """Which samples after first touch are known at which face.
 
     start : sample of first touch at the incident gauge; delay : samples between incident and
     reflected wave at this gauge, infinite with a gauge for each.
+    to_a, to_b : sample of first touch of the reflected and the transmitted wave at their gauges.
     count : samples at face B; first, last : those of face A between which the waves are apart.
     withheld : why the force at A is not given.
     """
 
     start: int
     delay: float
+    to_a: float
+    to_b: float
     count: int
     first: int
     last: int
-    behind: _Gauge
-    ahead: _Gauge
     withheld: tuple[str, ...]
 
     @property
     def whole(self) -> bool:
         """Whether face A is known at all samples."""
         return (self.first, self.last) == (0, self.count)
+
+    def known(self, force: Array) -> Array:
+        """A force at A, NaN where the waves overlap."""
+        known = np.full(len(force), np.nan)
+        known[self.first : self.last] = force[self.first : self.last]
+        return known
 
 
 def read_test(record: Record, document: RecordDocument) -> Reading:
@@ -127,9 +119,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     Raises UsageError for a pulse that cannot be one of these bars, for forces within the noise, and
         for a record that ends at first touch.
     """
-    bar = document.incident_bar
-    incident, step = record.incident, record.step
-    wave = incident.wave
+    bar, behind = document.incident_bar, document.receiving_bar
+    step, wave = record.step, record.incident.wave
     if wave.sign > 0.0:
         raise UsageError(
             "the first wave of the incident bar is tension, compression is required: check "
@@ -138,11 +129,10 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     changes = Changes(record.changes)
     arrivals = find_arrivals(record, document, changes)
     window = _window(record, document, arrivals)
-    time: Array = np.asarray(step * np.arange(window.count), dtype=float)
     disperses = document.record.dispersion
 
-    face_b, transmitted = _far_face(window, time, changes if disperses else None)
-    peaks = Peaks(B=_far_peak(face_b, record.receiving, window.behind.bar))
+    face_b, transmitted = _far_face(record, behind, window, changes if disperses else None)
+    peaks = Peaks(B=_far_peak(face_b, record.receiving, behind))
     peaks.doubt("B", arrivals.doubt_b)
     if arrivals.speed_ratio != 1.0:
         other = peaks["B"].value * arrivals.speed_ratio**2
@@ -150,48 +140,43 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         peaks.doubt("B", text, 0.98 * other, 1.02 * other)
     force_a, sd_a, energies, mass = None, np.full(window.count, np.inf), None, None
     if not window.withheld:
-        near = _NearFace.of(record, document, window, changes)
-        face_a = near.force(time)
-        force_a, sd_a = face_a.force.copy(), face_a.sd
+        incident, reflected, doubt = _near_waves(record, document, window, changes)
+        face_a = _near_face(record, bar, window, incident, reflected)
+        force_a, sd_a = window.known(face_a.force), face_a.sd
         _near_peaks(peaks, face_a, face_b, window, wave)
-        peaks.doubt("A", near.doubt)
+        peaks.doubt("A", doubt)
         peaks.doubt("A", arrivals.doubt_b)
-        velocity_b = -window.behind.bar.wave_speed * transmitted
-        mass = _compare_faces(
-            peaks,
-            Faces(
-                time=time,
-                force_a=_known_part(force_a, window),
-                force_b=face_b.force,
-                velocity_a=bar.wave_speed * (near.reflected - near.incident),
-                velocity_b=velocity_b,
-            ),
-            record,
-            document,
+        faces = Faces(
+            time=face_b.time,
+            force_a=force_a,
+            force_b=face_b.force,
+            velocity_a=bar.wave_speed * (reflected - incident),
+            velocity_b=-behind.wave_speed * transmitted,
         )
+        mass = _compare_faces(peaks, faces, record, document)
         if window.whole:
-            energies = _energies(window, near, transmitted, step)
+            waves = {"incident": incident, "reflected": reflected, "transmitted": transmitted}
+            energies = _energies(waves, document, step)
         else:
             begin, end = window.first * step * 1e6, window.last * step * 1e6
             changes.add(
                 "overlap",
-                incident.name,
+                record.incident.name,
                 "the incident wave is longer than its way to the face and back: A is known from "
                 f"{begin:.4g} to {end:.4g} us",
             )
-        force_a = _known_part(force_a, window)
     check_striker(peaks, wave.peak, bar.wave_speed, document.record.striker_speed, changes)
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
     note = check_specimen(peaks, pressed, document, mass)
-    _check_gauges(peaks, record, window, time)
-    balanced, rate = _balance(time, force_a, face_b.force, peaks["B"])
+    _check_gauges(peaks, record, document, window, face_b.time)
+    balanced, rate = _balance(face_b.time, force_a, face_b.force, peaks["B"])
     touch = record.start + step * window.start
     if not document.record.aligned:
         touch += bar.gauge / bar.wave_speed
     return Reading(
         step=step,
         touch=touch,
-        time=time,
+        time=face_b.time,
         force_a=force_a,
         force_b=face_b.force,
         sd_a=sd_a,
@@ -214,7 +199,6 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
     """The samples of both faces; UsageError for too few of the transmitted wave."""
     bar, behind = document.incident_bar, document.receiving_bar
     incident, receiving, step = record.incident, record.receiving, record.step
-    signal = record.reflected or incident
     start = incident.wave.start
     # first touch; a wave whose distance is wrong begins at its own foot
     to_a, to_b = start + arrivals.reflected, start + arrivals.transmitted
@@ -229,7 +213,7 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
             f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: the record "
             "ends too early, or an echo or a gap comes before"
         )
-    count_a = _known_samples(signal, int(to_a), echoes[0])
+    count_a = _known_samples(record.reflected or incident, int(to_a), echoes[0])
     shared = record.reflected is None
     delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
     first, last = undisturbed(incident.wave, delay)
@@ -250,13 +234,11 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
     return _Window(
         start=start,
         delay=delay,
+        to_a=to_a,
+        to_b=to_b,
         count=count,
         first=first,
         last=min(last, count),
-        behind=_Gauge(
-            signal=receiving, bar=behind, distance=-behind.gauge, first=to_b, count=count
-        ),
-        ahead=_Gauge(signal=signal, bar=bar, distance=-bar.gauge, first=to_a, count=count),
         withheld=tuple(f"force at A: {reason}" for reason in reasons),
     )
 
@@ -267,13 +249,6 @@ def _known_samples(signal: Signal, first: int, most: float) -> int:
     begin = max(first, 0)
     lost = np.flatnonzero(~signal.known[begin : begin + max(count, 0)])
     return int(lost[0]) if len(lost) else count
-
-
-def _known_part(force: Array, window: _Window) -> Array:
-    """A force at A, NaN where the waves overlap."""
-    known = np.full(len(force), np.nan)
-    known[window.first : window.last] = force[window.first : window.last]
-    return known
 
 
 # --- waves at the faces ---------------------------------------------------------------------------
@@ -287,9 +262,8 @@ def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Arra
     """
     room = max(8, math.ceil(2.0 * abs(distance) / bar.wave_speed / step))
     fading = wave[-1] * 0.5 * (1.0 + np.cos(np.linspace(0.0, math.pi, room)))
-    padded = np.concatenate([np.zeros(room), wave, fading, np.zeros(room)])
     moved = correct(
-        padded,
+        np.concatenate([np.zeros(room), wave, fading, np.zeros(room)]),
         step,
         distance,
         radius=0.5 * bar.diameter,
@@ -305,32 +279,37 @@ def _samples(values: Array, first: float, count: int) -> Array:
     return np.asarray(map_coordinates(values, [first + np.arange(count)], order=3, mode="nearest"))
 
 
-def _at_face(gauge: _Gauge, step: float, changes: Changes | None) -> Array:
+def _at_face(
+    signal: Signal, bar: BarTable, first: float, count: int, step: float, changes: Changes | None
+) -> Array:
     """The wave of a gauge from first touch on; at the face where `changes` are given."""
-    strain, count = gauge.signal.strain, gauge.count
     if changes is None:
-        return _samples(strain, gauge.first, count)
-    more = count + math.ceil(abs(gauge.distance) / gauge.bar.wave_speed / step)
-    more = min(more, len(strain) - 3 - int(gauge.first))
-    wave = _samples(strain, gauge.first, max(count, more))
-    moved = moved_wave(wave, gauge.distance, gauge.bar, step)[:count]
-    largest = float(np.abs(moved - wave[:count]).max())
-    share = largest / max(float(np.abs(wave[:count]).max()), 1e-300)
+        return _samples(signal.strain, first, count)
+    more = count + math.ceil(bar.gauge / bar.wave_speed / step)
+    more = min(more, len(signal.strain) - 3 - int(first))
+    wave = _samples(signal.strain, first, max(count, more))
+    moved, wave = moved_wave(wave, -bar.gauge, bar, step)[:count], wave[:count]
+    largest = float(np.abs(moved - wave).max())
+    share = largest / max(float(np.abs(wave).max()), 1e-300)
     text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
-    changes.add("dispersion", gauge.signal.name, text, largest)
+    changes.add("dispersion", signal.name, text, largest)
     return moved
 
 
-def _far_face(window: _Window, time: Array, changes: Changes | None) -> tuple[Force, Array]:
+def _far_face(
+    record: Record, bar: BarTable, window: _Window, changes: Changes | None
+) -> tuple[Force, Array]:
     """The force at B, and the transmitted wave there."""
-    gauge = window.behind
-    signal, stiffness = gauge.signal, gauge.bar.stiffness
-    transmitted = _at_face(gauge, float(time[1]), changes)
+    signal, stiffness = record.receiving, bar.stiffness
+    transmitted = _at_face(signal, bar, window.to_b, window.count, record.step, changes)
     force = -stiffness * transmitted
     random = stiffness**2 * (signal.noise**2 + signal.offset**2)
-    sd = np.sqrt(random + (_gain_b(signal, gauge.bar) * force) ** 2)
     course = Force(
-        time=time, force=force, sd=sd, noise=stiffness * signal.noise, memory=signal.memory
+        time=np.asarray(record.step * np.arange(window.count), dtype=float),
+        force=force,
+        sd=np.sqrt(random + (_gain_b(signal, bar) * force) ** 2),
+        noise=stiffness * signal.noise,
+        memory=signal.memory,
     )
     return course, transmitted
 
@@ -350,101 +329,75 @@ def _far_peak(course: Force, signal: Signal, bar: BarTable) -> Peak:
     return peak
 
 
-@dataclass(frozen=True, kw_only=True)
-class _NearFace:
-    """Incident and reflected wave (n,) at face A, with their gauges.
+def _alive(record: Record, window: _Window) -> int:
+    """Samples of the incident wave before the reflected one is at its gauge."""
+    return int(min(window.count, window.delay, len(record.incident.strain) - window.start))
 
-    alive : samples of the incident wave; doubt : why the sign of the reflected wave is doubted.
+
+def _near_waves(
+    record: Record, document: RecordDocument, window: _Window, changes: Changes
+) -> tuple[Array, Array, str]:
+    """Incident and reflected wave (n,) at face A, and why the sign of the latter is doubted.
+
+    Where waves were cut out, a reflected wave in its own column that has the sign of compression is
+    the size of one: a specimen softer than the bar reflects tension.
     """
-
-    incident: Array
-    reflected: Array
-    incident_gauge: Signal
-    reflected_gauge: Signal
-    bar: BarTable
-    alive: int
-    doubt: str
-
-    @classmethod
-    def of(
-        cls, record: Record, document: RecordDocument, window: _Window, changes: Changes
-    ) -> _NearFace:
-        """The waves of a record at face A; the sign of the reflected one is settled here."""
-        bar, signal, step = document.incident_bar, record.incident, record.step
-        incident = np.zeros(window.count)
-        alive = int(min(window.count, window.delay, len(signal.strain) - window.start))
-        incident[:alive] = signal.strain[window.start : window.start + alive]
-        # where the two waves overlap neither can be moved by itself
-        moved = changes if document.record.dispersion and window.whole else None
-        if moved is not None:
-            incident = moved_wave(incident, bar.gauge, bar, step)
-        reflected = _at_face(window.ahead, step, moved)
-        doubt = ""
-        if record.reflected is not None and _is_a_size(reflected, document):
-            as_given = bar.stiffness * float(-(incident + reflected).min())
+    bar, asked, count = document.incident_bar, document.record, window.count
+    alive, doubt = _alive(record, window), ""
+    incident = np.zeros(count)
+    incident[:alive] = record.incident.strain[window.start : window.start + alive]
+    # where the two waves overlap neither can be moved by itself
+    moved = changes if asked.dispersion and window.whole else None
+    if moved is not None:
+        incident = moved_wave(incident, bar.gauge, bar, record.step)
+    signal = record.reflected or record.incident
+    reflected = _at_face(signal, bar, window.to_a, count, record.step, moved)
+    if record.reflected is not None and asked.aligned and asked.polarity == "auto":
+        body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
+        if float(reflected[body].mean()) <= 0.0:
+            in_file = bar.stiffness * float(-(incident + reflected).min())
             reflected = -reflected
-            changes.add(
-                "sign",
-                record.reflected.name,
-                "has the sign of the incident wave; it is taken as tension",
-            )
+            text = "has the sign of the incident wave; it is taken as tension"
+            changes.add("sign", signal.name, text)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
-                f"{as_given * 1e-3:.4g} kN"
+                f"{in_file * 1e-3:.4g} kN"
             )
-        return cls(
-            incident=incident,
-            reflected=reflected,
-            incident_gauge=signal,
-            reflected_gauge=window.ahead.signal,
-            bar=bar,
-            alive=alive,
-            doubt=doubt,
-        )
-
-    def force(self, time: Array) -> Force:
-        """The force at A by two waves."""
-        inc, ref, stiffness = self.incident_gauge, self.reflected_gauge, self.bar.stiffness
-        force = -stiffness * (self.incident + self.reflected)
-        alive = np.arange(len(time)) < self.alive
-        noise = ref.noise**2 + np.where(alive, inc.noise**2, 0.0)
-        offset = np.where(alive, inc.offset + ref.offset, ref.offset)
-        both = stiffness**2 * (self.incident**2 + self.reflected**2)
-        gain = self.bar.gain_sd**2 * both
-        if inc is ref:  # one gauge: its gain is common to both waves
-            gain = (self.bar.gain_sd * force) ** 2
-        if inc.single or ref.single:
-            gain = gain + _BENDING**2 * both
-        return Force(
-            time=time,
-            force=force,
-            sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
-            noise=stiffness * math.hypot(inc.noise, ref.noise),
-            memory=inc.memory,
-        )
+    return incident, reflected, doubt
 
 
-def _is_a_size(reflected: Array, document: RecordDocument) -> bool:
-    """Whether a reflected wave in its own column is written as a size, without its sign.
-
-    Only where waves were cut out: there the sign of compression shows that of a size, since a
-    specimen softer than the bar reflects tension.
-    """
-    if not document.record.aligned or document.record.polarity != "auto":
-        return False
-    body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
-    return float(reflected[body].mean()) <= 0.0
+def _near_face(
+    record: Record, bar: BarTable, window: _Window, incident: Array, reflected: Array
+) -> Force:
+    """The force at A by two waves."""
+    before, after, stiffness = record.incident, record.reflected or record.incident, bar.stiffness
+    force = -stiffness * (incident + reflected)
+    alive = np.arange(window.count) < _alive(record, window)
+    noise = after.noise**2 + np.where(alive, before.noise**2, 0.0)
+    offset = np.where(alive, before.offset + after.offset, after.offset)
+    both = stiffness**2 * (incident**2 + reflected**2)
+    gain = bar.gain_sd**2 * both
+    if before is after:  # one gauge: its gain is common to both waves
+        gain = (bar.gain_sd * force) ** 2
+    if before.single or after.single:
+        gain = gain + _BENDING**2 * both
+    return Force(
+        time=np.asarray(record.step * np.arange(window.count), dtype=float),
+        force=force,
+        sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
+        noise=stiffness * math.hypot(before.noise, after.noise),
+        memory=before.memory,
+    )
 
 
 def _near_peaks(peaks: Peaks, face_a: Force, face_b: Force, window: _Window, wave: Wave) -> None:
     """Add the peaks of A and of the mean (in place)."""
     zone = slice(window.first, window.last)
-    mean = Force(
-        time=face_a.time,
+    mean = replace(
+        face_a,
         force=0.5 * (face_a.force + face_b.force),
         sd=0.5 * np.hypot(face_a.sd, face_b.sd),
         noise=0.5 * face_a.noise,
-        memory=face_a.memory,
     )
     peaks["A"] = largest_force(face_a.part(zone))
     peaks["mean"] = largest_force(mean.part(zone))
@@ -454,15 +407,12 @@ def _near_peaks(peaks: Peaks, face_a: Force, face_b: Force, window: _Window, wav
 
 
 def _energies(
-    window: _Window, near: _NearFace, transmitted: Array, step: float
+    waves: Mapping[str, Array], document: RecordDocument, step: float
 ) -> dict[str, float]:
     """Energies of the waves [J], and what stays between the bars."""
     energies = {}
-    for name, bar, strain in (
-        ("incident", near.bar, near.incident),
-        ("reflected", near.bar, near.reflected),
-        ("transmitted", window.behind.bar, transmitted),
-    ):
+    for name, strain in waves.items():
+        bar = document.receiving_bar if name == "transmitted" else document.incident_bar
         squares = float(np.square(strain).sum())
         energies[name] = bar.stiffness * bar.wave_speed * step * squares
     passed = energies["reflected"] + energies["transmitted"]
@@ -488,20 +438,21 @@ def _compare_faces(
     return check_impulse(peaks, faces, tolerance, heaviest)
 
 
-def _check_gauges(peaks: Peaks, record: Record, window: _Window, time: Array) -> None:
+def _check_gauges(
+    peaks: Peaks, record: Record, document: RecordDocument, window: _Window, time: Array
+) -> None:
     """Compare the gauges of each bar; the mean takes the doubts of both faces (in place)."""
-    behind, ahead = window.behind, window.ahead
-    spread = behind.bar.stiffness * _samples(behind.signal.spread, behind.first, window.count)
-    check_bending(peaks, "B", spread, time, peaks["B"].value)
+    count, stiffness = window.count, document.incident_bar.stiffness
+    spread = _samples(record.receiving.spread, window.to_b, count)
+    check_bending(peaks, "B", document.receiving_bar.stiffness * spread, time, peaks["B"].value)
     if window.withheld:
         peaks.doubt("B", "the force at A is not known: it does not check gauge and gain of B")
         return
-    incident = record.incident
+    incident, reflected = record.incident, record.reflected or record.incident
     both = np.maximum(
-        _samples(incident.spread, float(window.start), window.count),
-        _samples(ahead.signal.spread, ahead.first, window.count),
+        _samples(incident.spread, float(window.start), count),
+        _samples(reflected.spread, window.to_a, count),
     )
-    stiffness = ahead.bar.stiffness
     check_bending(peaks, "A", stiffness * both, time, stiffness * incident.wave.peak)
     every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
     peaks["mean"] = replace(peaks["mean"], doubts=tuple(every))
