@@ -71,6 +71,11 @@ class Fitted:
     low: float
     high: float
 
+    def in_gpa(self) -> tuple[str, str]:
+        """A pressure and its interval as texts."""
+        value, low, high = (1e-9 * end for end in (self.value, self.low, self.high))
+        return f"{value:.4g} GPa", f"{low:.4g} to {high:.4g} GPa"
+
 
 @dataclass(frozen=True, kw_only=True)
 class ContactFit:
@@ -93,32 +98,25 @@ class ContactFit:
     def lines(self) -> str:
         """The lines of a study."""
         lines = ["[contact]", 'law = "plastic"']
-        for name, number in (
-            ("onset_pressure", self.onset_pressure),
-            ("hardness", self.hardness),
-        ):
-            value, low, high = (1e-9 * end for end in (number.value, number.low, number.high))
-            lines.append(f'{name} = "{value:.4g} GPa"    # {low:.4g} to {high:.4g} GPa')
+        for name in ("onset_pressure", "hardness"):
+            value, ends = getattr(self, name).in_gpa()
+            lines.append(f'{name} = "{value}"    # {ends}')
         ends = f"{self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
         lines.append(f"pile_up = {self.pile_up.value:.4g}    # {ends}")
         return "\n".join([*lines, ""])
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
-        rows = []
-        for name, number in (
-            ("onset pressure", self.onset_pressure),
-            ("hardness", self.hardness),
-            ("reduced modulus E*", self.modulus),
-            ("E of the sphere", self.sphere_modulus),
-        ):
-            if number is not None:
-                value, low, high = (1e-9 * end for end in (number.value, number.low, number.high))
-                rows.append((name, f"{value:.4g} GPa", f"{low:.4g} to {high:.4g} GPa"))
+        moduli = {
+            "onset pressure": self.onset_pressure,
+            "hardness": self.hardness,
+            "reduced modulus E*": self.modulus,
+            "E of the sphere": self.sphere_modulus,
+        }
         pile_up, misfit = self.pile_up, f"{self.misfit * 1e6:.2g} um"
         ends = f"{pile_up.low:.4g} to {pile_up.high:.4g}"
         return [
-            *rows,
+            *((name, *number.in_gpa()) for name, number in moduli.items() if number is not None),
             ("pile-up", f"{pile_up.value:.4g}", ends),
             ("misfit of the displacement", misfit, f"{self.samples} samples"),
         ]
@@ -161,14 +159,13 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
 
 def face_approach(force: Array, largest: Array, law: FaceLaw) -> Array:
     """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
-    numbers = {
-        "onset": law.onset,
-        "hardness": law.hardness,
-        "pile_up": law.pile_up,
-        "modulus": law.modulus,
-        "effective_radius": law.radius,
-    }
-    face = Face(**{name: np.full(1, value) for name, value in numbers.items()})
+    face = Face(
+        onset=np.full(1, law.onset),
+        hardness=np.full(1, law.hardness),
+        pile_up=np.full(1, law.pile_up),
+        modulus=np.full(1, law.modulus),
+        effective_radius=np.full(1, law.radius),
+    )
     depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
     deepest = face.depth_at(largest[below])
     share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
@@ -185,25 +182,28 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     loading = _usable(displacement, force, asked)
     radius, scale = 0.5 * asked.diameter, float(np.ptp(loading.displacement))
     best = _best_fit(loading, radius, asked.pile_up)
-    x, left = best.x, best.fun
-    law = _law_of(x, radius, asked.pile_up)
-    highest = loading.force.max()[None]
+    left, law = best.fun, _law_of(best.x, radius, asked.pile_up)
+    highest = loading.force.max()
     onset_approach = radius * (0.5 * math.pi * law.onset / law.modulus) ** 2
-    depth = float(face_approach(highest, highest, law)[0]) / onset_approach
+    depth = float(face_approach(highest[None], highest[None], law)[0]) / onset_approach
     # correlated residuals count for fewer
     correlation = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
     if correlation <= 2.0 / math.sqrt(len(left)):
         correlation = 0.0
-    free = len(left) - len(x)
-    jacobian = np.asarray(best.jac)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / free
+    free = len(left) - len(best.x)
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * float(left @ left) / free
     covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
-    reach = float(stdtrit(free, 0.975))
+
+    def reach(*weights: float) -> float:
+        """Half the 95 % interval of a sum of the first parameters."""
+        part = covariance[: len(weights), : len(weights)]
+        return float(stdtrit(free, 0.975)) * math.sqrt(
+            max(float(np.array(weights) @ part @ weights), 0.0)
+        )
 
     def interval(value: float, *weights: float) -> Fitted:
-        of = np.array([*weights, *[0.0] * (len(x) - len(weights))])
-        spread = reach * math.sqrt(max(float(of @ covariance @ of), 0.0))
-        return Fitted(value=value, low=value * math.exp(-spread), high=value * math.exp(spread))
+        factor = math.exp(reach(*weights))
+        return Fitted(value=value, low=value / factor, high=value * factor)
 
     modulus, onset = interval(law.modulus, 1.0), interval(law.onset, 0.0, 1.0)
     hardness = interval(law.hardness, 0.0, 1.0, 1.0)
@@ -214,7 +214,7 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
             "no contact law fits this record. Check the force for an offset, steps or clipping"
         )
     if undetermined or depth < 1.5:
-        reached = float(pressure_at_force(loading.force.max(), law.modulus, radius))
+        reached = float(pressure_at_force(highest, law.modulus, radius))
         raise UsageError(
             f"the record is hardly beyond Hertz, whose pressure reaches {reached / 1e9:.3g} GPa: "
             "press harder"
@@ -227,19 +227,16 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
             f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
             "the intervals are widened"
         )
-    half = 0.0
-    if asked.pile_up is None:
-        half = reach * math.sqrt(max(float(covariance[4, 4]), 0.0))
-    pile_up = Fitted(
-        value=law.pile_up,
-        low=max(law.pile_up - half, _PILE_UP[0]),
-        high=min(law.pile_up + half, _PILE_UP[1]),
-    )
+    half = reach(0.0, 0.0, 0.0, 0.0, 1.0) if asked.pile_up is None else 0.0
     return ContactFit(
         onset_pressure=onset,
         hardness=hardness,
         modulus=modulus,
-        pile_up=pile_up,
+        pile_up=Fitted(
+            value=law.pile_up,
+            low=max(law.pile_up - half, _PILE_UP[0]),
+            high=min(law.pile_up + half, _PILE_UP[1]),
+        ),
         sphere_modulus=_sphere_modulus(modulus, asked, notes, onset),
         depth=depth,
         misfit=scale * misfit,
@@ -297,8 +294,9 @@ def _law_of(x: Array, radius: float, pile_up: float | None) -> FaceLaw:
 def _best_fit(loading: Loading, radius: float, pile_up: float | None) -> OptimizeResult:
     """The least-squares fit of the displacement, the best of several beginnings."""
     force, displacement = loading.force, loading.displacement
-    scale = float(np.ptp(displacement))
-    count = 5 if pile_up is None else 4
+    scale, top = float(np.ptp(displacement)), float(force.max())
+    reach = np.array([3.0, 5.0])
+    log_ratio = np.log(_RATIO)
 
     def residual(x: Array) -> Array:
         approach = face_approach(force, loading.largest, _law_of(x, radius, pile_up))
@@ -306,20 +304,23 @@ def _best_fit(loading: Loading, radius: float, pile_up: float | None) -> Optimiz
 
     fits = []
     for share in _BEGINNINGS:
-        early = (force <= max(0.15, share) * force.max()) & (force >= loading.largest)
+        early = (force <= max(0.15, share) * top) & (force >= loading.largest)
         slope, touch = 0.0, 0.0
         if early.sum() > 3:
-            rows = np.stack([np.cbrt(np.square(force[early])), np.ones(int(early.sum()))], axis=1)
-            slope, touch = np.linalg.lstsq(rows, displacement[early], rcond=None)[0]
+            slope, touch = np.polyfit(np.cbrt(np.square(force[early])), displacement[early], 1)
         if not slope > 0.0:
-            slope, touch = scale / float(np.cbrt(force.max() ** 2)), float(displacement.min())
+            slope, touch = scale / float(np.cbrt(top**2)), float(displacement.min())
         modulus = (2.0 / slope) ** 1.5 / float(hertz_constant(1.0, radius))
-        onset = float(pressure_at_force(share * force.max(), modulus, radius))
-        start = [math.log(modulus), math.log(onset), math.log(2.0), touch / scale, 2.0][:count]
-        low = [start[0] - 3.0, start[1] - 5.0, math.log(_RATIO[0]), -3.0, _PILE_UP[0]][:count]
-        high = [start[0] + 3.0, start[1] + 5.0, math.log(_RATIO[1]), 3.0, _PILE_UP[1]][:count]
-        begin = np.clip(start, low, high)
-        fits.append(least_squares(residual, begin, bounds=(low, high), x_scale="jac", xtol=1e-10))
+        onset = float(pressure_at_force(share * top, modulus, radius))
+        start = np.log([modulus, onset])
+        low = [*(start - reach), log_ratio[0], -3.0, _PILE_UP[0]]
+        high = [*(start + reach), log_ratio[1], 3.0, _PILE_UP[1]]
+        begin = np.clip([*start, math.log(2.0), touch / scale, 2.0], low, high)
+        count = 5 if pile_up is None else 4
+        bounds = (low[:count], high[:count])
+        fits.append(
+            least_squares(residual, begin[:count], bounds=bounds, x_scale="jac", xtol=1e-10)
+        )
     return min(fits, key=lambda fitted: float(fitted.cost))
 
 
