@@ -70,11 +70,8 @@ class EnergyModel:
             d0 = p.get("d0", math.nan)
             return laws.median_energy(self.size, diameter, p[lead], p["phi"], d0)
         away = np.abs(np.log(np.asarray(diameter)[..., None] / np.array(self.classes)))
-        place = away.argmin(axis=-1)
-        each = np.stack([np.asarray(p[f"e50_{k + 1}"]) for k in range(len(self.classes))])
-        if each.ndim == 1:
-            return np.asarray(each[place])
-        return np.asarray(np.moveaxis(each[place.ravel(), ..., 0], 0, -1))
+        each = [np.atleast_1d(p[f"e50_{k + 1}"]) for k in range(len(self.classes))]
+        return np.asarray(np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,37 +104,32 @@ class Posterior:
 
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""
-        return self._each(np.atleast_1d(diameter), lambda model, p, d, _: model.median(p, d), 0.0)
+        return self._each(diameter, 0.0, lambda law, value, median, *_: median)
 
     def broken(self, energy: Values, diameter: Values) -> Array:
         """Share (D, m) that one blow of an energy, (m,) or (D, m), breaks at diameters (m,)."""
-        return self._each(
-            np.atleast_1d(diameter),
-            lambda model, p, d, e: laws.broken_share(
-                model.law, e, model.median(p, d), p[laws.LAWS[model.law]], model.ratio
-            ),
-            energy,
-        )
+        return self._each(diameter, energy, laws.broken_share)
 
     def energy_at(self, share: Values, diameter: Values) -> Array:
         """The energy (D, m) [J/kg] that breaks a share, (m,) or (D, m), at diameters (m,)."""
-        return self._each(
-            np.atleast_1d(diameter),
-            lambda model, p, d, q: laws.energy_at(
-                model.law, q, model.median(p, d), p[laws.LAWS[model.law]], model.ratio
-            ),
-            share,
-        )
+        return self._each(diameter, share, laws.energy_at)
 
-    def _each(self, diameter: Array, function: Callable[..., Array], values: Values) -> Array:
-        shape = (len(self), len(diameter))
-        values = np.broadcast_to(np.asarray(values, dtype=float), shape)
-        answers = np.empty(shape)
+    def _each(self, diameter: Values, values: Values, function: Callable[..., Array]) -> Array:
+        """A function of law, value, median, shape and ratio for every draw and diameter."""
+        diameter = np.atleast_1d(diameter)
+        answers = np.empty((len(self), len(diameter)))
+        values = np.broadcast_to(np.asarray(values, dtype=float), answers.shape)
         for k, model in enumerate(self.models):
             rows = np.flatnonzero(self.law == k)
             p = {name: self.parameters[name][rows, None] for name in model.names}
-            answers[rows] = function(model, p, diameter, values[rows])
+            median, shape = model.median(p, diameter), p[laws.LAWS[model.law]]
+            answers[rows] = function(model.law, values[rows], median, shape, model.ratio)
         return answers
+
+    def slope(self, diameter: float) -> Array:
+        """Local power (D,) of the size law."""
+        step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
+        return np.asarray(np.log(step)[:, 0] / math.log(1.01**2))
 
     def strength_csv(self, diameter: float) -> str:
         """Draws of the strength of particles of one size [m], as a study reads them.
@@ -146,11 +138,9 @@ class Posterior:
         power of the size law, and the tested sizes.
         """
         median = self.median(diameter)[:, 0]
-        step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
-        exponent = np.log(step)[:, 0] / math.log(1.01**2)
-        bounded = np.array([model.law == "lognormal" for model in self.models])[
-            self.law.astype(int)
-        ]
+        exponent = self.slope(diameter)
+        of_law = [model.law == "lognormal" for model in self.models]
+        bounded = np.array(of_law)[self.law.astype(int)]
         none = np.full(len(self), np.nan)
         modulus = self.parameters.get("modulus", none)
         shape = np.where(bounded, self.parameters.get("sigma", none), 0.6 * modulus)
@@ -542,7 +532,6 @@ def _about_laws(about: Mapping[str, Any], number: float) -> list[str]:
 def _about_size(posterior: Posterior, tests: Specimens, size: float) -> dict[str, Any]:
     """Energies of one tested size, and the local slope of the size law."""
     near = _at_size(tests, size)
-    step = posterior.median(size * 1.01) / posterior.median(size / 1.01)
     return {
         "diameter": size,
         "tests": int(tests.weight[near].sum()),
@@ -550,5 +539,5 @@ def _about_size(posterior: Posterior, tests: Specimens, size: float) -> dict[str
         "breaks_half": quantiles(posterior.energy_at(0.5, size)[:, 0]),
         "E50": quantiles(posterior.median(size)[:, 0]),
         "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)[:, 0]),
-        "slope": quantiles(-np.log(step)[:, 0] / math.log(1.01**2)),
+        "slope": quantiles(-posterior.slope(size)),
     }
