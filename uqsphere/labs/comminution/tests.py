@@ -62,7 +62,7 @@ class Specimens:
     def _is_last(self) -> Flags:
         """(s, K) whether a blow is the last one of its specimen."""
         number = (self.blows > 0).sum(axis=1, keepdims=True)
-        return np.arange(self.blows.shape[1]) == np.maximum(number - 1, 0)
+        return np.asarray(np.arange(self.blows.shape[1]) == np.maximum(number - 1, 0))
 
     @property
     def repeated(self) -> Flags:
@@ -199,13 +199,13 @@ def _specimens(rows: pd.DataFrame, names: list[str], file: str) -> Specimens:
                 f"{file}: line {group['line'].iloc[0]}: a specimen that is hit again must be one "
                 "particle"
             )
-        blows, last = np.repeat(group["energy"], group["blows"]), group.iloc[-1]
+        blows, last = np.repeat(group["energy"].to_numpy(), group["blows"]), group.iloc[-1]
         for number, broke in (
             (last["broken"], True),
             (last["particles"] - last["broken"], False),
         ):
             if number > 0:
-                series.append(blows.to_numpy())
+                series.append(blows)
                 exact = last["at_failure"] and len(blows) == 1
                 specimens.append(
                     {"diameter": last["diameter"], "broke": broke, "exact": exact, "weight": number}
@@ -213,7 +213,9 @@ def _specimens(rows: pd.DataFrame, names: list[str], file: str) -> Specimens:
     every = np.zeros((len(series), max(map(len, series))))
     for row, blows in zip(every, series, strict=True):
         row[: len(blows)] = blows
-    columns = {name: np.array([specimen[name] for specimen in specimens]) for name in specimens[0]}
+    columns: dict[str, Any] = {
+        name: np.array([specimen[name] for specimen in specimens]) for name in specimens[0]
+    }
     return Specimens(blows=every, **columns)
 
 
