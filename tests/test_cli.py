@@ -1,7 +1,10 @@
 """The command line: what commands say, write and return."""
 
 import io
+import os
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -98,3 +101,18 @@ def test_help_lists_every_command_and_exit_code(capsys: pytest.CaptureFixture[st
     text = capsys.readouterr().out
     assert all(f"  {name}" in text for name in (*COMMANDS, *LABS))
     assert all(f"  {code:<4}{meaning}" in text for code, meaning in EXIT_CODES.items())
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("uqsphere ru", ["run"]), ("uqsphere new ishi", ["ishigami"])],
+)
+def test_a_shell_completes_commands_and_templates(line: str, words: list[str]) -> None:
+    pytest.importorskip("argcomplete")
+    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": "words", "COMP_LINE": line}
+    subprocess.run(
+        [sys.executable, "-c", "from uqsphere.cli import program; program()"],
+        env={**os.environ, **asked, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": " "},
+        check=False,
+    )
+    assert Path("words").read_text().split() == words

@@ -21,8 +21,8 @@ LAYERS = (
     "cli",
     "__init__ __main__",
 )
-#: a run draws its own page, and an opened run its plots
-LATE = {("results", "report"), ("propagation", "report")}
+#: a run draws its own page, and studies and opened runs show themselves in a notebook
+LATE = {("results", "report"), ("propagation", "report"), ("study", "report")}
 
 
 def test_rooms_import_only_what_stands_before_them() -> None:

@@ -12,6 +12,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import chain
@@ -71,6 +72,11 @@ def main(argv: Sequence[str]) -> int:
         command = import_module(f"uqsphere.labs.{argv[0]}.cli").main
         return _guarded(lambda: int(command(list(argv[1:]))))
     parser = _parser()
+    if "_ARGCOMPLETE" in os.environ:  # set by the shell that asks for completions
+        with contextlib.suppress(ImportError):
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
     options, unknown = parser.parse_known_args(argv)
     if not getattr(options, "command", None):
         parser.print_help()
@@ -165,9 +171,10 @@ def _parser() -> argparse.ArgumentParser:
     new = add(
         "new", _new, "write a commented study to start from", "", "granite", "ishigami -o mine.toml"
     )
-    new.add_argument(
+    template = new.add_argument(
         "template", nargs="?", metavar="TEMPLATE", help="a shipped study (default: list them)"
     )
+    template.completer = lambda **_: _templates()  # type: ignore[attr-defined]
     new.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write")
     check = add(
         "check",
@@ -185,6 +192,7 @@ def _parser() -> argparse.ArgumentParser:
         "rock.toml",
         "rock.toml --out slower --set striker.speed.mean='0.4 m/s'",
         "ishigami.toml --model ishigami.py:ishigami -j 4",
+        "ishigami.toml --model ishigami.py:ishigami --dask tcp://head:8786",
     )
     _with_study(run)
     _with_model(run)
@@ -315,6 +323,12 @@ def _with_model(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.py:FUNCTION",
         help="user model of a black-box study; its code is executed",
     )
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="make the model runs of a black box, or the points of a sweep, on a Dask cluster: "
+        "the address of its scheduler, or a scheduler file",
+    )
 
 
 def _count(text: str) -> int:
@@ -409,16 +423,41 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextlib.contextmanager
+def _cluster(options: argparse.Namespace) -> Iterator[Any]:
+    """A client of the Dask cluster of a command; None without one."""
+    if options.dask is None:
+        yield None
+        return
+    try:
+        client_of = import_module("distributed").Client
+    except ImportError:
+        raise UsageError('--dask needs Dask: pip install "uqsphere[dask]"') from None
+    key = "scheduler_file" if Path(options.dask).is_file() else "address"
+    try:
+        client = client_of(**{key: options.dask}, timeout="20s")
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--dask: no scheduler at {options.dask} ({error})") from None
+    with client:
+        yield client
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
-def _new(options: argparse.Namespace) -> None:
-    from uqsphere.documents import suggestion
+def _templates() -> dict[str, Path]:
+    """Shipped studies, and input files of labs, by name."""
     from uqsphere.study import shipped_studies
 
     shipped = shipped_studies()
     folder = next(iter(shipped.values())).parent
-    shipped |= {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
+    return {**shipped, **{path.stem: path for path in sorted(folder.glob("lab_*.toml"))}}
+
+
+def _new(options: argparse.Namespace) -> None:
+    from uqsphere.documents import suggestion
+
+    shipped = _templates()
     if options.template is None:
         print("\n".join(shipped))
         return
@@ -474,11 +513,17 @@ def _run(options: argparse.Namespace) -> int:
     from uqsphere.propagation.progress import watched
 
     study, seconds, folder = _loaded(options), _budget(options), _folder(options, "results")
-    with _interruptible() as stop, watched(lines=True) as progress:
+    if options.dask is not None and not study.black_box:
+        raise UsageError(
+            "run --dask distributes the model runs of a black box; the impact model runs in this "
+            "process, on the threads of -j. A sweep distributes its points"
+        )
+    with _cluster(options) as client, _interruptible() as stop, watched(lines=True) as progress:
         finished = run(
             study,
             options.model,
             out=folder,
+            executor=client,
             threads=options.processes,
             seconds=seconds,
             progress=progress,
@@ -501,42 +546,67 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _sweep(options: argparse.Namespace) -> int:
-    from uqsphere.propagation import run
-    from uqsphere.propagation.progress import watched
-    from uqsphere.report.sweep import finished_run, plan_sweep, sweep_text, write_sweep
+    from uqsphere.models.black_box import read_model
+    from uqsphere.report.sweep import (
+        finished_run,
+        plan_sweep,
+        point_files,
+        run_on_cluster,
+        sweep_text,
+        write_sweep,
+    )
 
-    text = _standard_input(options)
-    seconds, folder = _budget(options), _folder(options, "sweep")
+    text, folder = _standard_input(options), _folder(options, "sweep")
     sweep = plan_sweep(options.over, folder, lambda values: _study(options, text, values))
     _warn(list(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points))))
-    runs: dict[str, Any] = {}
-    with _interruptible() as stop:
-        for number, point in enumerate(sweep.points, 1):
-            values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
-            print(f"point {number} of {len(sweep.points)}: {values}", file=sys.stderr)
-            ready = finished_run(sweep, point)
-            if ready is None:
-                with watched(lines=True) as progress:
-                    ready = run(
-                        point.study,
-                        options.model,
-                        out=sweep.folder / point.name,
-                        threads=options.processes,
-                        seconds=seconds,
-                        progress=progress,
-                        stop=stop,
-                    )
-            if ready.results.accuracy.stopped != "interrupted":
-                runs[point.name] = ready
+    finished = {point.name: finished_run(sweep, point) for point in sweep.points}
+    runs = {name: run for name, run in finished.items() if run is not None}
+    waiting = [point for point in sweep.points if point.name not in runs]
+    page = write_sweep(sweep, runs) if runs else folder
+    with _cluster(options) as client, _interruptible() as stop:
+        made = _points_here(options, sweep, waiting, stop)
+        if client is not None:
+            model = None if options.model is None else read_model(options.model)
+            task = (model, options.processes or 1, _budget(options))
+            start = partial(client.submit, point_files, *task, pure=False)
+            made = run_on_cluster(sweep, waiting, start, stop)
+        for point in made:
+            run = finished_run(sweep, point)
+            if run is not None:
+                runs[point.name] = run
                 page = write_sweep(sweep, runs)
-            if stop():
-                break
     if runs:
         print(sweep_text(sweep, runs, _width()))
         print(f"report: {page}")
     if len(runs) < len(sweep.points):
         return INTERRUPTED
     return 0
+
+
+def _points_here(
+    options: argparse.Namespace, sweep: Any, waiting: Sequence[Any], stop: Callable[[], bool]
+) -> Iterator[Any]:
+    """Points of a sweep as they are run, one after the other, in this process."""
+    from uqsphere.propagation import run
+    from uqsphere.propagation.progress import watched
+
+    for point in waiting:
+        if stop():
+            return
+        values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
+        number = sweep.points.index(point) + 1
+        print(f"point {number} of {len(sweep.points)}: {values}", file=sys.stderr)
+        with watched(lines=True) as progress:
+            run(
+                point.study,
+                options.model,
+                out=sweep.folder / point.name,
+                threads=options.processes,
+                seconds=_budget(options),
+                progress=progress,
+                stop=stop,
+            )
+        yield point
 
 
 def _report(options: argparse.Namespace) -> None:

@@ -111,7 +111,7 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
 def format_together(values: Sequence[float], name: str, digits: int = 3) -> list[str]:
     """Texts of several values [SI] of the named quantity, in one unit and with as many decimals.
 
-    The largest has `digits` significant digits, the smallest at least two.
+    The largest has `digits` significant digits, the smallest and the range at least two.
 
     >>> format_together([2.6e9, 2.689e9, 2.78e9], "p_max"), format_together([0.081, 2.5], "fall")
     (['2.60 GPa', '2.69 GPa', '2.78 GPa'], ['0.081', '2.500'])
@@ -119,8 +119,14 @@ def format_together(values: Sequence[float], name: str, digits: int = 3) -> list
     sizes = [abs(value) for value in values if value]
     unit, factor = display_unit(name, max(sizes, default=0.0))
     decimals = 0
-    for size, wanted in ((max(sizes, default=1.0), digits), (min(sizes, default=1.0), 2)):
-        decimals = max(decimals, wanted - 1 - math.floor(math.log10(size * factor)))
+    span = max(values, default=0.0) - min(values, default=0.0)
+    for size, wanted in (
+        (max(sizes, default=1.0), digits),
+        (min(sizes, default=1.0), 2),
+        (span, 2),
+    ):
+        if size > 0.0:
+            decimals = max(decimals, wanted - 1 - math.floor(math.log10(size * factor)))
     if decimals > 6:
         return [format_value(value, name, digits) for value in values]
     return [f"{value * factor:.{decimals}f} {unit}".rstrip() for value in values]

@@ -98,15 +98,21 @@ def test_page_says_what_happens(
     "notebook", sorted((ROOT / "docs").glob("*.ipynb")), ids=lambda path: path.stem
 )
 def test_a_notebook_prints_what_it_shows(notebook: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import matplotlib.pyplot as plt
+
     monkeypatch.chdir(ROOT)
     names: dict[str, object] = {}
     for cell in json.loads(notebook.read_text("utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             with contextlib.redirect_stdout(io.StringIO()) as printed:
                 exec("".join(cell["source"]), names)
-            assert printed.getvalue() == "".join(
-                "".join(output["text"]) for output in cell["outputs"]
-            )
+            texts = [output["text"] for output in cell["outputs"] if "text" in output]
+            assert printed.getvalue() == "".join(map("".join, texts))
+            figures = [
+                output for output in cell["outputs"] if "image/png" in output.get("data", {})
+            ]
+            assert len(figures) == len(plt.get_fignums()), "python docs/notebooks.py"
+            plt.close("all")
 
 
 def test_links_and_pictures_are_there() -> None:

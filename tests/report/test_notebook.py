@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from uqsphere import history, load_study
 from uqsphere.report.page import page
 from uqsphere.report.sentences import decision_texts
 from uqsphere.results import Run
 from uqsphere.results.types import Results
 
+STUDIES = Path(__file__).parents[2] / "studies"
 REPORTS = sorted((Path(__file__).parents[2] / "reports").glob("*/results.json"))
 
 
@@ -24,3 +26,17 @@ def test_a_run_shows_itself_as_its_page_does(path: Path) -> None:
     assert pictures <= set(re.findall(r'aria-label="([^"]+)"', page(results)))
     for text in decision_texts(results):
         assert text.verdict in html
+
+
+def test_a_study_shows_inputs_and_strengths() -> None:
+    html = load_study(STUDIES / "limestone_margin.toml")._repr_html_()
+    assert "<html" not in html
+    for text in ("sphere.E", "60\N{NO-BREAK SPACE}GPa", "whole", "6.3 to 12.0"):
+        assert text in html
+
+
+def test_a_scene_shows_its_events_and_figures() -> None:
+    html = history(load_study(STUDIES / "granite.toml"))._repr_html_()
+    for title in ("Contact force [kN]", "Contact pressure [GPa]", "Stress in the bars"):
+        assert title in html
+    assert "time to force equilibrium" in html

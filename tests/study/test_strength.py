@@ -678,13 +678,13 @@ def test_check_shows_the_tests_and_their_law(load: Load, tmp_path: Path) -> None
             FORCES,
             [
                 "25  ",
-                "1.36 kN to 3.82 kN on 11.1 to 12.5 mm",
+                "1.36 to 3.82 kN on 11.1 to 12.5 mm",
                 "weibull, modulus 7.0",
                 " to 9.0",
                 "MPa",
             ],
         ),
-        ('strength = { draws = "draws.csv" }', ["36  ", "draws", "33.93 MPa to 47.15 MPa"]),
+        ('strength = { draws = "draws.csv" }', ["36  ", "draws", "33.9 to 47.2 MPa"]),
     ):
         study = load(
             strength, "\n".join(["D,F", *ALL_PELLETS.split()]), 'criterion = "core_tension"', PELLET

@@ -114,7 +114,7 @@ def run(
             progress = stack.enter_context(watched())
         if task.folder is not None:
             stack.enter_context(locked(task.folder))
-            _check_owner(task.folder, study, fresh=fresh)
+            check_owner(task.folder, study, fresh=fresh)
         return _run(task, progress)
 
 
@@ -240,7 +240,7 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
     return {"fit": fit, "pairs": pairs}
 
 
-def _check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
+def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
     """Refuse a folder of another study, and remove what an earlier run of this one left where it is
     asked.
     """

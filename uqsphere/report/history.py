@@ -5,20 +5,37 @@ figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
+from uqsphere.mechanics.field import BARS, default_positions, first_tension, gauge_record
+from uqsphere.mechanics.history import (
+    History,
+    equilibrium,
+    rod_length,
+    rod_record,
+    trace,
+    view_field,
+)
+from uqsphere.mechanics.outputs import OUTPUTS, absent_in
 from uqsphere.mechanics.rigs import RIGS
+from uqsphere.mechanics.scene import STATUS
 from uqsphere.models.model import announce_compilation
 from uqsphere.models.scene import evaluate_scene, paper_lines, scene_of
 from uqsphere.quantities import format_value, lookup
-from uqsphere.report.figures import COLOURS, svg
+from uqsphere.report.figures import COLOURS, Picture, svg
+from uqsphere.report.format import capital
+from uqsphere.report.page import notebook_html
+from uqsphere.report.pictures import GREY
+from uqsphere.report.tables import PageTable
 from uqsphere.results.folder import write_files
 from uqsphere.study import Study
 
@@ -26,7 +43,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from uqsphere.mechanics.as_printed import PaperLine
-    from uqsphere.mechanics.history import History
+    from uqsphere.mechanics.history import FieldView
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Course(History):
+    """The course of one scene, which shows itself in a notebook."""
+
+    study: Study
+
+    def _repr_html_(self) -> str:
+        """What a person asks of the scene, and its figures."""
+        rows = history_rows(self.study, self)
+        table = PageTable(
+            caption="One impact, every number at its mean", head=("", "value"), rows=rows
+        )
+        return notebook_html(self.study.title, [table], _pictures(self.study, self))
 
 
 def history(
@@ -41,54 +73,40 @@ def history(
     Raises UsageError for a scene outside the model's domain, or a number that a scene does not
         have.
     """
-    from uqsphere.mechanics.field import default_positions, gauge_record
-    from uqsphere.mechanics.history import rod_length, rod_record, trace
-    from uqsphere.mechanics.scene import STATUS
-
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
-    scene = scene_of(
-        study, {name: np.array([float(value)]) for name, value in (values or {}).items()}, 1
-    )
+    means = {name: np.array([float(value)]) for name, value in (values or {}).items()}
+    scene = scene_of(study, means, 1)
     status = int(scene.status[0])
     if status:
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
     fidelity = study.model.fidelity
     if fidelity not in ("massless", "linear"):
         fidelity = "full"
+    tolerance = min(study.model.tolerance, 1e-8)
     announce_compilation()
     try:
-        course = trace(
-            scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points
-        )
+        course = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points)
+        motion = course.motion
         if RIGS[study.rig].by_wave:
-            places = tuple(
-                (gauge.bar, gauge.position) for gauge in study.gauges
-            ) or default_positions(course.motion)
+            places = [(gauge.bar, gauge.position) for gauge in study.gauges]
             signals = [
-                gauge_record(course.motion, bar, place, points=len(course.time))
-                for bar, place in places
+                gauge_record(motion, bar, place, points=len(course.time))
+                for bar, place in places or default_positions(motion)
             ]
         else:
-            ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(course.motion)]
-            signals = [
-                rod_record(course.motion, place, course.time)
-                for place in ahead
-                if 0.0 < place < math.inf
-            ]
-        return replace(course, gauges=tuple(signals))
+            ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(motion)]
+            ahead = [place for place in ahead if 0.0 < place < math.inf]
+            signals = [rod_record(motion, place, course.time) for place in ahead]
     except ValueError as error:
         raise UsageError(str(error)) from None
+    return Course(study=study, **{**vars(course), "gauges": tuple(signals)})
 
 
 def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
     """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
     bars.
     """
-    from uqsphere.mechanics.field import BARS, first_tension
-    from uqsphere.mechanics.history import equilibrium
-    from uqsphere.mechanics.outputs import OUTPUTS, absent_in
-
     rows = [("mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}")]
     if RIGS[study.rig].by_wave and math.isfinite(course.pulse_number):
         rows.append(("theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"))
@@ -159,78 +177,75 @@ def write_history(study: Study, course: History, folder: Path) -> list[str]:
     import pandas as pd
 
     files: dict[str, str | bytes] = {"history.csv": course.to_frame().to_csv(index=False)}
-    draw: dict[str, Callable[..., None]] = {
-        "forces": partial(_draw_faces, what="force", unit="kN", factor=1e-3),
-        "pressures": partial(_draw_faces, what="pressure", unit="GPa", factor=1e-9),
-    }
     if course.gauges:
-        draw["gauges"] = _draw_gauges
         parts = [
             pd.DataFrame({"gauge": record.name, "time [s]": record.time, "strain": record.strain})
             for record in course.gauges
         ]
         files["gauges.csv"] = pd.concat(parts).to_csv(index=False)
-    if RIGS[study.rig].by_wave:
-        draw["xt"] = _draw_xt
-    for name, figure in draw.items():
-        files[f"figures/{name}.svg"] = svg(partial(figure, course=course))
+    for name, picture in _pictures(study, course).items():
+        files[f"figures/{name}.svg"] = picture.svg
     write_files(folder, files)
     return list(files)
 
 
-def _draw_faces(axes: Axes, course: History, what: str, unit: str, factor: float) -> None:
-    """Force or pressure of both contacts over time."""
-    for k, face in enumerate("ab"):
-        axes.plot(
-            1e6 * course.time,
-            factor * getattr(course, f"{what}_{face}"),
-            color=COLOURS[k],
-            lw=1.2,
-            label=f"face {face.upper()}",
+def _pictures(study: Study, course: History) -> dict[str, Picture]:
+    """The figures of a scene by name."""
+    time, curves = 1e6 * course.time, dict[str, list[tuple[str, Array, Array]]]()
+    for what, factor in (("force [kN]", 1e-3), ("pressure [GPa]", 1e-9)):
+        columns = (getattr(course, f"{what.partition(' ')[0]}_{face}") for face in "ab")
+        curves[f"contact {what}"] = [
+            (f"face {face}", time, factor * column)
+            for face, column in zip("AB", columns, strict=True)
+        ]
+    if course.gauges:
+        curves["strain [um/m], tension positive"] = [
+            (record.name, 1e6 * record.time, 1e6 * record.strain) for record in course.gauges
+        ]
+    pictures = {}
+    for name, (label, lines) in zip(
+        ("forces", "pressures", "gauges"), curves.items(), strict=False
+    ):
+        draw = partial(_draw_lines, lines=lines, label=label, end=1e6 * course.record_end)
+        largest = max(float(abs(y).max()) for _, _, y in lines)
+        text = f"{label} over time: {largest:.4g} at most"
+        pictures[name] = Picture(title=capital(label), text=text, svg=svg(draw))
+    if RIGS[study.rig].by_wave:
+        view = view_field(course, places=150, times=150)
+        largest = 1e-6 * float(np.abs(view.stress).max())
+        pictures["xt"] = Picture(
+            title="Stress in the bars",
+            text=f"Stress over place and time: {largest:.4g} MPa at most",
+            svg=svg(partial(_draw_xt, view=view, largest=largest or 1.0)),
         )
-    axes.axvline(
-        1e6 * course.record_end,
-        color="#555555",
-        lw=0.8,
-        ls=":",
-        label="end of the evaluation window",
-    )
+    return pictures
+
+
+def _draw_lines(
+    axes: Axes, lines: Sequence[tuple[str, Array, Array]], label: str, end: float
+) -> None:
+    """Lines over time [us], with the end of the evaluation window."""
+    for colour, (name, time, values) in zip(cycle(COLOURS), lines, strict=False):
+        axes.plot(time, values, color=colour, lw=1.2, label=name)
+    axes.axvline(end, color=GREY, lw=0.8, ls=":", label="end of the evaluation window")
     axes.legend(fontsize=8)
-    axes.set(xlabel="time [us]", ylabel=f"contact {what} [{unit}]")
+    axes.set(xlabel="time [us]", ylabel=label)
 
 
-def _draw_gauges(axes: Axes, course: History) -> None:
-    for k, record in enumerate(course.gauges):
-        axes.plot(
-            1e6 * record.time,
-            1e6 * record.strain,
-            color=COLOURS[k % len(COLOURS)],
-            lw=1.2,
-            label=record.name,
-        )
-    axes.set(xlabel="time [us]", ylabel="strain [um/m], tension positive")
-    axes.legend(fontsize=8)
-
-
-def _draw_xt(axes: Axes, course: History) -> None:
-    from uqsphere.mechanics.history import view_field
-
-    view = view_field(course, places=150, times=150)
-    largest = float(np.abs(view.stress).max()) or 1.0
+def _draw_xt(axes: Axes, view: FieldView, largest: float) -> None:
+    """Stress in the bars over place and time, and where tension is first."""
     picture = axes.imshow(
         1e-6 * view.stress,
         origin="lower",
         aspect="auto",
         cmap="RdBu_r",
-        vmin=-1e-6 * largest,
-        vmax=1e-6 * largest,
+        vmin=-largest,
+        vmax=largest,
         extent=(-view.reach[0], view.reach[1], 1e6 * view.begin, 1e6 * view.last),
     )
     axes.figure.colorbar(picture, ax=axes, label="stress [MPa], tension positive")
     for tension in view.tensions:
-        place = tension.position
-        if tension.bar == "incident":
-            place = -place
-        axes.plot(place, 1e6 * tension.time, "k^", ms=5)
+        sign = -1.0 if tension.bar == "incident" else 1.0
+        axes.plot(sign * tension.position, 1e6 * tension.time, "k^", ms=5)
     axes.grid(visible=False)
     axes.set(xlabel="place [m], the sphere at 0", ylabel="time [us]")

@@ -6,7 +6,7 @@ The page computes nothing: every number is in the results.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,16 +49,26 @@ def page_files(results: Results, names: Sequence[str]) -> dict[str, str]:
     return {"report.html": _render(results, pictures, linked), **figures}
 
 
-def notebook_html(results: Results) -> str:
+def run_html(results: Results) -> str:
     """Decisions, figures and tables of a run, for a notebook's cell."""
+    shown = (tables.limits(results), tables.quantities(results), tables.indices(results))
     pictures = pictures_of(results)
+    names = [name for name in ("fragility", *_first(pictures)) if name in pictures]
+    decisions = sentences.decision_texts(results)
+    return notebook_html(
+        results.study.title, shown, {name: pictures[name] for name in names}, decisions
+    )
+
+
+def notebook_html(
+    title: str,
+    shown: Sequence[tables.PageTable | None],
+    pictures: Mapping[str, Picture],
+    decisions: Sequence[sentences.DecisionText] = (),
+) -> str:
+    """Decisions, figures and tables under a title, for a notebook's cell."""
     return render(
-        "notebook.html",
-        results=results,
-        sentences=sentences,
-        tables=tables,
-        pictures=pictures,
-        first=_first(pictures),
+        "notebook.html", title=title, tables=shown, pictures=pictures, decisions=decisions
     )
 
 

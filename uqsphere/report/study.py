@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.quantities import display_unit, format_value, lookup
-from uqsphere.report.format import short
-from uqsphere.report.tables import columns
+from uqsphere.report.format import DASH, short, value, value_range
+from uqsphere.report.page import notebook_html
+from uqsphere.report.tables import PageTable, columns
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
@@ -21,31 +22,49 @@ TRIAL_RUNS, REPORT_SECONDS = 1400, 2.0
 
 def described(study: Study) -> str:
     """Inputs with their distribution and source, strengths with their tests, and dependences."""
-    parts = [f"{study.title}: the study is valid", "", _inputs(study)]
-    if study.limits:
-        parts += ["", _strengths(study)]
+    lines = [f"{study.title}: the study is valid"]
+    for table in _tables(study):
+        lines += ["", *columns([table.head, *table.rows])]
     if study.dependence:
-        parts.append("")
+        lines += ["", *_ties(study)]
+    return "\n".join(lines)
+
+
+def study_html(study: Study) -> str:
+    """Inputs and strengths, for a notebook's cell."""
+    return notebook_html("; ".join([study.title, *_ties(study)]), _tables(study), {})
+
+
+def _ties(study: Study) -> list[str]:
+    texts = []
     for tie in study.dependence:
-        kind, value = "Spearman", tie.spearman
+        kind, correlation = "Spearman", tie.spearman
         if tie.kendall is not None:
-            kind, value = "Kendall", tie.kendall
-        parts.append(f"dependence: {', '.join(tie.of)}: {kind}'s rank correlation {value:g}")
-    return "\n".join(parts)
+            kind, correlation = "Kendall", tie.kendall
+        text = f"{kind}'s rank correlation {correlation:g}"
+        texts.append(f"dependence: {', '.join(tie.of)}: {text}")
+    return texts
 
 
-def _inputs(study: Study) -> str:
-    rows = [("input", "mean", "sd", "5-95 % range", "distribution", "source")]
+def _tables(study: Study) -> list[PageTable]:
+    """Inputs, and strengths where there are limits."""
+    rows: list[tuple[str, ...]] = []
     numbers: dict[str, float | Law] = {**study.fixed, **study.random}
-    for name, value in numbers.items():
-        source = _source(study, name)
-        if isinstance(value, Law):
-            family = value.family.name.replace("_", " ")
-            mean, sd = _or_dash(value.mean(), name), _or_dash(value.sd(), name, 3)
-            rows.append((name, mean, sd, _range(value, name), family, source))
+    for name, number in numbers.items():
+        if isinstance(number, Law):
+            family = number.family.name.replace("_", " ")
+            mean, sd = value(number.mean(), name, 4), value(number.sd(), name)
+            row = (name, mean, sd, _range(number, name), family)
         else:
-            rows.append((name, format_value(value, name), "-", "-", "fixed", source))
-    return "\n".join(columns(rows))
+            row = (name, format_value(number, name), DASH, DASH, "fixed")
+        rows.append((*row, _source(study, name)))
+    head = ("input", "mean", "sd", "5-95 % range", "distribution", "source")
+    tables = [PageTable(caption="Inputs", head=head, rows=rows)]
+    if study.limits:
+        head = ("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range")
+        rows = [_strength(limit) for limit in study.limits]
+        tables.append(PageTable(caption="Strengths", head=(*head, "demand"), rows=rows))
+    return tables
 
 
 def _source(study: Study, name: str) -> str:
@@ -57,47 +76,31 @@ def _source(study: Study, name: str) -> str:
     return f"{source.source} (source not checked)"
 
 
-def _or_dash(value: float | None, name: str, digits: int = 4) -> str:
-    if value is None:
-        return "-"
-    return format_value(value, name, digits)
-
-
 def _range(law: Law, name: str) -> str:
-    low, high = (format_value(float(end), name) for end in law.ppf(ENDS))
-    return f"{low} to {high}"
+    low, high = law.ppf(ENDS).tolist()
+    return value_range(low, high, name)
 
 
-def _strengths(study: Study) -> str:
-    head = ("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range")
-    rows = [(*head, "demand")]
-    for limit in study.limits:
-        law, name, demand = limit.strength, limit.quantity, short(lookup(limit.quantity).meaning)
-        if isinstance(law, Law):
-            tests = "-"
-            if is_fitted(law):
-                tests = str(count_tests(law))
-            middle, shape = _or_dash(law.mean(), name), _shape(law)
-            rows.append(
-                (limit.name, tests, _tested(limit, law), shape, middle, _range(law, name), demand)
-            )
-        else:
-            strength = format_value(float(law), name)
-            rows.append((limit.name, "-", "-", "fixed", strength, "-", demand))
-    return "\n".join(columns(rows))
+def _strength(limit: Limit) -> tuple[str, ...]:
+    """A strength as read: its tests, distribution, mean and range, and what it is held against."""
+    law, name = limit.strength, limit.quantity
+    demand = short(lookup(name).meaning)
+    if not isinstance(law, Law):
+        return limit.name, DASH, DASH, "fixed", format_value(float(law), name), DASH, demand
+    tests = str(count_tests(law)) if is_fitted(law) else DASH
+    cells = (_shape(law), value(law.mean(), name, 4), _range(law, name))
+    return limit.name, tests, _tested(limit, law), *cells, demand
 
 
 def _tested(limit: Limit, law: Law) -> str:
     """The range of the tests behind a strength: forces on sizes, or values."""
     if limit.tested is not None and limit.tested.forces:
         forces, sizes = limit.tested.forces, limit.tested.diameters
-        ends = " to ".join(format_value(end, "P_max") for end in (min(forces), max(forces)))
+        ends = value_range(min(forces), max(forces), "P_max")
         return f"{ends} on {1e3 * min(sizes):.3g} to {1e3 * max(sizes):.3g} mm"
     if law.data:
-        return " to ".join(
-            format_value(end, limit.quantity) for end in (min(law.data), max(law.data))
-        )
-    return "-"
+        return value_range(min(law.data), max(law.data), limit.quantity)
+    return DASH
 
 
 def _shape(law: Law) -> str:
@@ -131,12 +134,15 @@ def cost(study: Study) -> str:
     )
     each = _seconds_per_run(study)  # compiles the integrator, once
     accuracy = run(replace(study, analysis=few)).results.accuracy
-    runs, error = accuracy.reached[-1].runs, accuracy.reached[-1].error or 0.0
-    # the error falls with the runs n about as n^(-3/4)
-    needed = min(max(first, runs * error ** (4.0 / 3.0)), budget.evaluations)
-    seconds = accuracy.seconds + needed * each + REPORT_SECONDS
-    total, took = (float(f"{number:.2g}") for number in (needed, seconds))
-    return f"{start}: about {total:,.0f} in total, {took:,g} s with analysis and report."
+    runs, error = accuracy.reached[-1].runs, max(accuracy.reached[-1].error or 0.0, 1.0)
+    # the error falls with the runs n as n^(-1) to n^(-3/4)
+    ends = []
+    for power in (1.0, 4.0 / 3.0):
+        needed = min(max(first, runs * error**power), budget.evaluations)
+        seconds = accuracy.seconds + needed * each + REPORT_SECONDS
+        ends.append((f"{float(f'{needed:.2g}'):,.0f}", f"{float(f'{seconds:.2g}'):,g}"))
+    total, took = (" to ".join(dict.fromkeys(texts)) for texts in zip(*ends, strict=True))
+    return f"{start}: about {total} in total, {took} s with analysis and report."
 
 
 def _seconds_per_run(study: Study) -> float:

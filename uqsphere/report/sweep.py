@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from uqsphere.errors import FolderError, UsageError
+from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
+from uqsphere.models.black_box import ModelFile
 from uqsphere.quantities import display_unit, lookup
-from uqsphere.report.figures import COLOURS, Picture, svg
+from uqsphere.report.figures import COLOURS, Picture, picture_svg
 from uqsphere.report.format import capital, plain_probability, short, with_unit
 from uqsphere.report.page import render
 from uqsphere.report.sentences import (
@@ -29,13 +31,13 @@ from uqsphere.report.sentences import (
 )
 from uqsphere.report.tables import PageTable, columns
 from uqsphere.results import Run, open_run
-from uqsphere.results.folder import write_files
+from uqsphere.results.folder import SUMS, locked, write_files
 from uqsphere.results.types import Decision, Range, Results
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: keys of a sweep, and points of one
 MOST_KEYS, MOST_POINTS = 2, 256
@@ -146,12 +148,79 @@ def finished_run(sweep: Sweep, point: Point) -> Run | None:
     return run
 
 
+#: one run at a time in a process of a cluster, whose threads share the compiled integrator
+_ONE: Final = threading.Lock()
+
+
+def point_files(
+    model: ModelFile | None, threads: int, seconds: float | None, study: Study
+) -> dict[str, bytes]:
+    """Run one point, on a worker of a cluster; the files of its folder."""
+    from uqsphere.propagation import run
+
+    with _ONE, tempfile.TemporaryDirectory() as place:
+        reference, folder = None, Path(place) / "run"
+        if model is not None:
+            copy = Path(place) / model.path.name
+            copy.write_bytes(model.source)
+            reference = f"{copy}:{model.name}"
+        run(
+            study,
+            reference,
+            out=folder,
+            threads=threads,
+            seconds=seconds,
+            progress=lambda *_: None,
+        )
+        sums = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+        names = [line.partition("  ")[2] for line in sums]
+        return {name: (folder / name).read_bytes() for name in names}
+
+
+def run_on_cluster(
+    sweep: Sweep,
+    points: Sequence[Point],
+    start: Callable[[Study], Any],
+    stop: Callable[[], bool],
+) -> Iterator[Point]:
+    """Points whose folders have been written, in the order in which a cluster ends them.
+
+    start : submits `point_files` for a study, and returns its future; stop : asked meanwhile
+
+    Raises FolderError for a folder that is in use or of another study, ExecutorLost where the
+    cluster goes away, and what a run raises.
+    """
+    from uqsphere.propagation import check_owner
+
+    for point in points:
+        with locked(sweep.folder / point.name):
+            check_owner(sweep.folder / point.name, point.study, fresh=False)
+    waiting = {point.name: start(point.study) for point in points}
+    while waiting and not stop():
+        for point in [point for point in points if point.name in waiting]:
+            if waiting[point.name].done():
+                try:
+                    files = waiting.pop(point.name).result()
+                except UqsphereError:
+                    raise
+                except BaseException as error:  # a cancelled future of Dask is no Exception
+                    raise ExecutorLost(
+                        f"the cluster was lost ({type(error).__name__}). Points that have run are "
+                        "kept; the same command continues"
+                    ) from error
+                write_files(sweep.folder / point.name, files)
+                yield point
+        time.sleep(0.05)
+    for future in waiting.values():
+        future.cancel()
+
+
 def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     """Write table and page of the points that have run; returns the page's place."""
-    frame = sweep_table(sweep, runs)
-    figure = svg(partial(_draw, sweep=sweep, frame=frame), 900.0, 380.0)
-    first = next(iter(runs.values())).results
-    chart = f"{capital(_free_name(first))} to use, and {chart_title(first).lower()} at the plan"
+    frame, first = sweep_table(sweep, runs), next(iter(runs.values())).results
+    figure = picture_svg(partial(_draw, sweep=sweep, frame=frame), 900.0, 380.0)
+    free = "number" if first.study.free is None else first.study.free.meaning
+    chart = f"{capital(free)} to use, and {chart_title(first).lower()} at the plan"
     html = render(
         "sweep.html",
         title=f"{sweep.title}: sweep",
@@ -159,7 +228,7 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
         done=len(runs),
         planned=len(sweep.points),
         picture=Picture(title=chart, text=f"{chart}: the numbers are in the table", svg=figure),
-        decisions=_page_table(sweep, runs),
+        decisions=_decisions(sweep, runs),
         points=[point.name for point in sweep.points if point.name in runs],
     )
     write_files(
@@ -169,10 +238,18 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     return sweep.folder / "report.html"
 
 
-def _free_name(results: Results) -> str:
-    if results.study.free is None:
-        return "number"
-    return results.study.free.meaning
+def _each(
+    sweep: Sweep, runs: Mapping[str, Run]
+) -> Iterator[tuple[Point, Results, Decision, Range]]:
+    """Every decision of a point that has run, with the probability at the plan of fracture, or of
+    exceedance, by all failure modes.
+    """
+    for point in sweep.points:
+        if point.name in runs:
+            results = runs[point.name].results
+            for decision in results.decisions:
+                p = as_event(decision, decision.all_modes or decision.probability)
+                yield point, results, decision, p
 
 
 def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
@@ -184,130 +261,70 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    rows: list[dict[str, Any]] = []
-    for point in sweep.points:
-        if point.name not in runs:
-            continue
-        results = runs[point.name].results
-        for decision in results.decisions:
-            p = _fracture(decision)
-            use: dict[str, float | None] = dict.fromkeys(("use", "use_low", "use_high"))
-            if decision.use is not None:
-                best = decision.use.best
-                use = {"use": decision.use.value, "use_low": best.low, "use_high": best.high}
-            rows.append(
-                {
-                    **point.values,
-                    **use,
-                    "aim": decision.aim,
-                    "probability": p.value,
-                    "low": p.low,
-                    "high": p.high,
-                    "verdict": decision.verdict,
-                    "governing": decision.governing,
-                    "runs": results.accuracy.runs,
-                    "folder": point.name,
-                }
-            )
-    columns = ["aim", "use", "use_low", "use_high", "probability", "low", "high"]
-    columns += ["verdict", "governing", "runs", "folder"]
-    return pd.DataFrame(rows, columns=[*sweep.keys, *columns])
+    rows = list[list[Any]]()
+    for point, results, decision, p in _each(sweep, runs):
+        use: list[float | None] = [None, None, None]
+        if decision.use is not None:
+            use = [decision.use.value, decision.use.best.low, decision.use.best.high]
+        verdict = (decision.verdict, decision.governing, results.accuracy.runs, point.name)
+        rows.append([*point.values.values(), decision.aim, *use, p.value, p.low, p.high, *verdict])
+    names = ["aim", "use", "use_low", "use_high", "probability", "low", "high"]
+    names += ["verdict", "governing", "runs", "folder"]
+    return pd.DataFrame(rows, columns=[*sweep.keys, *names])
 
 
-def _fracture(decision: Decision) -> Range:
-    """Probability of the event at the plan, by all failure modes."""
-    return as_event(decision, decision.all_modes or decision.probability)
-
-
-def _page_table(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
-    rows = []
-    for point in sweep.points:
-        if point.name not in runs:
-            continue
-        results = runs[point.name].results
-        for decision in results.decisions:
-            text = decision_text(results, decision)
-            rows.append(
-                (
-                    *point.values.values(),
-                    text.use,
-                    plain_probability(_fracture(decision)),
-                    decision.verdict,
-                    plain_name(decision.governing),
-                )
-            )
-    name = exceedance_name(next(iter(runs.values())).results).lower()
-    return PageTable(
-        caption="Decisions",
-        head=(*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs"),
-        rows=rows,
-    )
+def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
+    """One row a point and decision, as text."""
+    rows, name = [], ""
+    for point, results, decision, p in _each(sweep, runs):
+        use, governing = decision_text(results, decision).use, plain_name(decision.governing)
+        values = point.values.values()
+        rows.append((*values, use, plain_probability(p), decision.verdict, governing))
+        name = exceedance_name(results).lower()
+    head = (*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs")
+    return PageTable(caption="Decisions", head=head, rows=rows)
 
 
 def sweep_text(sweep: Sweep, runs: Mapping[str, Run], width: int) -> str:
     """The table of a sweep for a terminal."""
-    shown = _page_table(sweep, runs)
-    return "\n".join([sweep.title, "", *columns([shown.head, *shown.rows], width)])
+    table = _decisions(sweep, runs)
+    return "\n".join([sweep.title, "", *columns([table.head, *table.rows], width)])
 
 
-def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
+def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
     """The number to use, and the probability at the plan, over the first key."""
-    figure = axes.figure
-    axes.remove()
+    figure.set_layout_engine("constrained")
     left, right = figure.subplots(1, 2)
-    free = sweep.points[0].study.margins
+    key, margins = sweep.keys[0], sweep.points[0].study.margins
     name, unit, factor = "number", "", 1.0
-    if free is not None:
-        largest = float(frame["use"].astype(float).max())
-        name = lookup(free.solve).meaning
-        unit, factor = display_unit(free.solve, largest)
+    if margins is not None:
+        name = lookup(margins.solve).meaning
+        unit, factor = display_unit(margins.solve, float(frame["use"].astype(float).max()))
+    places = _places(sweep)
+    curves = list(sweep.keys[1:])
+    if frame["aim"].nunique() > 1 or not curves:
+        curves.append("aim")
+    groups = frame.groupby(curves, sort=False)
+    for colour, (group, rows) in zip(itertools.cycle(COLOURS), groups, strict=False):
+        x, text = rows[key].map(places), ", ".join(map(str, group))
+        left.plot(x, rows["use"].astype(float) * factor, "o-", color=colour, label=text)
+        right.plot(x, rows["probability"].astype(float) * 100.0, "o-", color=colour)
+    for axes in (left, right):
+        axes.set_xticks(list(places.values()), list(places))
+        axes.set_xlabel(short(lookup(path_of(key)).meaning))
     left.set_ylabel(with_unit(f"{name} to use", unit))
-    groups = dict.fromkeys(tuple(row) for row in frame[_series(sweep)].to_numpy().tolist())
-    for k, group in enumerate(groups):
-        chosen = frame[(frame[_series(sweep)] == list(group)).all(axis=1)]
-        x = [_place(sweep, name) for name in chosen["folder"]]
-        name = ", ".join(str(part) for part in group)
-        colour = COLOURS[k % len(COLOURS)]
-        use = chosen["use"].astype(float) * factor
-        left.plot(x, use, "o-", color=colour, label=name)
-        right.plot(x, 100.0 * chosen["probability"].astype(float), "o-", color=colour, label=name)
-    for axis in (left, right):
-        _key_axis(axis, sweep)
     right.set_ylabel("probability at the plan [%]")
     if len(groups) > 1:
         left.legend(fontsize="small")
 
 
-def _series(sweep: Sweep) -> list[str]:
-    """Columns that tell the curves of the chart apart."""
-    limits = itertools.chain.from_iterable(point.study.limits for point in sweep.points)
-    columns = list(sweep.keys[1:])
-    if len({limit.aim for limit in limits}) > 1 or not columns:
-        columns.append("aim")
-    return columns
-
-
-def _place(sweep: Sweep, name: str) -> float:
-    """Where a point stands on the axis of the first key: at its value, or at its number."""
-    key, points = sweep.keys[0], {point.name: point for point in sweep.points}
-    number = points[name].number(key)
-    if number is None:
-        return float(_key_texts(sweep).index(points[name].values[key]))
-    return number * display_unit(path_of(key))[1]
-
-
-def _key_texts(sweep: Sweep) -> list[str]:
-    """The values of the first key as they were written."""
-    return list(dict.fromkeys(point.values[sweep.keys[0]] for point in sweep.points))
-
-
-def _key_axis(axes: Axes, sweep: Sweep) -> None:
-    key = sweep.keys[0]
-    if sweep.points[0].number(key) is None:
-        values = _key_texts(sweep)
-        axes.set_xticks(np.arange(len(values)), values)
-        axes.set_xlabel(key)
-        return
-    path = path_of(key)
-    axes.set_xticks(sorted({_place(sweep, point.name) for point in sweep.points}))
-    axes.set_xlabel(with_unit(short(lookup(path).meaning), display_unit(path)[0]))
+def _places(sweep: Sweep) -> dict[str, float]:
+    """Where the values of the first key stand on its axis: at their number, else one after the
+    other.
+    """
+    places: dict[str, float] = {}
+    for point in sweep.points:
+        number = point.number(sweep.keys[0])
+        text = point.values[sweep.keys[0]]
+        places.setdefault(text, float(len(places)) if number is None else number)
+    return places

@@ -50,9 +50,9 @@ class Run:
 
     def _repr_html_(self) -> str:
         """Decisions, figures and tables, for a notebook."""
-        from uqsphere.report.page import notebook_html
+        from uqsphere.report.page import run_html
 
-        return notebook_html(self.results)
+        return run_html(self.results)
 
     @cached_property
     def answers(self) -> pd.DataFrame:

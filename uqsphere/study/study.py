@@ -176,6 +176,12 @@ class Study:
         parts.append("black box" if self.black_box else self.rig)
         return f"<Study {self.title!r}: {', '.join(parts)}>"
 
+    def _repr_html_(self) -> str:
+        """Inputs and strengths as read, for a notebook."""
+        from uqsphere.report.study import study_html
+
+        return study_html(self)
+
     @property
     def hash(self) -> str:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments

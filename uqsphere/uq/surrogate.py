@@ -229,6 +229,12 @@ class Expansion:
             f"terms{error}>"
         )
 
+    def _repr_html_(self) -> str:
+        """What it is, and its ten largest terms, for a notebook."""
+        terms = self.to_frame()
+        largest = abs(self.coefficients).argsort()[::-1][:10]
+        return f"<p>{repr(self)[1:-1]}</p>{terms.iloc[largest].to_html(index=False)}"
+
     @property
     def names(self) -> tuple[str, ...]:
         return self.joint.names
