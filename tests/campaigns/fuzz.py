@@ -2,7 +2,8 @@
 
 Each mutant must be accepted or refused with a message: exit code 0, 2 or 3, no traceback, no
 internal error, and at most `MOST` seconds of CPU.  Run by `python -m tests.campaigns.fuzz [COUNT]
-[SEED]`; prints the mutants that failed, with their seeds, and a table of codes.
+[SEED] [1]`, the 1 for the trial run that tells the cost; prints the mutants that failed, with their
+seeds, and a table of codes.
 """
 
 from __future__ import annotations
@@ -177,16 +178,19 @@ def tried(seed: int, folder: Path) -> tuple[object, float, str]:
     return code, time.process_time() - began, said.getvalue()
 
 
-def campaign(count: int, first: int = 0) -> tuple[Counter[object], list[str]]:
-    """Codes of mutants by their number, and what failed."""
+def campaign(
+    count: int, first: int = 0, *, trial: bool = False
+) -> tuple[Counter[object], list[str]]:
+    """Codes of mutants by their number, and what failed; `trial`: with the run for the cost."""
     codes: Counter[object] = Counter()
     failures = []
     with (
         tempfile.TemporaryDirectory() as name,
         warnings.catch_warnings(),
-        # the rows that check runs for its time need no thousand repetitions
-        patch("uqsphere.report.study.cost", lambda study: ""),
+        contextlib.ExitStack() as patches,
     ):
+        if not trial:  # the rows that check runs for its time need no thousand repetitions
+            patches.enter_context(patch("uqsphere.report.study.cost", lambda study: ""))
         warnings.simplefilter("error", RuntimeWarning)  # none may reach the terminal
         for seed in range(first, first + count):
             code, seconds, said = tried(seed, Path(name))
@@ -198,7 +202,7 @@ def campaign(count: int, first: int = 0) -> tuple[Counter[object], list[str]]:
 
 if __name__ == "__main__":
     arguments = [int(argument) for argument in sys.argv[1:]]
-    codes, failures = campaign(*(arguments or [2000]))
+    codes, failures = campaign(*(arguments or [2000])[:2], trial=len(arguments) > 2)
     print(*failures, sep="\n")
     print(dict(codes))
     sys.exit(1 if failures else 0)

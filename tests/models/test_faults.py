@@ -396,6 +396,54 @@ def test_a_dask_cluster_answers(place: Path) -> None:
         assert is_right(evaluated(model))
 
 
+def test_a_dask_cluster_that_goes_away_is_told(place: Path) -> None:
+    """Its client or its scheduler: exit code 7, and stored answers are not computed again."""
+    distributed = pytest.importorskip("distributed")
+    reference = box(place, "time.sleep(0.05)", where="True")
+    for end in ("client", "cluster"):
+        cluster = distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        )
+        client = distributed.Client(cluster)
+        went = {"client": client.close, "cluster": cluster.close}[end]
+        threading.Timer(0.2, went).start()
+        with (
+            Model(study(), reference, executor=client, cache_file=place / end) as model,
+            pytest.raises(
+                ExecutorLost, match=r"executor was lost .* continues from there"
+            ) as lost,
+        ):
+            model.evaluate(["a"], np.arange(100.0)[:, None], ["y"])
+        assert lost.value.exit_code == 7
+        client.close()
+        cluster.close()
+
+
+def test_an_executor_that_does_not_answer_is_asked_about(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dispatch, "_SILENCE", 0.3)
+    monkeypatch.setattr(dispatch, "_LOOK", 0.1)
+
+    class Silent(Executor):
+        def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            answer = threading.Timer(0.8, lambda: future.set_result(function(*arguments)))
+            answer.start()
+            return future
+
+    def twice(x: dict[str, Any]) -> dict[str, Any]:
+        return {"y": x["a"] + 2.0, "z": x["a"] * 2.0}
+
+    with Model(study(), twice, executor=Silent()) as model:
+        assert model.evaluate(["a"], ROWS[:1], ["y"]).good.all()
+    assert "no answer from the executor" in capsys.readouterr().err
+    # one that answers in time is not asked about
+    with Model(study(), twice, executor=Backwards()) as model:
+        assert model.evaluate(["a"], ROWS[:1], ["y"]).good.all()
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [
