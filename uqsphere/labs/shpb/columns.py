@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -71,15 +72,16 @@ class Column:
         return unit_in_heading(self.heading, dimension)[0] if dimension else self.heading
 
     @property
-    def faulty(self) -> bool:
-        """Whether some cells are not numbers."""
-        return any(heading == self.heading for heading, _ in self.table.faults)
+    def faults(self) -> dict[tuple[str, str], list[int]]:
+        """Lines of cells that are not numbers, by what is wrong with them."""
+        faults = self.table.faults.items()
+        return {fault: lines for fault, lines in faults if fault[0] == self.heading}
 
     @property
     def rises(self) -> bool:
         """Whether it rises like a time."""
         steps = np.diff(self.values[np.isfinite(self.values)])
-        if self.faulty or not len(steps):
+        if self.faults or not len(steps):
             return False
         return bool((steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
 
@@ -98,20 +100,13 @@ class Column:
 
     def checked(self) -> Array:
         """The numbers; TableError with the lines of cells that are not numbers."""
-        faults = {
-            fault: lines for fault, lines in self.table.faults.items() if fault[0] == self.heading
-        }
-        if faults:
-            replace(self.table, faults=faults).check()
+        if self.faults:
+            replace(self.table, faults=self.faults).check()
         return self.values
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Clock:
-    """Time (n,) [s], and the place of its column in every file; -1 without one."""
-
-    time: Array
-    place: int
+    def in_seconds(self, unit: str) -> Array:
+        """The numbers as a time [s] in a unit that is given, that of the heading, or seconds."""
+        return self.checked() * UNITS["time"].get(self.unit(unit)[1] or "s", math.nan)
 
 
 def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Traces:
@@ -120,24 +115,23 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
     Raises UsageError for columns, units or a clock that cannot be those of a record.
     """
     asked = document.record
-    read = [read_recorded(folder / name, _LARGEST) for name in (asked.file, *asked.more_files)]
-    tables = [table for table, _ in read]
-    for table in tables:
-        for note in table.notes:
-            changes.add("read", "", note)
+    names = (asked.file, *asked.more_files)
+    tables, texts = zip(*(read_recorded(folder / name, _LARGEST) for name in names), strict=True)
+    for note in chain(*(table.notes for table in tables)):
+        changes.add("read", "", note)
     files = [_columns_of(table) for table in tables]
-    clock = _clock(document, files, read[0][1], changes)
-    count = _common_length(document, files, clock, changes)
+    time, place = _clock(document, files, texts[0], changes)
+    time = _common(document, files, (time, place), changes)
     strains: dict[str, list[tuple[str, Array]]] = {}
-    for role, columns in _by_role(document, files, clock).items():
+    for role, columns in _by_role(document, files, (time, place)).items():
         bar = document.receiving_bar if role == "receiving" else document.incident_bar
         strains[role] = []
         for column in columns:
             name = column.name
             if len(files) > 1:
                 name = f"{Path(column.table.name).stem} {name}"
-            strains[role].append((name, _strain(column, name, bar, changes)[:count]))
-    return _even(clock.time[:count], strains, changes)
+            strains[role].append((name, _strain(column, name, bar, changes)[: len(time)]))
+    return _even(time, strains, changes)
 
 
 def _columns_of(table: Table) -> list[Column]:
@@ -153,8 +147,9 @@ def _columns_of(table: Table) -> list[Column]:
 
 def _clock(
     document: RecordDocument, files: Sequence[Sequence[Column]], above: str, changes: Changes
-) -> _Clock:
-    """The time of the first file; `above`: its metadata."""
+) -> tuple[Array, int]:
+    """The time (n,) [s] of the first file, whose metadata are `above`, and the place of its column;
+    -1 without one."""
     asked, first = document.record, files[0]
     table = first[0].table
     guessed = asked.time is None
@@ -163,7 +158,7 @@ def _clock(
         interval = _interval(above)
     if guessed and interval > 0.0:
         changes.add("read", "", f"no time column: a sample every {interval * 1e6:.6g} us")
-        return _Clock(time=np.asarray(interval * np.arange(len(table)), dtype=float), place=-1)
+        return np.asarray(interval * np.arange(len(table)), dtype=float), -1
     place = table.place(1 if asked.time is None else asked.time)
     column = first[place]
     dimension, unit = column.unit(asked.time_unit)
@@ -179,7 +174,7 @@ def _clock(
     changes.add("read", column.name, text)
     time = column.checked() * UNITS["time"][unit or "s"]
     _check_clock(time, first, place, guessed)
-    return _Clock(time=time, place=place)
+    return time, place
 
 
 def _interval(text: str) -> float:
@@ -224,24 +219,22 @@ def _check_clock(time: Array, columns: Sequence[Column], place: int, guessed: bo
         )
 
 
-def _common_length(
+def _common(
     document: RecordDocument,
     files: Sequence[Sequence[Column]],
-    clock: _Clock,
+    clock: tuple[Array, int],
     changes: Changes,
-) -> int:
-    """Samples that all files have; UsageError for files that do not have the same clock."""
-    time = clock.time
-    count = len(time)
-    step = float(np.median(np.abs(np.diff(time))))
+) -> Array:
+    """The time that all files have; UsageError for files that do not have the same clock."""
+    time, place = clock
+    step, count = float(np.median(np.abs(np.diff(time)))), len(time)
     for other in files[1:]:
         table = other[0].table
-        if len(other) <= clock.place:
+        if len(other) <= place:
             raise UsageError(
-                f"{table.name}: has no column {clock.place + 1}, the time column of the first file"
+                f"{table.name}: has no column {place + 1}, the time column of the first file"
             )
-        unit = other[clock.place].unit(document.record.time_unit)[1]
-        there = other[clock.place].checked() * UNITS["time"].get(unit or "s", math.nan)
+        there = other[place].in_seconds(document.record.time_unit)
         both = min(count, len(there))
         if not np.nanmax(np.abs(there[:both] - time[:both]), initial=0.0) <= 0.5 * step:
             raise UsageError(
@@ -251,38 +244,35 @@ def _common_length(
         if len(there) != len(time):
             changes.add("read", table.name, "files of different length: the longer one is cut")
         count = both
-    return count
+    return time[:count]
 
 
 # --- gauges ---------------------------------------------------------------------------------------
 
 
 def _by_role(
-    document: RecordDocument, files: Sequence[Sequence[Column]], clock: _Clock
-) -> dict[str, list[Column]]:
-    """The columns of the incident, the reflected and the receiving gauges."""
+    document: RecordDocument, files: Sequence[Sequence[Column]], clock: tuple[Array, int]
+) -> dict[str, Sequence[Column]]:
+    """The columns of the incident, the reflected and the receiving gauges.
+
+    Two or four unnamed signals: first those of the incident bar.
+    """
     asked = document.record
-    if not (asked.incident or asked.receiving):
-        return _in_order(document, files, clock)
-    if not (asked.incident and asked.receiving):
+    roles = {role: getattr(asked, role) for role in ("incident", "reflected", "receiving")}
+    if asked.incident and asked.receiving:
+        return {
+            role: [_pick(files, name) for name in names] for role, names in roles.items() if names
+        }
+    if asked.incident or asked.receiving:
         raise UsageError("record.incident and record.receiving are both required")
-    picked = {}
-    for role in ("incident", "reflected", "receiving"):
-        if names := getattr(asked, role):
-            picked[role] = [_pick(files, name) for name in names]
-    return picked
-
-
-def _in_order(
-    document: RecordDocument, files: Sequence[Sequence[Column]], clock: _Clock
-) -> dict[str, list[Column]]:
-    """Two or four unnamed signals: first those of the incident bar."""
-    signals = []
-    for file in files:
-        signals += [column for place, column in enumerate(file) if place != clock.place]
-    signals = [column for column in signals if not _repeats(column, clock, document)]
-    usable = [column for column in signals if not column.faulty]
-    if len(usable) not in (2, 4) or document.record.reflected:
+    signals = [
+        column
+        for file in files
+        for place, column in enumerate(file)
+        if place != clock[1] and not _repeats(column, clock[0], document)
+    ]
+    usable = [column for column in signals if not column.faults]
+    if len(usable) not in (2, 4) or asked.reflected:
         names = ", ".join(repr(column.name) for column in signals)
         raise UsageError(
             f"{files[0][0].table.name}: {len(signals)} signals ({names}); name them by "
@@ -292,14 +282,13 @@ def _in_order(
     return {"incident": usable[:each], "receiving": usable[each:]}
 
 
-def _repeats(column: Column, clock: _Clock, document: RecordDocument) -> bool:
+def _repeats(column: Column, time: Array, document: RecordDocument) -> bool:
     """Whether a column repeats the time; UsageError for the time of another clock."""
-    dimension, unit = column.unit(document.record.time_unit)
-    if not column.rises or dimension not in ("time", "") or len(column.values) != len(clock.time):
+    dimension = column.unit(document.record.time_unit)[0]
+    if not column.rises or dimension not in ("time", "") or len(column.values) < len(time):
         return False
-    other = column.values * UNITS["time"].get(unit or "s", 1.0)
-    step = float(np.median(np.abs(np.diff(clock.time))))
-    if np.nanmax(np.abs(other - clock.time)) <= 0.5 * step:
+    other = column.in_seconds(document.record.time_unit)[: len(time)]
+    if np.nanmax(np.abs(other - time)) <= 0.5 * float(np.median(np.abs(np.diff(time)))):
         return True
     if dimension == "time":
         raise UsageError(
@@ -386,8 +375,8 @@ def _even(
         )
     else:
         step = float((time[-1] - time[0]) / (len(time) - 1))
-    rows = iter(raw)
-    by_role, filled, lost = dict[str, tuple[Trace, ...]](), 0, 0
+    rows, by_role = iter(raw), dict[str, tuple[Trace, ...]]()
+    filled = lost = 0
     for role, gauges in strains.items():
         traces = []
         for name, _ in gauges:
@@ -399,9 +388,8 @@ def _even(
     if filled:
         changes.add("read", "", f"{filled} missing samples are filled by interpolation")
     if lost:
-        changes.add(
-            "read", "", f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
-        )
+        text = f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
+        changes.add("read", "", text)
     return Traces(start=float(grid[0]), step=step, by_role=by_role)
 
 
