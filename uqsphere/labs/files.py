@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,6 +75,26 @@ def csv_text(header: Sequence[str], columns: Sequence[Any]) -> str:
 
     frame = pd.DataFrame(dict(zip(header, columns, strict=True)))
     return str(frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
+
+
+def chosen_command(
+    argv: Sequence[str],
+    lab: str,
+    text: str | None,
+    commands: Mapping[str, tuple[Callable[[argparse.Namespace], int | None], str]],
+) -> int:
+    """Run one of the commands of a lab, each with its help; `records` takes several files."""
+    parser = argparse.ArgumentParser(prog=f"uqsphere {lab}", description=text)
+    subparsers = parser.add_subparsers(dest="command", required=True)
+    for name, (function, help_text) in commands.items():
+        command = subparsers.add_parser(name, help=help_text, description=help_text)
+        command.set_defaults(function=function)
+        number = "+" if name == "records" else None
+        command.add_argument("file", type=Path, nargs=number, help="input file (TOML)")
+        command.add_argument("--out", type=Path, help="folder for the files")
+        command.add_argument("--json", action="store_true", help="print one JSON document")
+    chosen = parser.parse_args(argv)
+    return chosen.function(chosen) or 0
 
 
 def finish(

@@ -12,25 +12,28 @@ from typing import Any
 
 from uqsphere.documents import load_document
 from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.files import csv_text, finish, table
+from uqsphere.labs.files import chosen_command, csv_text, finish, table
 
 
 def main(argv: Sequence[str]) -> int:
     """Run a command of the lab."""
-    parser = argparse.ArgumentParser(prog="uqsphere comminution", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    for name, text in (
-        ("fit", "fracture energy from tests of single particles; writes draws.csv, a strength"),
-        ("feed", "shares broken, product and energy of a feed under blows"),
-    ):
-        command = commands.add_parser(name, help=text, description=text)
-        command.add_argument("file", type=Path, help="input file (TOML)")
-        command.add_argument(
-            "--out", type=Path, help="folder for the files (default: FILE-fit, FILE-feed)"
-        )
-        command.add_argument("--json", action="store_true", help="print one JSON document")
-    _run(parser.parse_args(argv))
-    return 0
+    return chosen_command(
+        argv,
+        "comminution",
+        __doc__,
+        {
+            "fit": (
+                _run,
+                "fracture energy from tests of single particles; writes draws.csv, a strength "
+                "(default folder: FILE-fit)",
+            ),
+            "feed": (
+                _run,
+                "shares broken, product and energy of a feed under blows (default folder: "
+                "FILE-feed)",
+            ),
+        },
+    )
 
 
 def _run(chosen: argparse.Namespace) -> None:

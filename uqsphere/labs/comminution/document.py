@@ -26,6 +26,14 @@ Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
 _PARAMETERS: Final = frozenset(("e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"))
 
 
+def _one_of(table: Section, *keys: str) -> str:
+    """The one of some keys that a table has; ValueError for none or several."""
+    present = [key for key in keys if getattr(table, key) is not None]
+    if len(present) != 1:
+        raise ValueError(f"exactly one of {', '.join(keys)} is required")
+    return present[0]
+
+
 class Elastic(Section):
     """E, nu and density; omitted ones are those of the material."""
 
@@ -97,22 +105,17 @@ class TestsTable(Section):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> TestsTable:
-        keys = ("specific_energy", "energy", "speed", "force")
-        measured = [key for key in keys if getattr(self, key) is not None]
-        if len(measured) != 1:
-            raise ValueError(
-                "exactly one of specific_energy, energy, speed, force is required, a column"
-            )
+        measured = _one_of(self, "specific_energy", "energy", "speed", "force")
         if self.diameter is None and (self.mesh_lower is None or self.mesh_upper is None):
             raise ValueError("diameter, or mesh_lower and mesh_upper, is required")
         if self.outcome is None and self.broken is None:
             raise ValueError("outcome, or broken with particles, is required")
-        if measured[0] == "force" and self.stiffness is None and not self.assume_intact:
+        if measured == "force" and self.stiffness is None and not self.assume_intact:
             raise ValueError(
                 "a force needs the stiffness of each particle (stiffness = COLUMN), or "
                 "assume_intact = true"
             )
-        if measured[0] in ("specific_energy", "energy") and self.energy_is is None:
+        if measured in ("specific_energy", "energy") and self.energy_is is None:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
         if isinstance(self.gamma, float) and not 0.5 < self.gamma < 50.0:
             raise ValueError(
@@ -180,8 +183,7 @@ class FeedTable(Section):
 
     @model_validator(mode="after")
     def _one_energy(self) -> FeedTable:
-        if sum(v is not None for v in (self.specific_energy, self.energy, self.speed)) != 1:
-            raise ValueError("exactly one of specific_energy, energy, speed is required")
+        _one_of(self, "specific_energy", "energy", "speed")
         return self
 
 

@@ -67,9 +67,9 @@ def particle_energies(
     share = laws.particle_share(stiffness(material), stiffness(want.partner))
     shares: Array = np.full(len(energy), share)
     if meaning == "input":
-        known = np.isfinite(energy) & (energy > 0.0) & (diameter > 0.0)
+        positive = np.isfinite(energy) & (energy > 0.0) & (diameter > 0.0)
         weight = np.asarray(rig == "drop_weight")
-        for rows, falling in ((known & weight, True), (known & ~weight, False)):
+        for rows, falling in ((positive & weight, True), (positive & ~weight, False)):
             if rows.any():
                 contact = Contact.of(asked, want.partner, falling)
                 shares[rows], told = contact.shares(energy[rows], diameter[rows])

@@ -165,14 +165,14 @@ def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Valu
     )
 
 
-def particle_share(own: float, partner: float) -> float:
+def particle_share(particle: float, partner: float) -> float:
     """k_s/(k_p + k_s), k = E/(1 - nu²) [Pa] of particle and partner: the particle's share of the
     energy of a contact.
 
     >>> round(particle_share(52e9 / (1.0 - 0.25**2), 210e9 / (1.0 - 0.3**2)), 6)
     0.80622
     """
-    return partner / (own + partner)
+    return partner / (particle + partner)
 
 
 def mass_of(diameter: Values, density: Values) -> Array:

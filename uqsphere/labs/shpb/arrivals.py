@@ -143,12 +143,8 @@ def _seen(
     level = _level(receiving, share, width)
     pressing = -smooth(receiving.strain, width)
     seen_there = _crossing(pressing, level, 0, receiving.wave.falling + 1)
-    return _behind(back, seen_back, first), _behind(there, seen_there, first)
-
-
-def _behind(delay: _Delay, seen: int | None, first: int) -> _Delay:
-    """A delay with the sample at which its wave is seen, counted from that of the incident one."""
-    return replace(delay, seen=None if seen is None else seen - first)
+    places = [None if seen is None else seen - first for seen in (seen_back, seen_there)]
+    return replace(back, seen=places[0]), replace(there, seen=places[1])
 
 
 def _level(signal: Signal, share: float, width: int) -> float:

@@ -6,12 +6,11 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text
-from uqsphere.labs.files import csv_text, finish, table
+from uqsphere.labs.files import chosen_command, csv_text, finish, table
 from uqsphere.labs.shpb.document import RecordDocument
 
 if TYPE_CHECKING:
@@ -20,25 +19,19 @@ if TYPE_CHECKING:
 
 def main(argv: Sequence[str]) -> int:
     """Run a command of the lab; exit code 2 if no record can be read."""
-    parser = argparse.ArgumentParser(prog="uqsphere shpb", description=__doc__)
-    commands = parser.add_subparsers(required=True)
-    for name, function, text in (
-        ("records", _records, "forces at the faces of a specimen from gauge records"),
-        (
-            "fit-contact",
-            _fit_contact,
-            "contact law of a sphere that yields, from a slow load-unload record",
-        ),
-        ("plan", _plan, "speed, height or force at which a share of the spheres breaks"),
-    ):
-        command = commands.add_parser(name, help=text, description=text)
-        command.set_defaults(command=function)
-        number = "+" if name == "records" else None
-        command.add_argument("file", type=Path, nargs=number, help="input file (TOML)")
-        command.add_argument("--out", type=Path, help="folder for the files")
-        command.add_argument("--json", action="store_true", help="print one JSON document")
-    chosen = parser.parse_args(argv)
-    return chosen.command(chosen) or 0
+    return chosen_command(
+        argv,
+        "shpb",
+        __doc__,
+        {
+            "records": (_records, "forces at the faces of a specimen from gauge records"),
+            "fit-contact": (
+                _fit_contact,
+                "contact law of a sphere that yields, from a slow load-unload record",
+            ),
+            "plan": (_plan, "speed, height or force at which a share of the spheres breaks"),
+        },
+    )
 
 
 def _records(chosen: argparse.Namespace) -> int:

@@ -85,9 +85,9 @@ class Column:
             return False
         return bool((steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
 
-    def unit(self, given: str = "") -> tuple[str, str]:
-        """Dimension and unit, as given or of the heading; the dimension is empty if not known."""
-        text = f"x [{given}]" if given else self.heading
+    def unit(self, key: str = "") -> tuple[str, str]:
+        """Dimension and unit of a key or of the heading; the dimension is empty if not known."""
+        text = f"x [{key}]" if key else self.heading
         for dimension in ("time", "strain", "voltage", *UNITS):
             if unit := unit_in_heading(text, dimension)[1]:
                 return dimension, unit
@@ -96,7 +96,7 @@ class Column:
                 f"the heading {text!r} has the factor {factor!r}. Multiply the values by it and "
                 "write only the unit"
             )
-        return "", given
+        return "", key
 
     def checked(self) -> Array:
         """The numbers; TableError with the lines of cells that are not numbers."""

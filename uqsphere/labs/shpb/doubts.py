@@ -54,7 +54,7 @@ class Tolerance:
 
 
 def check_striker(
-    peaks: Peaks, strain: float, wave_speed: float, given: float | None, changes: Changes
+    peaks: Peaks, strain: float, wave_speed: float, measured: float | None, changes: Changes
 ) -> None:
     """Compare the incident wave with the striker speed [m/s], given or possible (in place)."""
     speed = 2.0 * wave_speed * strain
@@ -62,7 +62,7 @@ def check_striker(
         f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of "
         f"{speed:.3g} m/s"
     )
-    if given is None:
+    if measured is None:
         changes.add(
             "gains",
             "",
@@ -71,10 +71,10 @@ def check_striker(
         )
         if not _STRUCK[0] <= speed <= _STRUCK[1]:
             peaks.doubt([*peaks], f"{text}: is a unit or a gain wrong?")
-    elif abs(speed - given) > _SPEED_ERROR * given:
-        text += f", not {given:.3g} m/s: a gain or a unit is wrong"
+    elif abs(speed - measured) > _SPEED_ERROR * measured:
+        text += f", not {measured:.3g} m/s: a gain or a unit is wrong"
         for face, peak in [*peaks.items()]:
-            peaks.doubt([face], text, peak.low * given / speed, peak.high * given / speed)
+            peaks.doubt([face], text, peak.low * measured / speed, peak.high * measured / speed)
 
 
 def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: float) -> None:

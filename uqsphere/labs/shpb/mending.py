@@ -172,16 +172,14 @@ def _line(quiet: Array, place: Array) -> _Line:
     left = quiet - mean - slope * about
     noise, memory = float(left.std(ddof=2)), 1.0
     if noise <= 1e-12 * float(np.abs(quiet).max(initial=0.0)):  # rounding is not noise
-        slope_sd = 1e-6 * abs(slope)
-        return _Line(
-            mean=mean, slope=slope, noise=0.0, memory=1.0, slope_sd=slope_sd, middle=middle
-        )
-    for lag in range(1, min(len(left) // 4, 200)):
-        correlation = float((left[lag:] * left[:-lag]).mean() / noise**2)
-        if correlation < 2.0 / math.sqrt(len(left)):
-            break
-        memory += 2.0 * correlation
-    slope_sd = noise * math.sqrt(memory / squares)
+        noise, slope_sd = 0.0, 1e-6 * abs(slope)
+    else:
+        for lag in range(1, min(len(left) // 4, 200)):
+            correlation = float((left[lag:] * left[:-lag]).mean() / noise**2)
+            if correlation < 2.0 / math.sqrt(len(left)):
+                break
+            memory += 2.0 * correlation
+        slope_sd = noise * math.sqrt(memory / squares)
     return _Line(
         mean=mean, slope=slope, noise=noise, memory=memory, slope_sd=slope_sd, middle=middle
     )
@@ -230,7 +228,6 @@ def about_rest(trace: Trace, step: float, rest: Rest, changes: Changes) -> Signa
         memory=line.memory,
         offset=offset,
         spread=np.zeros(len(values)),
-        single=False,
         wave=wave,
     )
 
@@ -296,10 +293,8 @@ def cut_out(trace: Trace, step: float, changes: Changes) -> Signal:
         strain=values,
         known=trace.known,
         noise=noise,
-        memory=1.0,
         offset=0.01 * wave.peak,
         spread=np.zeros(len(values)),
-        single=False,
         wave=wave,
     )
 
@@ -310,10 +305,9 @@ def cut_out(trace: Trace, step: float, changes: Changes) -> Signal:
 def joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending
     that they show."""
-    peaks = [_largest_known(gauge) for gauge in gauges]
-    alive = []
-    for gauge, peak in zip(gauges, peaks, strict=True):
-        share = peak / max(peaks)
+    largest, alive = max(map(_largest_known, gauges)), []
+    for gauge in gauges:
+        share = _largest_known(gauge) / largest
         if share >= _DEAD:
             alive.append(gauge)
         else:
@@ -344,8 +338,8 @@ def joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes
         memory=line.memory,
         offset=math.hypot(*(gauge.offset for gauge in alive)) / len(alive),
         spread=spread,
-        single=len(alive) < len(gauges),
         wave=wave,
+        single=len(alive) < len(gauges),
     )
 
 

@@ -64,26 +64,30 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     }
     wave = _incident_wave(by_role["incident"], step)
     limits = _limits(document, wave, step)
-    given = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
+    polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
     signals: dict[str, Signal] = {}
     pressing = 0.0  # sign of the incident wave in the file
     for role, gauges in by_role.items():
         rest = Rest(end=wave.foot if role == "receiving" else None, limit=limits[role])
-        single = []
+        turned, names = list[Signal](), list[str]()
         for trace in gauges:
             if asked.aligned:
-                single.append(cut_out(trace, step, changes))
+                signal = cut_out(trace, step, changes)
             else:
-                single.append(about_rest(trace, step, rest, changes))
-        # one sign a bar: a reflected wave has the sign of its incident gauge
-        signs = [given or -signal.wave.sign for signal in single]
-        if role == "reflected":
-            signs = [given or -pressing] * len(single)
-        if role == "incident":
-            pressing = -signs[0]
-        if not given:
-            _tell_turned(single, signs, changes)
-        turned = [_times(signal, sign) for signal, sign in zip(single, signs, strict=True)]
+                signal = about_rest(trace, step, rest, changes)
+            # one sign a bar: a reflected wave has the sign of its incident gauge
+            sign = polarity or -signal.wave.sign
+            if role == "reflected":
+                sign = polarity or -pressing
+            if role == "incident" and not turned:
+                pressing = -sign
+            if sign < 0.0:
+                names.append(signal.name)
+            passing = replace(signal.wave, sign=signal.wave.sign * sign)
+            turned.append(replace(signal, strain=signal.strain * sign, wave=passing))
+        if names and not polarity:
+            text = "compression is positive in the file; the sign is changed"
+            changes.add("sign", ", ".join(names), text)
         signals[role] = joined(turned, step, limits[role], changes)
     if asked.window is not None:
         signals["incident"] = _in_window(signals["incident"], asked.window, traces)
@@ -129,19 +133,6 @@ def _limits(document: RecordDocument, wave: _Incident, step: float) -> dict[str,
         limits["receiving"] = wave.first + delay / step
         limits["incident"] = wave.first + 2.0 * passage / step
     return limits
-
-
-def _tell_turned(signals: Sequence[Signal], signs: Sequence[float], changes: Changes) -> None:
-    turned = [signal.name for signal, sign in zip(signals, signs, strict=True) if sign < 0.0]
-    if turned:
-        text = "compression is positive in the file; the sign is changed"
-        changes.add("sign", ", ".join(turned), text)
-
-
-def _times(signal: Signal, sign: float) -> Signal:
-    """A signal with the sign of compression negative."""
-    wave = replace(signal.wave, sign=signal.wave.sign * sign)
-    return replace(signal, strain=signal.strain * sign, wave=wave)
 
 
 def _in_window(signal: Signal, window: tuple[float, float], traces: Traces) -> Signal:

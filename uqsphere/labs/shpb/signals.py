@@ -85,11 +85,11 @@ class Signal:
     strain: Array
     known: Flags
     noise: float
-    memory: float
     offset: float
     spread: Array
-    single: bool
     wave: Wave
+    memory: float = 1.0
+    single: bool = False
 
 
 def runs(same: Flags) -> tuple[Places, Places]:
