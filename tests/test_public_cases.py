@@ -255,14 +255,8 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
         "accuracy",
     ),
     "strength nan": (
-        lambda: A.fragility(lambda r: r["a"], AB, free="v", levels=[1, 2], strength=math.nan),
+        lambda: A.fragility(lambda r: r["a"], AB, levels={"v": [1, 2]}, strength=math.nan),
         "strength",
-    ),
-    "probability 2": (
-        lambda: A.fragility(
-            lambda r: r["a"], AB, free="v", levels=[1, 2], strength=1.0, probabilities=[2]
-        ),
-        "between 0 and 1, found 2",
     ),
 }
 

@@ -17,8 +17,8 @@ together, values that are not finite, and laws that cannot be made.
 >>> from scipy import stats
 >>> inputs = {"a": stats.norm(), "b": stats.norm()}
 >>> x = np.random.default_rng(1).normal(size=(200, 2))
->>> found = sobol_indices(x, x[:, 0] + 2.0 * x[:, 1], inputs)
->>> round(found["first"]["b"].value, 6)
+>>> indices = sobol_indices(x, x[:, 0] + 2.0 * x[:, 1], inputs)
+>>> round(indices["first"]["b"].value, 6)
 0.8
 """
 
@@ -118,9 +118,23 @@ def joint(
     copula: str = "gaussian",
     dof: float | None = None,
 ) -> Joint:
-    """Named laws that depend on each other: rank correlations, each for every pair of its names.
+    """Named laws that depend on each other.
 
-    `copula` is "gaussian" or "student_t" with `dof` degrees of freedom.
+    Parameters
+    ----------
+    laws : law of each input by its name
+    spearman : rank correlation by names, for every pair of them
+    copula : "gaussian" or "student_t"
+    dof : degrees of freedom of a Student t copula
+
+    Returns
+    -------
+    The joint law, which every analysis takes in place of a mapping of laws.
+
+    Raises
+    ------
+    UsageError
+        For laws that cannot be made, and correlations that cannot hold together.
 
     >>> normal = {"dist": "normal", "mean": 0, "sd": 1}
     >>> joint({"a": normal, "b": normal},
@@ -158,19 +172,38 @@ def _arrays(x: Any, y: Any, laws: Joint) -> tuple[Array, Array]:
 
 
 def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0) -> Expansion:
-    """A sparse polynomial chaos expansion of y (n,) at rows x (n, d), with intervals, indices and
-    chaospy's objects.
+    """A sparse polynomial chaos expansion, with intervals, indices and chaospy's objects.
 
     Sets of terms and the logarithm of y compete by their error on rows left out; eight fits, each
-    without an eighth of the rows, say what it is off by: `response.error`, `response.reason`.
+    without an eighth of the rows, estimate its error: `response.error`, `response.reason`.
 
     Parameters
     ----------
-    x, y : rows drawn from the laws of the inputs, by their names or in their order, and answers, n
-        >= 16
+    x : rows (n, d) drawn from the laws of the inputs, by their names or in their order, n >= 16
+    y : answers (n,)
     inputs : mapping of name to law, or a `Joint`
     plain : expand y itself, never its logarithm
-    seed : of the order in which rows are dealt into folds
+    seed : of the order in which rows are split into folds
+
+    Returns
+    -------
+    The expansion in the units of x and y.
+
+    Raises
+    ------
+    UsageError
+        For arrays that do not go together, values that are not finite, too few rows, and rows that
+        do not follow the laws.
+
+    Source
+    ------
+    G. Blatman, B. Sudret, J. Comput. Phys. 230, 2011, 2345 (sparse expansions by regression);
+    docs/theory.md section 11.
+
+    >>> x = np.random.default_rng(1).normal(size=(64, 1))
+    >>> expansion = chaos(x, x[:, 0] ** 2, {"a": {"dist": "normal", "mean": 0, "sd": 1}})
+    >>> expansion.predict({"a": [3.0]}).value.round(6).tolist()
+    [9.0]
     """
     with _refusing():
         laws = joint_of(inputs)
@@ -179,12 +212,32 @@ def chaos(x: Any, y: Any, inputs: Inputs, *, plain: bool = False, seed: int = 0)
 
 
 def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
-    """Sobol' indices {"first": {input: Estimate}, "total": ...}; of tied inputs Kucherenko's, and
-    {"shapley": ...}.
+    """Sobol' indices from rows that are there, by an expansion whose residuals correct them.
 
-    By an expansion whose residuals correct them.  What n rows cannot show, an event rarer than 3/n,
-    is in no interval: the method of every estimate says so.  Raises UsageError for tied inputs
-    whose expansion leaves more than 25 % of the variance.
+    An event rarer than 3/n, which n rows cannot show, is in no interval: the method of every
+    estimate says so.
+
+    Parameters
+    ----------
+    x : rows (n, d) drawn from the laws of the inputs, by their names or in their order, n >= 16
+    y : answers (n,)
+    inputs : mapping of name to law, or a `Joint`
+    seed : of the order in which rows are split into folds
+
+    Returns
+    -------
+    {"first": {input: Estimate}, "total": {input: Estimate}}; of inputs that depend on each other
+    Kucherenko's indices, and {"shapley": ...}.
+
+    Raises
+    ------
+    UsageError
+        As `chaos`, and for dependent inputs whose expansion leaves more than 25 % of the variance.
+
+    Source
+    ------
+    I. M. Sobol', Math. Comput. Simul. 55, 2001, 271; S. Kucherenko, S. Tarantola, P. Annoni,
+    Comput. Phys. Commun. 183, 2012, 937; A. B. Owen, SIAM/ASA J. Uncertain. Quantif. 2, 2014, 245.
     """
     expansion = chaos(x, y, inputs, seed=seed)
     assert expansion.response is not None
@@ -320,10 +373,33 @@ def failure_probability(
     Parameters
     ----------
     limit : dict of name -> (n,) in, (n,) out
+    inputs : mapping of name to law, or a `Joint`
     evaluations : the most that may be spent
     accuracy : half-width of the 95 % interval over the probability at which it ends
     on_failure : rows that are nan, or raise, count into the ends ("bound") or raise UsageError
         ("refuse")
+    seed : of all random numbers
+
+    Returns
+    -------
+    The probability with its interval, whether it is sure, and the design point in the inputs'
+    units.
+
+    Raises
+    ------
+    UsageError
+        For a limit function that raises or answers in another form, and as `on_failure` says.
+
+    Source
+    ------
+    R. Rackwitz, B. Fiessler, Comput. Struct. 9, 1978, 489 (design points); S. K. Au, J. L. Beck,
+    Probab. Eng. Mech. 16, 2001, 263 (subset simulation); N. Kurtz, J. Song, Struct. Saf. 42, 2013,
+    35 (mixtures); B. Echard, N. Gayton, M. Lemaire, Struct. Saf. 33, 2011, 145 (kriging).
+
+    >>> normal = {"dist": "normal", "mean": 0, "sd": 1}
+    >>> risk = failure_probability(lambda rows: 4.0 - rows["a"], {"a": normal})
+    >>> risk.sure, f"{risk.probability.value:.1e}", round(risk.design_point["a"], 3)
+    (True, '3.2e-05', 4.0)
     """
     if not (accuracy > 0.0 and evaluations >= 1):
         raise UsageError(
@@ -358,12 +434,26 @@ def failure_probability(
 
 @dataclass(frozen=True, kw_only=True)
 class Fragility:
-    """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are levels by
-    probability.
+    """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are the levels
+    at 5, 50 and 95 %.
+
+    `shares` (K, R) are the probabilities of R replicates of `samples` points each.
     """
 
     curve: Array
     values: Mapping[float, Estimate]
+    shares: Array
+    samples: int
+
+    def level(self, probability: float) -> Estimate:
+        """The level at which the probability of exceedance is this one, between 0 and 1; absent
+        where the curve does not pass through it.
+        """
+        if not 0.0 < probability < 1.0:
+            raise UsageError(f"a probability lies between 0 and 1, found {probability}")
+        return _fragility(self.curve[:, 0], self.shares, self.samples, [probability]).values[
+            probability
+        ]
 
     def __repr__(self) -> str:
         levels = "; ".join(
@@ -382,10 +472,8 @@ def fragility(
     model: Model,
     inputs: Inputs,
     *,
-    free: str,
-    levels: npt.ArrayLike,
+    levels: Mapping[str, npt.ArrayLike],
     strength: LawLike | float,
-    probabilities: Sequence[float] = (0.05, 0.5, 0.95),
     evaluations: int = 100_000,
     seed: int = 0,
 ) -> Fragility:
@@ -396,21 +484,41 @@ def fragility(
 
     Parameters
     ----------
-    free : name of the input that is set to the `levels` (K,), increasing
+    model : dict of name -> (n,) in, (n,) out
+    inputs : mapping of name to law, or a `Joint`
+    levels : {name: values (K,), increasing} of the input that is set to them
     strength : law, or the strength itself, in the unit of the answer
-    probabilities : at which the level is wanted
     evaluations : spent on all levels together
+    seed : of the points
+
+    Returns
+    -------
+    The curve; `level(p)` is the level at another probability.
+
+    Raises
+    ------
+    UsageError
+        For several free inputs, levels that do not increase, and a model without a finite answer.
+
+    >>> curve = fragility(
+    ...     lambda rows: rows["speed"] + rows["a"],
+    ...     {"a": {"dist": "normal", "mean": 0, "sd": 1}},
+    ...     levels={"speed": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]},
+    ...     strength=4.0,
+    ... )
+    >>> round(curve.level(0.5).value, 2)
+    4.0
     """
     with _refusing():
-        laws, grid = joint_of(inputs), np.asarray(levels, dtype=float)
+        if len(levels) != 1:
+            raise UsageError(f"one free input is required, found {', '.join(levels) or 'none'}")
+        laws, (free, values) = joint_of(inputs), *levels.items()
+        grid = np.asarray(values, dtype=float)
         if free in laws.names:
             raise UsageError(f"{free} is free and cannot scatter besides")
         law = float(strength) if isinstance(strength, int | float) else as_law(strength)
         if isinstance(law, float) and not math.isfinite(law):
             raise UsageError(f"the strength must be a finite number or a law, found {law}")
-        for p in probabilities:
-            if not 0.0 < p < 1.0:
-                raise UsageError(f"a probability lies between 0 and 1, found {p}")
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
         d = len(laws.names)
         points = [
@@ -426,10 +534,16 @@ def fragility(
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
             state = LimitState(demands=answers.reshape(REPLICATES, count), strength=law)
             rows.append(tails(state)[0].mean(axis=1))
-        fitted = curve.fragility(
-            grid, np.array(rows), probabilities, samples=count, evaluations=grid.size * len(x)
-        )
-    return Fragility(curve=np.array(fitted.curve), values=fitted.values)
+        return _fragility(grid, np.array(rows), count, (0.05, 0.5, 0.95))
+
+
+def _fragility(grid: Array, shares: Array, samples: int, targets: Sequence[float]) -> Fragility:
+    fitted = curve.fragility(
+        grid, shares, targets, samples=samples, evaluations=shares.size * samples
+    )
+    return Fragility(
+        curve=np.array(fitted.curve), values=fitted.values, shares=shares, samples=samples
+    )
 
 
 # --- strengths from tests -------------------------------------------------------------------------
@@ -438,12 +552,31 @@ def fragility(
 def weibull_fit(
     values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
 ) -> StrengthFit:
-    """The two-parameter Weibull law of strengths (n,), some of whose tests were stopped before
-    failure (n,).
+    """The two-parameter Weibull law of strengths, by the largest likelihood.
 
-    Largest likelihood, the factor that takes its bias out, and intervals of 95 % that hold for any
-    n (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445): `shape` the modulus,
-    `scale` in the values' unit.  `counts` (n,): how many equal tests each value stands for.
+    Parameters
+    ----------
+    values : strengths (n,), positive, in any unit
+    stopped : whether a test was stopped before failure (n,), none by default
+    counts : how many equal tests each value stands for (n,), 1 by default
+
+    Returns
+    -------
+    `shape` the modulus, `unbiased` the modulus without its bias, `scale` (63.2 %) in the values'
+    unit, with 95 % intervals that hold for any n.
+
+    Raises
+    ------
+    UsageError
+        For values that are no strengths, and fewer than two different failures.
+
+    Source
+    ------
+    D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445.
+
+    >>> fit = weibull_fit([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1])
+    >>> round(fit.shape, 2), round(fit.scale, 3)
+    (4.66, 1.108)
     """
     return _fitted(values, stopped, counts, "weibull")
 
@@ -451,8 +584,16 @@ def weibull_fit(
 def lognormal_fit(
     values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
 ) -> StrengthFit:
-    """The lognormal law of strengths (n,), as `weibull_fit`: `shape` is the sd of the logarithm,
-    `scale` the median.
+    """The lognormal law of strengths, by the largest likelihood.
+
+    Parameters, errors and intervals are those of `weibull_fit`.
+
+    Returns
+    -------
+    `shape` the standard deviation of the logarithm, `scale` the median in the values' unit.
+
+    >>> round(lognormal_fit([1.0, 2.0, 4.0]).scale, 6)
+    2.0
     """
     return _fitted(values, stopped, counts, "lognormal")
 

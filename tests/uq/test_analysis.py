@@ -273,22 +273,25 @@ def test_failure_probability_of_tied_inputs_that_fail_and_raise() -> None:
 
 
 def test_a_fragility_curve_with_its_levels() -> None:
-    found = analysis.fragility(
+    curve = analysis.fragility(
         lambda row: row["v"] * np.exp(0.2 * row["z"]),
         {"z": stats.norm()},
-        free="v",
-        levels=np.geomspace(0.5, 3.0, 13),
+        levels={"v": np.geomspace(0.5, 3.0, 13)},
         strength=stats.lognorm(0.15, scale=1.5),
-        probabilities=(0.1, 0.5),
     )
-    assert found.values[0.5].value == pytest.approx(1.5, rel=1e-3)
-    assert found.values[0.1].value == pytest.approx(
+    assert curve.values[0.5].value == pytest.approx(1.5, rel=1e-3)
+    assert curve.level(0.5) == curve.values[0.5]
+    assert curve.level(0.1).value == pytest.approx(
         1.5 * math.exp(-0.25 * stats.norm.ppf(0.9)), rel=1e-3
     )
-    assert found.to_frame().shape == (13, 4)
+    with pytest.raises(UsageError, match="between 0 and 1, found 2"):
+        curve.level(2)
+    with pytest.raises(UsageError, match="one free input is required, found v, w"):
+        analysis.fragility(lambda row: row["v"], {}, levels={"v": [1], "w": [1]}, strength=1.0)
+    assert curve.to_frame().shape == (13, 4)
     with pytest.raises(UsageError, match="z is free"):
         analysis.fragility(
-            lambda row: row["z"], {"z": stats.norm()}, free="z", levels=[1.0, 2.0], strength=1.0
+            lambda row: row["z"], {"z": stats.norm()}, levels={"z": [1.0, 2.0]}, strength=1.0
         )
 
 
