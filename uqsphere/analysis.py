@@ -419,8 +419,7 @@ def failure_probability(
             return values
 
         search = rare.failure_probability(
-            rare.Evaluator(function, len(laws.names), budget=evaluations),
-            seed=seed,
+            rare.Evaluator(function, len(laws.names), budget=evaluations, seed=seed),
             accuracy=accuracy,
         )
         nearest = [laws.physical(point.point[None])[0].tolist() for point in search.points[:1]]

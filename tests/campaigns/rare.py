@@ -550,8 +550,8 @@ class Answer:
 
 def by_search(entry: Problem, seed: int, budget: int) -> Answer:
     """The answer of the search for small probabilities by itself."""
-    evaluator = Evaluator(entry.function, entry.dimension, budget=budget)
-    answer = failure_probability(evaluator, seed=seed)
+    evaluator = Evaluator(entry.function, entry.dimension, budget=budget, seed=seed)
+    answer = failure_probability(evaluator)
     estimate = answer.estimate
     return Answer(
         value=estimate.value or 0.0,

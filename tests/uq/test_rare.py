@@ -27,7 +27,7 @@ def holds(estimate, truth: float, room: float = 0.0) -> bool:
 def test_public_problems_within_four_percent_and_their_interval(name: str) -> None:
     entry = problem(name)
     with np.errstate(all="ignore"):
-        found = failure_probability(Evaluator(entry.function, entry.dimension), seed=7)
+        found = failure_probability(Evaluator(entry.function, entry.dimension, seed=7))
     assert found.estimate.evaluations <= 30_000
     assert found.estimate.value == pytest.approx(entry.reference, rel=0.04)
     assert found.estimate.value == pytest.approx(
@@ -39,14 +39,14 @@ def test_an_integrated_strength_is_smooth_in_the_inputs() -> None:
     # g = (4 - u1)/0.5 - ..., failure where strength score z < -(...): Phi(-g) integrated is
     # Phi(-4/sqrt(1 + 0.25))
     found = failure_probability(
-        Evaluator(lambda u: (4.0 - u[:, 0]) / 0.5, 1, integrated=True), seed=2
+        Evaluator(lambda u: (4.0 - u[:, 0]) / 0.5, 1, integrated=True, seed=2)
     )
     assert found.estimate.value == pytest.approx(float(ndtr(-4.0 / math.sqrt(1.25))), rel=0.02)
     assert found.sure
 
 
 def test_failure_as_the_rule_is_one_less_its_complement() -> None:
-    found = failure_probability(Evaluator(lambda u: u[:, 0] - 3.0, 2), seed=1)
+    found = failure_probability(Evaluator(lambda u: u[:, 0] - 3.0, 2, seed=1))
     assert 1.0 - found.estimate.value == pytest.approx(float(ndtr(-3.0)), rel=0.03)
     assert holds(found.estimate, float(ndtr(3.0)))
 
@@ -70,7 +70,7 @@ TWO = {
 def test_two_regions_are_never_sure_and_wrong(name: str, budget: int) -> None:
     function, truth = TWO[name]
     for seed in range(6 if budget > 5000 else 2):
-        found = failure_probability(Evaluator(function, 2, budget=budget), seed=seed)
+        found = failure_probability(Evaluator(function, 2, budget=budget, seed=seed))
         low, high = found.estimate.outer
         assert low <= 1.01 * truth
         assert high >= truth / 1.01
@@ -91,7 +91,7 @@ def test_a_hundred_calls_give_smooth_problems_within_three_percent_and_are_not_s
     name: str,
 ) -> None:
     entry = problem(name)
-    found = failure_probability(Evaluator(entry.function, entry.dimension, budget=100), seed=3)
+    found = failure_probability(Evaluator(entry.function, entry.dimension, budget=100, seed=3))
     estimate = found.estimate
     assert estimate.evaluations <= 100
     assert estimate.value == pytest.approx(entry.reference, rel=0.03)
@@ -110,7 +110,7 @@ def test_forty_and_a_hundred_lognormals_within_four_percent(dimension: int, trut
         return dimension + 0.6 * math.sqrt(dimension) - law.from_normal(u).sum(axis=1)
 
     for seed in range(3):
-        found = failure_probability(Evaluator(limit, dimension), seed=seed)
+        found = failure_probability(Evaluator(limit, dimension, seed=seed))
         assert found.estimate.value == pytest.approx(truth, rel=0.04)
         assert holds(found.estimate, truth)
 
@@ -124,7 +124,7 @@ def test_an_island_off_the_path_of_the_search_is_never_sure_and_wrong(radius: fl
     truth = float(ncx2.cdf(radius**2, 2, 8.0) + ndtr(-4.5))
     met = 0
     for seed in range(6):
-        found = failure_probability(Evaluator(limit, 2), seed=seed)
+        found = failure_probability(Evaluator(limit, 2, seed=seed))
         low, high = found.estimate.outer
         assert low < truth < high
         met += found.estimate.high > truth
@@ -134,7 +134,7 @@ def test_an_island_off_the_path_of_the_search_is_never_sure_and_wrong(radius: fl
 def test_no_failure_is_a_bound_and_not_zero() -> None:
     for budget in (300, 20_000):
         found = failure_probability(
-            Evaluator(lambda u: np.full(len(u), 1.0), 3, budget=budget), seed=1
+            Evaluator(lambda u: np.full(len(u), 1.0), 3, budget=budget, seed=1)
         )
         assert found.estimate.value is None
         assert 0.0 < found.estimate.high < 0.05
@@ -149,7 +149,7 @@ def test_the_model_is_not_called_beyond_nine_standard_deviations() -> None:
         return np.sqrt(2.0 + 0.3 * u[:, 0]) - 1.05  # nan beyond -6.7
 
     with np.errstate(invalid="ignore"):
-        found = failure_probability(Evaluator(radius, 1), seed=3)
+        found = failure_probability(Evaluator(radius, 1, seed=3))
         assert holds(found.estimate, float(ndtr((1.05**2 - 2.0) / 0.3)))
         assert max(farthest) <= REACH
 
@@ -158,7 +158,7 @@ def test_rows_that_fail_widen_the_interval() -> None:
     def limit(u: np.ndarray) -> np.ndarray:
         return np.where(np.abs(u[:, 1]) < 0.1, np.nan, 3.0 - u[:, 0])
 
-    found = failure_probability(Evaluator(limit, 2), seed=1).estimate
+    found = failure_probability(Evaluator(limit, 2, seed=1)).estimate
     lost = float(ndtr(0.1) - ndtr(-0.1))
     assert "failed rows" in found.method
     assert found.high > 0.9 * lost
@@ -166,7 +166,9 @@ def test_rows_that_fail_widen_the_interval() -> None:
 
 
 def test_design_points_of_two_planes_and_their_order() -> None:
-    limit = Evaluator(function=lambda u: np.minimum(3.0 - u[:, 0], 3.5 + u[:, 1]), dimension=2)
-    found = find_design_points(limit, seed=1)
+    limit = Evaluator(
+        function=lambda u: np.minimum(3.0 - u[:, 0], 3.5 + u[:, 1]), dimension=2, seed=1
+    )
+    found = find_design_points(limit)
     assert [p.beta for p in found[:2]] == pytest.approx([3.0, 3.5], abs=1e-3)
     assert found[0].point == pytest.approx([3.0, 0.0], abs=1e-3)

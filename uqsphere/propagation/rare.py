@@ -101,9 +101,7 @@ def search(
         if problem.limit is not None:
             draws = shared.setdefault((limit.quantity, limit.aim), [])
         try:
-            found = failure_probability(
-                problem, seed=design.study.seed, accuracy=required.probability, known=draws
-            )
+            found = failure_probability(problem, accuracy=required.probability, known=draws)
         except Interrupted:
             return Searches(answers, interrupted=True)
         except ModelError:
@@ -186,7 +184,7 @@ def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, f
         return with_test_forces(design, sample, {}, [limit])
 
     problem = _problem(design, limit, answered, MOST_VALUES)
-    return _physical(design, limit, answered, find_design_points(problem, seed=design.study.seed))
+    return _physical(design, limit, answered, find_design_points(problem))
 
 
 def _problem(
@@ -217,6 +215,7 @@ def _problem(
             len(design.drawn.names),
             integrated=law,
             budget=budget,
+            seed=design.study.seed,
         )
     factor = limit.model_factor
     return Evaluator(
@@ -225,6 +224,7 @@ def _problem(
         integrated=law,
         limit=lambda y: left(LimitState(demands=factor * y[None], strength=strength_of(limit))),
         budget=budget,
+        seed=design.study.seed,
     )
 
 

@@ -17,15 +17,13 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import REPLICATES, Estimate, count_bound, probability_ends, spread
+from uqsphere.uq.estimate import REPLICATES, Estimate, absent, count_bound, probability_ends, spread
 from uqsphere.uq.limit_state import complement
-from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare import few
 from uqsphere.uq.rare.form import DesignPoint, find_design_points
 from uqsphere.uq.rare.mixture import (
     Draws,
     ImportanceAnswer,
-    Mixture,
     adapt,
     around_design_points,
     defended,
@@ -39,7 +37,7 @@ from uqsphere.uq.rare.mixture import (
     wide_mixture,
 )
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator
-from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
+from uqsphere.uq.rare.subset import subset_simulation
 
 __all__ = [
     "REACH",
@@ -89,14 +87,14 @@ class RareAnswer:
 
 
 def failure_probability(
-    evaluator: Evaluator, *, seed: int = 0, accuracy: float = 0.015, known: Sequence[Draws] = ()
+    evaluator: Evaluator, *, accuracy: float = 0.015, known: Sequence[Draws] = ()
 ) -> RareAnswer:
     """Probability that a limit function of standard normals is negative.
 
     Parameters
     ----------
-    evaluator : the limit function, with the most evaluations that may be spent; below 5,000 they
-        are a plain sample, and nothing is sure
+    evaluator : the limit function, with the most evaluations that may be spent; below 5,000 a
+        surrogate or a plain sample answers, and nothing is sure
     accuracy : half-width of the 95 % interval over the probability at which it ends
     known : draws of a sure search with the same function for a failure domain that holds this one,
         and of others inside it; where they suffice there is no search
@@ -104,94 +102,49 @@ def failure_probability(
     The function is not evaluated beyond 9 standard deviations.  Rows that are nan are carried to
     the bounds of the answer: once as failure, once as none.
 
-    >>> found = failure_probability(Evaluator(lambda u: 4.0 - np.abs(u[:, 0]), 2), seed=1)
-    >>> len(found.points), found.sure, found.estimate.low < 6.334248e-05 < found.estimate.high
-    (2, True, True)
+    >>> answer = failure_probability(Evaluator(lambda u: 4.0 - np.abs(u[:, 0]), 2, seed=1))
+    >>> len(answer.points), answer.sure
+    (2, True)
+    >>> answer.estimate.low < 6.334248e-05 < answer.estimate.high
+    True
     """
     budget = evaluator.budget
     if budget < FEW:
-        return _from_few(evaluator, seed, accuracy)
-    near = None
-    if known:
-        near = nearby(evaluator, known, seed=seed, accuracy=accuracy)
+        return _from_few(evaluator, accuracy)
+    near = nearby(evaluator, known, accuracy) if known else None
     if near is not None:
-        points = find_design_points(evaluator, seed=seed, most=0.06 * budget)
+        points = find_design_points(evaluator, most=0.06 * budget)
+        estimate = replace(near.estimate, evaluations=evaluator.count)
         return RareAnswer(
-            estimate=replace(near.estimate, evaluations=evaluator.count),
-            warning="",
-            points=points,
-            draws=near.draws,
-            searched=False,
+            estimate=estimate, warning="", points=points, draws=near.draws, searched=False
         )
-    share = int(DEFENSIVE * budget)
-    dimension = evaluator.dimension
-    plain = draw(evaluator, standard_normal(dimension), share, seed=seed, task="defensive share")
-    look, starts = _look_around(evaluator, seed)
-    pool = [plain, *look]
-    points = find_design_points(evaluator, seed=seed, starts=starts, most=0.06 * budget)
-    subset = subset_simulation(
-        evaluator, seed=seed, per_level=int(min(max(budget // 75, 100), 500))
-    )
+    d, count = evaluator.dimension, int(DEFENSIVE * budget)
+    plain = draw(evaluator, standard_normal(d), count, "defensive share")
+    pool, starts = [plain], None
+    if d <= MOST_DIMENSIONS:
+        # points far out in all directions; the three most probable failures among them are starts
+        look = draw(evaluator, wide_mixture(d), count, "wide look")
+        pool.append(look)
+        limit = 2.0 if evaluator.integrated else 0.0
+        failing = look.points[evaluator.values(look.points, look.answers) < limit]
+        starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
+        if evaluator.integrated:
+            starts = np.column_stack([starts, np.full(len(starts), -1.0)])
+    points = find_design_points(evaluator, starts=starts, most=0.06 * budget)
+    subset = subset_simulation(evaluator, int(min(max(budget // 75, 100), 500)))
     if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:
         # failure is the rule: the probability of survival is looked for
         survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=evaluator.left)
-        survived = failure_probability(survival, seed=seed, accuracy=accuracy)
-        other = survived.estimate
+        survived = failure_probability(survival, accuracy=accuracy)
+        reason = survived.estimate.reason
         failure = replace(
-            complement(other),
+            complement(survived.estimate),
             evaluations=evaluator.count + survival.count,
-            reason=other.reason and other.reason.replace("failure", "survival"),
+            reason=reason and reason.replace("failure", "survival"),
         )
         return replace(survived, estimate=failure)
-    mixture = _first_mixture(evaluator, pool, points, subset)
-    if mixture is None and evaluator.failed:
-        # rows without an answer may be the failures that were not found: a plain sample bounds them
-        return _sampled(evaluator, seed)
-    estimate, warning, draws = _bound(subset.estimate), "no search for a failure found one", None
-    mass = evaluator.mass(evaluator.values(plain.points, plain.answers))
-    if mixture is not None:
-        per_stage = int(max(min(2048, evaluator.left / 6), 256))
-        mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=per_stage)
-        answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy)
-        estimate, warning = _certify(answer, subset.estimate)
-        draws = answer.draws
-        estimate, warning = _defended(estimate, warning, mass)
-    if estimate.high is not None:
-        unseen = min(estimate.high + count_bound(mass.size), 1.0)
-        estimate = replace(estimate, high_unseen=unseen)
-    return RareAnswer(
-        estimate=replace(estimate, evaluations=evaluator.count),
-        warning=warning,
-        points=points,
-        draws=draws,
-    )
-
-
-def _look_around(evaluator: Evaluator, seed: int) -> tuple[list[Draws], Array]:
-    """Points far out in all directions; the three most probable failures (n, size) among them as
-    starts.
-    """
-    d = evaluator.dimension
-    if d > MOST_DIMENSIONS:
-        return [], np.empty((0, evaluator.size))
-    count = int(DEFENSIVE * evaluator.budget)
-    look = draw(evaluator, wide_mixture(d), count, seed=seed, task="wide look")
-    limit = 2.0 if evaluator.integrated else 0.0
-    failing = look.points[evaluator.values(look.points, look.answers) < limit]
-    starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
-    if evaluator.integrated:
-        starts = np.column_stack([starts, np.full(len(starts), -1.0)])
-    return [look], starts
-
-
-def _first_mixture(
-    evaluator: Evaluator, pool: list[Draws], points: tuple[DesignPoint, ...], subset: SubsetAnswer
-) -> Mixture | None:
-    """A mixture of what the three ways to look have seen; None where there was no failure at
-    all.
-    """
-    d = evaluator.dimension
-    parts: list[Mixture] = []
+    # a mixture of what the three ways to look have seen
+    parts = []
     if len(subset.failures):
         parts.append(gaussian(subset.failures[:, :d], np.ones(len(subset.failures))))
     beyond = [point for point in points if point.beta > 0.0]
@@ -201,43 +154,51 @@ def _first_mixture(
         seen, weights = failures(evaluator, pool)
         if weights.size:
             parts.append(gaussian(seen, weights))
-    if not parts:
-        return None
-    return joined([(1.0, part) for part in parts])
+    if not parts and evaluator.failed:
+        # rows without an answer may be the failures that were not found: a plain sample bounds them
+        return _sampled(evaluator)
+    estimate, warning, draws = _bound(subset.estimate), "no search for a failure found one", None
+    mass = evaluator.mass(evaluator.values(plain.points, plain.answers))
+    if parts:
+        per_stage = int(max(min(2048, evaluator.left / 6), 256))
+        mixture = adapt(evaluator, pool, joined([(1.0, part) for part in parts]), per_stage)
+        answer = importance_sampling(evaluator, defended(mixture), accuracy)
+        draws = answer.draws
+        estimate, warning = _defended(*_certify(answer, subset.estimate), mass)
+    if estimate.high is not None:
+        unseen = min(estimate.high + count_bound(mass.size), 1.0)
+        estimate = replace(estimate, high_unseen=unseen)
+    estimate = replace(estimate, evaluations=evaluator.count)
+    return RareAnswer(estimate=estimate, warning=warning, points=points, draws=draws)
 
 
 def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
     """The answer if subset simulation does not contradict it, else one whose interval holds both,
     and a warning.
     """
-    own = answer.estimate
-    if own.value is None or own.low is None or own.high is None:
-        return _bound(
-            other
-        ), f"importance sampling: {own.reason}; subset simulation has no second method"
+    sampled = answer.estimate
+    if sampled.value is None or sampled.low is None or sampled.high is None:
+        warning = f"importance sampling: {sampled.reason}; subset simulation has no second method"
+        return _bound(other), warning
     if other.value is None or other.high is None:
-        sure = answer.trusted and own.low <= (1.0 if other.high is None else other.high)
-        if sure:
-            return own, ""
-        return (
-            own,
-            f"subset simulation: {other.reason}; importance sampling has no second method",
-        )
+        if answer.trusted and sampled.low <= (other.high or 1.0):
+            return sampled, ""
+        warning = f"subset simulation: {other.reason}; importance sampling has no second method"
+        return sampled, warning
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
-    slack = 1.5 * math.log(other.high / other.value) + math.log(own.high / own.low)
-    if answer.trusted and math.log(own.value / other.value) >= -slack:
+    slack = 1.5 * math.log(other.high / other.value) + math.log(sampled.high / sampled.low)
+    if answer.trusted and math.log(sampled.value / other.value) >= -slack:
         # what trusted weights show is there; chains may well have missed it
-        if own.value <= other.value * math.exp(slack):
-            return own, ""
-        return own, f"subset simulation missed a part of the failures: {other.value:.3g}"
+        if sampled.value <= other.value * math.exp(slack):
+            return sampled, ""
+        return sampled, f"subset simulation missed a part of the failures: {other.value:.3g}"
     warning = (
-        f"importance sampling ({own.value:.3g}, largest weight {answer.heaviest:.0%}) and subset "
-        "simulation "
-        f"({other.value:.3g}) disagree, or weights are uneven: the interval holds both"
+        f"importance sampling ({sampled.value:.3g}, largest weight {answer.heaviest:.0%}) and "
+        f"subset simulation ({other.value:.3g}) disagree, or weights are uneven: the interval "
+        "holds both"
     )
-    return replace(
-        own.holding(other), method=f"{own.method}, widened to hold subset simulation"
-    ), warning
+    method = f"{sampled.method}, widened to hold subset simulation"
+    return replace(sampled.holding(other), method=method), warning
 
 
 def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, str]:
@@ -272,20 +233,20 @@ def _bound(single: Estimate) -> Estimate:
     return replace(single, value=None, low=0.0, high=high, std_error=None, reason=reason)
 
 
-def _from_few(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
+def _from_few(evaluator: Evaluator, accuracy: float) -> RareAnswer:
     """A surrogate's answer from few calls; a plain sample where no surrogate serves.  Neither is
     sure: a part of the failures that no call has met is in the outer interval only.
     """
-    if evaluator.dimension > MOST_DIMENSIONS or evaluator.left < FEWEST:
-        return _sampled(evaluator, seed)
 
-    def search(surrogate: Evaluator, half_width: float) -> few.SurrogateAnswer:
-        answer = failure_probability(surrogate, seed=seed, accuracy=half_width)
-        return few.SurrogateAnswer(estimate=answer.estimate, draws=answer.draws)
+    def search(surrogate: Evaluator, half_width: float) -> tuple[Estimate, Draws | None]:
+        answer = failure_probability(surrogate, accuracy=half_width)
+        return answer.estimate, answer.draws
 
-    estimate = few.by_kriging(evaluator, search, seed=seed, accuracy=accuracy)
+    estimate = None
+    if evaluator.dimension <= MOST_DIMENSIONS and evaluator.left >= FEWEST:
+        estimate = few.by_kriging(evaluator, search, accuracy)
     if estimate is None:
-        return _sampled(evaluator, seed)
+        return _sampled(evaluator)
     warning = (
         f"from {evaluator.count} runs: a failure region may have been missed; with it the "
         f"probability is below {estimate.high_unseen:.2g}"
@@ -293,36 +254,23 @@ def _from_few(evaluator: Evaluator, seed: int, accuracy: float) -> RareAnswer:
     return RareAnswer(estimate=estimate, warning=warning)
 
 
-def _sampled(evaluator: Evaluator, seed: int) -> RareAnswer:
+def _sampled(evaluator: Evaluator) -> RareAnswer:
     """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
     count = int(evaluator.left // REPLICATES)
     if count < 2:
         raise ValueError(
             f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left:.0f}"
         )
-    points = [
-        sobol_points(dimension=evaluator.dimension, count=count, seed=seed, task="few", replicate=r)
-        for r in range(REPLICATES)
-    ]
-    mass = evaluator.mass(evaluator.values(special.ndtri(np.concatenate(points)))).reshape(
-        REPLICATES, count
-    )
-    lost, rows, total = float(np.isnan(mass).mean()), np.nan_to_num(mass).mean(axis=1), mass.size
-    value, unseen = float(rows.mean()), count_bound(total)
-    low, high, error = probability_ends(
-        value, 1.0 - value, spread(rows, 1.0 / count), REPLICATES, total
-    )
-    high = min(max(high, value + unseen) + lost, 1.0)
-    estimate = Estimate(
-        value=value,
-        low=low,
-        high=high,
-        std_error=error,
-        method="randomised quasi-Monte Carlo",
-        evaluations=evaluator.count,
-    )
-    if not value > 0.0:
-        reason = f"no failure in {total} runs: it is below {high:.2g}"
-        estimate = replace(estimate, value=None, std_error=None, reason=reason)
+    points = [evaluator.normals(evaluator.dimension, count, "few", r) for r in range(REPLICATES)]
+    mass = evaluator.mass(evaluator.values(np.concatenate(points)))
+    rows, total = np.nan_to_num(mass).reshape(REPLICATES, count).mean(axis=1), mass.size
+    p, unseen = float(rows.mean()), count_bound(total)
+    low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / count), REPLICATES, total)
+    high = min(max(high, p + unseen) + float(np.isnan(mass).mean()), 1.0)
+    method = "randomised quasi-Monte Carlo"
+    nothing = absent(f"no failure in {total} runs: it is below {high:.2g}", method, evaluator.count)
+    estimate = replace(nothing, low=low, high=high)
+    if p > 0.0:
+        estimate = replace(estimate, value=p, std_error=error, reason=None)
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate=estimate, warning=warning)

@@ -9,15 +9,13 @@ central differences over a step that is wide enough to see across kinks.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
-from uqsphere.uq.points import sobol_points
+from uqsphere.arrays import Array
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
 #: step of the central differences, and the distance below which two design points are one, in
@@ -39,7 +37,7 @@ class DesignPoint:
 
 
 def find_design_points(
-    evaluator: Evaluator, *, seed: int, starts: Array | None = None, most: float = math.inf
+    evaluator: Evaluator, *, starts: Array | None = None, most: float = math.inf
 ) -> tuple[DesignPoint, ...]:
     """Design points by rising distance, from the origin, from quasi-random directions, and from
     `starts` (n, size).
@@ -48,48 +46,47 @@ def find_design_points(
     it was looked at.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
-    >>> round(find_design_points(plane, seed=1)[0].beta, 6)
+    >>> round(find_design_points(plane)[0].beta, 6)
     3.0
     """
     size, last = evaluator.size, evaluator.count + most
+    first = np.zeros((1, size))
     # beyond ten variables a step takes so many evaluations that one start has to do
-    normals = special.ndtri(
-        sobol_points(
-            dimension=size,
-            count=4 if size <= MOST_DIMENSIONS else 0,
-            seed=seed,
-            task="form starts",
-            replicate=0,
-        )
-    )
-    away = 2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    first = np.concatenate([np.zeros((1, size)), away, *([] if starts is None else [starts])])
+    if size <= MOST_DIMENSIONS:
+        normals = evaluator.normals(size, 4, "form starts")
+        away = 2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        first = np.concatenate([first, away])
+    if starts is not None:
+        first = np.concatenate([first, starts])
     points: list[DesignPoint] = []
     with suppress(Spent):
-        looked = evaluator.hard(first)
-        finite = looked[np.isfinite(looked)]
+        values = evaluator.hard(first)
         # a typical size of g: its value at the origin, or its spread over the starts where that is
         # larger
-        scale = float(np.ptp(finite)) if finite.size else 0.0
-        if math.isfinite(looked[0]):
-            scale = max(abs(float(looked[0])), scale)
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return ()
+        scale = float(np.ptp(finite))
+        if math.isfinite(values[0]):
+            scale = max(abs(float(values[0])), scale)
         if not scale > 0.0:
             return ()
+        sign = -1.0 if values[0] < 0.0 else 1.0
         for start in first:
             point, value, slope = _search(evaluator, start, scale, last)
             length, distance = float(np.linalg.norm(slope)), float(np.linalg.norm(point))
             direction = -slope / (length or 1.0)
             along = float(point @ direction)
             off = float(np.linalg.norm(point - along * direction))
-            sign = -1.0 if looked[0] < 0.0 else 1.0
-            # on the limit, and along its gradient
-            if (
-                abs(value[0]) < 1e-3 * length
-                and off < 0.02 * max(1.0, distance)
-                and sign * along > -1e-6
-            ):
+            on_limit = abs(value[0]) < 1e-3 * length
+            if on_limit and off < 0.02 * max(1.0, distance) and sign * along > -1e-6:
                 points.append(DesignPoint(point=point, beta=sign * distance, direction=direction))
-    return _distinct(points)
+    # of those that lie together the nearest to the origin
+    distinct: list[DesignPoint] = []
+    for near in sorted(points, key=lambda point: abs(point.beta)):
+        if all(np.linalg.norm(near.point - other.point) > SAME for other in distinct):
+            distinct.append(near)
+    return tuple(distinct)
 
 
 def _search(
@@ -122,9 +119,7 @@ def _search(
     def gradient(point: Array) -> Array:
         return at(point.tobytes())[1]
 
-    box = [(STEP - REACH, REACH - STEP)] * evaluator.dimension + [(-math.inf, math.inf)] * (
-        size - evaluator.dimension
-    )
+    ends = [REACH - STEP] * evaluator.dimension + [math.inf] * (size - evaluator.dimension)
     end = np.asarray(
         fmin_slsqp(
             half_square,
@@ -132,19 +127,10 @@ def _search(
             fprime=np.asarray,
             f_eqcons=value,
             fprime_eqcons=gradient,
-            bounds=box,
+            bounds=[(-end, end) for end in ends],
             iter=40,
             acc=1e-4,
             iprint=0,
         )
     )
     return end, value(end), gradient(end)
-
-
-def _distinct(points: Sequence[DesignPoint]) -> tuple[DesignPoint, ...]:
-    """One of every group that lies together, the nearest to the origin."""
-    kept: list[DesignPoint] = []
-    for point in sorted(points, key=lambda p: abs(p.beta)):
-        if all(float(np.linalg.norm(point.point - other.point)) > SAME for other in kept):
-            kept.append(point)
-    return tuple(kept)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -43,23 +43,23 @@ class Kriging:
         """Values (m,) at points (m, d)."""
         return _basis(points) @ self.trend + self._correlations(points) @ self.weights
 
-    def mean_and_sd(self, points: Array) -> tuple[Array, Array]:
-        """Values (m,) at points (m, d), and their standard deviations."""
+    def sd(self, points: Array) -> Array:
+        """Standard deviations (m,) at points (m, d)."""
         from scipy.linalg import solve_triangular
 
-        shared = self._correlations(points)
-        whitened = solve_triangular(self.factor, shared.T, lower=True)
+        whitened = solve_triangular(self.factor, self._correlations(points).T, lower=True)
         basis = solve_triangular(self.factor, _basis(self.points), lower=True)
-        unexplained = _basis(points) - whitened.T @ basis
-        triangle = np.linalg.qr(basis, mode="r")
         # a trend that the points do not determine adds nothing that can be stated
-        of_trend = unexplained @ np.linalg.pinv(triangle)
+        of_trend = (_basis(points) - whitened.T @ basis) @ np.linalg.pinv(
+            np.linalg.qr(basis, mode="r")
+        )
         variance = 1.0 - (whitened**2).sum(axis=0) + (of_trend**2).sum(axis=1)
-        mean = _basis(points) @ self.trend + shared @ self.weights
-        return mean, self.scale * np.sqrt(np.maximum(variance, NUGGET))
+        return np.asarray(self.scale * np.sqrt(np.maximum(variance, NUGGET)))
 
     def _correlations(self, points: Array) -> Array:
-        return _kernel(points / self.lengths, self.points / self.lengths)
+        first, second = points / self.lengths, self.points / self.lengths
+        squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1) - 2.0 * first @ second.T
+        return np.asarray(np.exp(-0.5 * np.maximum(squares, 0.0)))
 
 
 def fit_kriging(points: Array, values: Array, start: Array | None = None) -> Kriging:
@@ -68,69 +68,61 @@ def fit_kriging(points: Array, values: Array, start: Array | None = None) -> Kri
     start : correlation lengths (d,) that the search begins with
 
     >>> x = np.linspace(-2.0, 2.0, 9)[:, None]
-    >>> found = fit_kriging(x, np.sin(x[:, 0]))
-    >>> bool(abs(found.mean(np.array([[0.3]]))[0] - np.sin(0.3)) < 1e-3)
+    >>> process = fit_kriging(x, np.sin(x[:, 0]))
+    >>> bool(abs(process.mean(np.array([[0.3]]))[0] - np.sin(0.3)) < 1e-3)
     True
     """
+    from scipy.linalg import solve_triangular
     from scipy.optimize import minimize
 
-    d = points.shape[1]
+    n, d = points.shape
     squares = (points[:, None, :] - points[None, :, :]) ** 2
     basis = _basis(points)
+
+    def solved(shared: Array) -> tuple[Any, Array, Array, Array, float]:
+        """Cholesky factor of the correlations, its inverse, trend by generalised least squares,
+        weights, and variance.
+        """
+        nugget = NUGGET
+        while True:
+            try:
+                factor = np.linalg.cholesky(shared + nugget * np.eye(n))
+                break
+            except np.linalg.LinAlgError:
+                nugget *= 10.0
+        whitened = solve_triangular(factor, np.column_stack([basis, values]), lower=True)
+        trend = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+        residuals, inverse = values - basis @ trend, np.linalg.inv(factor)
+        weights = inverse.T @ (inverse @ residuals)
+        return factor, inverse, trend, weights, max(float(residuals @ weights) / n, 1e-300)
 
     def loss(logs: Array) -> tuple[float, Array]:
         """Minus twice the logarithm of the likelihood over n, and its slope."""
         inverse_squares = np.exp(-2.0 * logs)
         shared = np.exp(-0.5 * squares @ inverse_squares)
-        factor, _, residuals = _solved(shared, basis, values)
-        inverse = np.linalg.inv(factor)
-        weights = inverse.T @ (inverse @ residuals)
-        n = len(values)
-        variance = max(float(residuals @ weights) / n, 1e-300)
+        factor, inverse, _, weights, variance = solved(shared)
         value = math.log(variance) + 2.0 * float(np.log(np.diag(factor)).sum()) / n
         # d loss = trace((K^-1 - w w' / variance) dK) / n
         core = (inverse.T @ inverse - np.outer(weights, weights) / variance) * shared / n
         return value, np.tensordot(core, squares, axes=2) * inverse_squares
 
-    begin = np.full(d, math.log(2.0 * math.sqrt(d))) if start is None else np.log(start)
+    if start is None:
+        start = np.full(d, 2.0 * math.sqrt(d))
     bounds = [(math.log(SHORTEST), math.log(LONGEST))] * d
     best = minimize(
-        loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20}
+        loss, np.log(start), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20}
     )
     lengths = np.exp(best.x)
-    factor, trend, residuals = _solved(np.exp(-0.5 * squares @ lengths**-2.0), basis, values)
-    inverse = np.linalg.inv(factor)
-    weights = inverse.T @ (inverse @ residuals)
+    factor, _, trend, weights, variance = solved(np.exp(-0.5 * squares @ lengths**-2.0))
     return Kriging(
         points=points,
         lengths=lengths,
         trend=trend,
         factor=factor,
         weights=weights,
-        scale=math.sqrt(max(float(residuals @ weights) / len(values), 1e-300)),
+        scale=math.sqrt(variance),
     )
 
 
 def _basis(points: Array) -> Array:
     return np.column_stack([np.ones(len(points)), points])
-
-
-def _kernel(first: Array, second: Array) -> Array:
-    squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1) - 2.0 * first @ second.T
-    return np.asarray(np.exp(-0.5 * np.maximum(squares, 0.0)))
-
-
-def _solved(shared: Array, basis: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Cholesky factor of the correlations, trend by generalised least squares, and residuals."""
-    from scipy.linalg import solve_triangular
-
-    nugget = NUGGET
-    while True:
-        try:
-            factor = np.linalg.cholesky(shared + nugget * np.eye(len(values)))
-            break
-        except np.linalg.LinAlgError:
-            nugget *= 10.0
-    whitened = solve_triangular(factor, basis, lower=True)
-    trend = np.linalg.lstsq(whitened, solve_triangular(factor, values, lower=True), rcond=None)[0]
-    return np.asarray(factor, dtype=float), np.asarray(trend), values - basis @ trend

@@ -14,9 +14,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array, special
 from uqsphere.uq.describe import hill
@@ -30,7 +31,6 @@ from uqsphere.uq.estimate import (
     spread,
     student,
 )
-from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 
@@ -76,44 +76,40 @@ class Mixture:
     def log_density(self, points: Array) -> Array:
         """Logarithm of the density at points (n, d).
 
-        >>> one = Mixture(shares=np.ones(1), means=np.zeros((1, 1)), factors=np.eye(1)[None])
-        >>> one.log_density(np.zeros((1, 1))).round(6).tolist()
+        >>> standard_normal(1).log_density(np.zeros((1, 1))).round(6).tolist()
         [-0.918939]
         """
         return special.logsumexp(self.log_densities(points), axis=1)
 
-    def allocated(self, count: int) -> tuple[Array, Mixture]:
+    def ratio(self, points: Array) -> Array:
+        """Standard normal density over that of the mixture at points (n, d)."""
+        return np.exp(log_normal_density(points) - self.log_density(points))
+
+    def drawn(self, count: int) -> tuple[Array, Mixture]:
         """Points of each component among `count`, at least one, and the mixture with the shares
         really drawn.
         """
         wanted = 1.0 + self.shares * (count - self.shares.size)
         counts = np.floor(wanted).astype(int)
         counts[np.argsort(-(wanted - counts), kind="stable")[: count - int(counts.sum())]] += 1
-        return counts, Mixture(shares=counts / count, means=self.means, factors=self.factors)
+        return counts, replace(self, shares=counts / count)
 
-    def draw(self, counts: Array, *, seed: int, task: str, replicate: int, block: int = 0) -> Array:
-        """Points (sum counts, d) of one replicate, counts[k] of component k in turn; `block`
-        continues the sequence.
+    def moved(self, normals: Array, counts: Array) -> Array:
+        """Points (n, d) from standard normals (n, d), counts[k] of component k in turn.
 
-        A draw is stratified over the components: with the shares really drawn as weights it stands
+        They are stratified over the components: with the shares really drawn as weights they stand
         for the mixture without bias (Owen and Zhou 2000, doi 10.1080/01621459.2000.10473909).
         """
-        total = int(counts.sum())
-        uniforms = sobol_points(
-            dimension=self.dimension,
-            count=total,
-            start=block * total,
-            seed=seed,
-            task=task,
-            replicate=replicate,
-        )
-        pieces = np.split(special.ndtri(uniforms), np.cumsum(counts)[:-1])
-        return np.concatenate(
-            [
-                mean + piece @ factor.T
-                for mean, factor, piece in zip(self.means, self.factors, pieces, strict=True)
-            ]
-        )
+        pieces = np.split(normals, np.cumsum(counts)[:-1])
+        triples = zip(self.means, self.factors, pieces, strict=True)
+        return np.concatenate([mean + piece @ factor.T for mean, factor, piece in triples])
+
+
+def equal(means: npt.ArrayLike, factors: npt.ArrayLike) -> Mixture:
+    """Gaussians of equal shares."""
+    centres = np.array(means)
+    shares = np.full(len(centres), 1.0 / len(centres))
+    return Mixture(shares=shares, means=centres, factors=np.array(factors))
 
 
 def joined(parts: Sequence[tuple[float, Mixture]]) -> Mixture:
@@ -130,16 +126,13 @@ def wide_mixture(dimension: int) -> Mixture:
     """Six Gaussians about the origin whose points lie up to 6 beyond where standard normal points
     lie.
     """
-    typical, rungs = math.sqrt(dimension), np.linspace(0.0, 6.0, 6)
-    factors = (1.0 + rungs / typical)[:, None, None] * np.eye(dimension)
-    return Mixture(shares=np.full(6, 1.0 / 6.0), means=np.zeros((6, dimension)), factors=factors)
+    scales = 1.0 + np.linspace(0.0, 6.0, 6) / math.sqrt(dimension)
+    return equal(np.zeros((6, dimension)), scales[:, None, None] * np.eye(dimension))
 
 
 def standard_normal(dimension: int) -> Mixture:
     """The standard normal distribution: a plain sample."""
-    return Mixture(
-        shares=np.ones(1), means=np.zeros((1, dimension)), factors=np.eye(dimension)[None]
-    )
+    return equal(np.zeros((1, dimension)), np.eye(dimension)[None])
 
 
 def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixture:
@@ -150,23 +143,15 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
     Where a variable is integrated the design points have one more coordinate than `dimension`; it
     is dropped.
     """
+    if dimension > MOST_DIMENSIONS:
+        return equal([p.point[:dimension] for p in points], [np.eye(dimension)] * len(points))
     means, factors = [], []
     for point in points:
-        beta = max(abs(point.beta), 0.5)
-        if dimension > MOST_DIMENSIONS:
-            means.append(point.point[:dimension])
-            factors.append(np.eye(dimension))
-            continue
-        covariance = np.eye(point.point.size) - np.outer(point.direction, point.direction) / (
-            1.0 + 1.0 / beta**2
-        )
-        means.append((point.point + point.direction / beta)[:dimension])
+        beta, along = max(abs(point.beta), 0.5), point.direction
+        covariance = np.eye(along.size) - np.outer(along, along) / (1.0 + 1.0 / beta**2)
+        means.append((point.point + along / beta)[:dimension])
         factors.append(np.linalg.cholesky(covariance[:dimension, :dimension]))
-    return Mixture(
-        shares=np.full(len(means), 1.0 / len(means)),
-        means=np.array(means),
-        factors=np.array(factors),
-    )
+    return equal(means, factors)
 
 
 def defended(mixture: Mixture) -> Mixture:
@@ -176,7 +161,7 @@ def defended(mixture: Mixture) -> Mixture:
     d = mixture.dimension
     if d > MOST_DIMENSIONS:
         return joined([(0.9, mixture), (0.1, standard_normal(d))])
-    copies = Mixture(shares=mixture.shares, means=mixture.means, factors=1.6 * mixture.factors)
+    copies = replace(mixture, factors=1.6 * mixture.factors)
     return joined([(0.84, mixture), (0.12, copies), (0.04, wide_mixture(d))])
 
 
@@ -185,81 +170,71 @@ def defended(mixture: Mixture) -> Mixture:
 
 def gaussian(points: Array, weights: Array) -> Mixture:
     """One Gaussian with the mean and the covariance of weighted points (n, d)."""
-    duties = np.ones((len(points), 1))
     start = standard_normal(points.shape[1])
-    return _mixture_of(points, weights / weights.sum(), duties, carriers(weights), start)
+    return _step(start, points, weights, np.ones((len(points), 1)))
 
 
 def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     """The mixture after `STEPS` of expectation-maximisation on weighted points (n, d)."""
     for _ in range(STEPS):
         table = mixture.log_densities(points)
-        duties = np.exp(table - special.logsumexp(table, axis=1)[:, None])
-        worth = carriers(weights)
-        mixture = _mixture_of(points, weights / weights.sum(), duties, worth, mixture)
+        responsibilities = np.exp(table - special.logsumexp(table, axis=1)[:, None])
+        mixture = _step(mixture, points, weights, responsibilities)
     return mixture
 
 
-def _mixture_of(
-    points: Array, weights: Array, duties: Array, worth: float, before: Mixture
-) -> Mixture:
-    """Shares, means and covariances for given duties (n, K) of the components of a mixture before;
-    components that carry almost nothing are dropped.
+def _step(mixture: Mixture, points: Array, weights: Array, responsibilities: Array) -> Mixture:
+    """Shares, means and covariances for given responsibilities (n, K) of the components of a
+    mixture; components that carry almost nothing are dropped.
     """
-    loads = weights @ duties
+    worth, weights = carriers(weights), weights / weights.sum()
+    loads = weights @ responsibilities
     kept = np.flatnonzero(loads > 2.0 / worth)
     if not kept.size:
         kept = np.array([int(loads.argmax())])
-    means, factors = [], []
+    means = list[Array]()
+    factors = list[npt.NDArray[Any]]()
     for k in kept:
-        share = weights * duties[:, k] / loads[k]
+        share = weights * responsibilities[:, k] / loads[k]
         number = max(loads[k] * worth, 1.0)
+        # few points underestimate a spread
+        widening = 1.0 + 2.0 / max(number - 1.0, 1.0)
+        mean = share @ points
         if points.shape[1] > MOST_DIMENSIONS:
-            mean, factor = _along_one_direction(points, share, number, before.means[k])
+            mean = _shrunk(mean, mixture.means[k], number)
+            covariance = _along_one_direction(points - mean, mean, share, widening)
         else:
-            mean, factor = _of_full_rank(points, share, number)
+            off = points - mean
+            values, vectors = np.linalg.eigh((share[:, None] * off).T @ off)
+            covariance = (vectors * np.clip(values * widening, 1e-4, 25.0)) @ vectors.T
         means.append(mean)
-        factors.append(factor)
-    return Mixture(
-        shares=loads[kept] / loads[kept].sum(), means=np.array(means), factors=np.array(factors)
-    )
+        factors.append(np.linalg.cholesky(covariance))
+    return replace(equal(means, factors), shares=loads[kept] / loads[kept].sum())
 
 
-def _of_full_rank(points: Array, share: Array, number: float) -> tuple[Array, Array]:
-    """Mean (d,) and Cholesky factor (d, d) of weighted points that are worth a number of equal
-    ones.
+def _shrunk(mean: Array, before: Array, number: float) -> Array:
+    """A mean (d,) of so many points in many variables: what it has across its direction before is
+    shrunk by its noise (James and Stein 1961).
     """
-    mean = share @ points
-    scatter = (share[:, None] * (points - mean)).T @ (points - mean)
-    # few points underestimate a spread
-    values, vectors = np.linalg.eigh(scatter)
-    widened = np.clip(values * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)
-    return mean, np.linalg.cholesky((vectors * widened) @ vectors.T)
-
-
-def _along_one_direction(
-    points: Array, share: Array, number: float, before: Array
-) -> tuple[Array, Array]:
-    """The same in many variables, where points are too few for a covariance: one variance along
-    the mean and one across it.
-
-    What the mean has across its direction before is shrunk by its noise (James and Stein 1961).
-    """
-    d, mean = points.shape[1], share @ points
     length = float(np.linalg.norm(before))
-    if length > 0.0:
-        along = before * float(mean @ before) / length**2
-        across = mean - along
-        noise = d / number / max(float(across @ across), 1e-300)
-        mean = along + max(1.0 - noise, 0.0) * across
+    if length == 0.0:
+        return mean
+    along = before * float(mean @ before) / length**2
+    across = mean - along
+    noise = mean.size / number / max(float(across @ across), 1e-300)
+    return np.asarray(along + max(1.0 - noise, 0.0) * across)
+
+
+def _along_one_direction(off: Array, mean: Array, share: Array, widening: float) -> Array:
+    """Covariance (d, d) in many variables, where points are too few for a full one: one variance
+    along the mean and one across it.
+    """
+    d = mean.size
     direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
-    off = points - mean
     steps = off @ direction
-    widening = 1.0 + 2.0 / max(number - 1.0, 1.0)
-    one = float(np.clip(share @ steps**2 * widening, 1e-2, 25.0))
-    rest = float(np.clip(share @ ((off**2).sum(axis=1) - steps**2) / (d - 1), 1e-2, 25.0))
-    covariance = rest * np.eye(d) + (one - rest) * np.outer(direction, direction)
-    return mean, np.linalg.cholesky(covariance)
+    along = float(np.clip(share @ steps**2 * widening, 1e-2, 25.0))
+    across = float(np.clip(share @ ((off**2).sum(axis=1) - steps**2) / (d - 1), 1e-2, 25.0))
+    return across * np.eye(d) + (along - across) * np.outer(direction, direction)
 
 
 # --- stages ---------------------------------------------------------------------------------------
@@ -275,11 +250,12 @@ class Draws:
 
 
 def draw(
-    evaluator: Evaluator, mixture: Mixture, count: int, *, seed: int, task: str, replicate: int = 0
+    evaluator: Evaluator, mixture: Mixture, count: int, task: str, replicate: int = 0
 ) -> Draws:
     """`count` points (n, d) of a mixture, evaluated."""
-    counts, drawn = mixture.allocated(max(count, mixture.shares.size))
-    points = drawn.draw(counts, seed=seed, task=task, replicate=replicate)
+    counts, drawn = mixture.drawn(max(count, mixture.shares.size))
+    normals = evaluator.normals(mixture.dimension, int(counts.sum()), task, replicate)
+    points = drawn.moved(normals, counts)
     return Draws(mixture=drawn, points=points, answers=evaluator.answers(points))
 
 
@@ -294,7 +270,7 @@ def weighted_mass(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, 
         whole = special.logsumexp(table, axis=1, b=sizes / sizes.sum())
         ratio = np.exp(log_normal_density(points) - whole)
         mass = evaluator.mass(evaluator.values(points, part.answers.ravel()))
-        weights.append((np.nan_to_num(mass, nan=0.0) * ratio).reshape(part.answers.shape))
+        weights.append((np.nan_to_num(mass) * ratio).reshape(part.answers.shape))
         lost.append((np.isnan(mass) * ratio).reshape(part.answers.shape))
     return np.concatenate(weights, axis=-1), np.concatenate(lost, axis=-1)
 
@@ -306,26 +282,14 @@ def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array
     return points[weights > 0.0], weights[weights > 0.0]
 
 
-def adapt(
-    evaluator: Evaluator, draws: list[Draws], mixture: Mixture, *, seed: int, per_stage: int
-) -> Mixture:
+def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture, per_stage: int) -> Mixture:
     """The mixture after two stages of drawing from it, weighting and fitting."""
-    d = evaluator.dimension
     for _ in range(2):
         if evaluator.left < per_stage:
             break
-        draws.append(
-            draw(
-                evaluator,
-                defended(mixture),
-                per_stage,
-                seed=seed,
-                task="adapt",
-                replicate=len(draws),
-            )
-        )
+        draws.append(draw(evaluator, defended(mixture), per_stage, "adapt", len(draws)))
         points, weights = failures(evaluator, draws)
-        if carriers(weights) >= max(12.0, 2.0 * d):
+        if carriers(weights) >= max(12.0, 2.0 * evaluator.dimension):
             mixture = fitted(draws[-1].mixture, points, weights)
     return mixture
 
@@ -351,24 +315,22 @@ class ImportanceAnswer:
 
 
 def importance_sampling(
-    evaluator: Evaluator, mixture: Mixture, *, seed: int, accuracy: float = 0.02
+    evaluator: Evaluator, mixture: Mixture, accuracy: float = 0.02
 ) -> ImportanceAnswer:
     """Probability of failure from blocks of points of each replicate, half as many again until the
     half-width over the value is at most `accuracy` or the budget is spent.
 
     >>> from uqsphere.uq.rare.form import find_design_points
-    >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3)
-    >>> start = around_design_points(find_design_points(plane, seed=1), 3)
-    >>> found = importance_sampling(plane, defended(start), seed=1).estimate
-    >>> found.low < 2.8665157e-07 < found.high
+    >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3, seed=1)
+    >>> start = around_design_points(find_design_points(plane), 3)
+    >>> answer = importance_sampling(plane, defended(start)).estimate
+    >>> answer.low < 2.8665157e-07 < answer.high
     True
     """
-    begun, block = (
-        evaluator.count,
-        max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size),
-    )
-    counts, drawn = mixture.allocated(block)
-    points, answers = np.empty((REPLICATES, 0, mixture.dimension)), np.empty((REPLICATES, 0))
+    begun, d = evaluator.count, mixture.dimension
+    block = max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size)
+    counts, drawn = mixture.drawn(block)
+    points, answers = np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0))
     answer = ImportanceAnswer(
         estimate=absent("the budget does not suffice for importance sampling", METHOD, 0)
     )
@@ -377,20 +339,14 @@ def importance_sampling(
         more = int(min(max(done // 2, 1), evaluator.left // (REPLICATES * block)))
         if more < 1:
             return answer
-        for number in range(done, done + more):
-            fresh = np.stack(
-                [
-                    drawn.draw(counts, seed=seed, task="importance", replicate=r, block=number)
-                    for r in range(REPLICATES)
-                ]
-            )
-            values = evaluator.answers(fresh.reshape(-1, mixture.dimension)).reshape(
-                REPLICATES, block
-            )
-            points, answers = (
-                np.concatenate([points, fresh], axis=1),
-                np.concatenate([answers, values], axis=1),
-            )
+        fresh = []
+        for r in range(REPLICATES):
+            normals = evaluator.normals(d, more * block, "importance", r, done * block)
+            fresh.append([drawn.moved(part, counts) for part in normals.reshape(more, block, d)])
+        rows = np.array(fresh).reshape(REPLICATES, more * block, d)
+        points = np.concatenate([points, rows], axis=1)
+        values = evaluator.answers(rows.reshape(-1, d)).reshape(REPLICATES, -1)
+        answers = np.concatenate([answers, values], axis=1)
         done += more
         draws = Draws(mixture=drawn, points=points, answers=answers)
         answer = replace(weigh(evaluator, [draws], evaluator.count - begun), draws=draws)
@@ -402,18 +358,19 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
     """Mean of the weights (R, n) of draws, with Student's interval over the replicates, in
     logarithms; rows without an answer widen it."""
     weights, lost = weighted_mass(evaluator, draws)
-    rows = weights.mean(axis=1)
-    value, t = float(rows.mean()), student(rows.size) / math.sqrt(rows.size)
-    extra = float(lost.mean()) + t * float(lost.mean(axis=1).std(ddof=1)) if lost.any() else 0.0
-    method = METHOD + (", interval widened for failed rows" if extra else "")
+    rows, method, extra = weights.mean(axis=1), METHOD, 0.0
+    if lost.any():
+        method += ", interval widened for failed rows"
+        t = student(rows.size) / math.sqrt(rows.size)
+        extra = float(lost.mean()) + t * float(lost.mean(axis=1).std(ddof=1))
+    value = float(rows.mean())
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
         none = absent("no failure among the points", method, evaluations)
         return ImportanceAnswer(estimate=replace(none, low=0.0, high=high))
-    plain = float(np.std(weights)) / math.sqrt(weights.size)
     error = max(spread(rows), 1e-12 * value)
     if not evaluator.integrated:
-        error = max(error, HARD * plain)
+        error = max(error, HARD * float(np.std(weights)) / math.sqrt(weights.size))
     low, high, _ = probability_ends(value, 1.0 - value, error, rows.size, weights.size)
     estimate = Estimate(
         value=value,
@@ -430,7 +387,7 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
 
 
 def nearby(
-    evaluator: Evaluator, draws: Sequence[Draws], *, seed: int, accuracy: float
+    evaluator: Evaluator, draws: Sequence[Draws], accuracy: float
 ) -> ImportanceAnswer | None:
     """Probability of a failure domain inside another one, by the draws of a search for that and
     others nearby: weighted anew, else from a mixture that is fitted to them; None where the first
@@ -441,15 +398,11 @@ def nearby(
         return None
     if reweighed.trusted and before.half_width <= accuracy * before.value:
         return reweighed
-    points, weights = failures(evaluator, draws)
-    refitted = fitted(draws[0].mixture, points, weights)
-    anew = importance_sampling(evaluator, defended(refitted), seed=seed, accuracy=accuracy)
+    refitted = fitted(draws[0].mixture, *failures(evaluator, draws))
+    anew = importance_sampling(evaluator, defended(refitted), accuracy)
     now = anew.estimate
-    agree = (
-        anew.trusted
-        and (now.low or 0.0) <= (before.high or 1.0)
-        and (before.low or 0.0) <= (now.high or 1.0)
-    )
-    if agree:
-        return anew
-    return None
+    if not anew.trusted or (now.low or 0.0) > (before.high or 1.0):
+        return None
+    if (before.low or 0.0) > (now.high or 1.0):
+        return None
+    return anew

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
+from uqsphere.uq.points import sobol_points
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability
 #: lies there
@@ -36,7 +37,8 @@ class Evaluator:
 
     `function` maps rows (n, dimension) to answers (n,), nan where there is none, and `limit`
     answers to g, failure where negative; without it they are g.  `integrated`: given u, failure has
-    the probability Phi(-g(u)).  `budget` is the most evaluations that may be spent.
+    the probability Phi(-g(u)).  `budget` is the most evaluations that may be spent; `seed` that of
+    all random numbers.
     """
 
     function: Callable[[Array], Array]
@@ -45,6 +47,7 @@ class Evaluator:
     limit: Callable[[Array], Array] | None = None
     integrated: bool = False
     budget: float = 30_000
+    seed: int = 0
     count: int = field(default=0, init=False)
     failed: int = field(default=0, init=False)
 
@@ -58,6 +61,21 @@ class Evaluator:
         """Evaluations that may still be spent."""
         return self.budget - self.count
 
+    def normals(
+        self, dimension: int, count: int, task: str, replicate: int = 0, start: int = 0
+    ) -> Array:
+        """Quasi-random standard normal points (count, dimension)."""
+        return special.ndtri(
+            sobol_points(
+                dimension=dimension,
+                count=count,
+                start=start,
+                seed=self.seed,
+                task=task,
+                replicate=replicate,
+            )
+        )
+
     def answers(self, points: Array) -> Array:
         """The function at points (n, dimension); nan beyond `REACH`, where nothing is evaluated.
 
@@ -65,21 +83,15 @@ class Evaluator:
         """
         if len(points) > self.left:
             raise Spent
-        near = within_reach(points)
-        answers = np.full(len(points), np.nan)
         self.count += len(points)
+        near, answers = within_reach(points), np.full(len(points), np.nan)
         if near.any():
-            found = np.asarray(self.function(points[near]), dtype=np.float64)
-            if found.shape != (near.sum(),):
-                raise ValueError(
-                    f"the limit function must return shape ({near.sum()},), found {found.shape}"
-                )
-            answers[near] = found
-            self.failed += int(np.isnan(found).sum())
+            answers[near] = self.function(points[near])
+            self.failed += int(np.isnan(answers[near]).sum())
         return answers
 
     def values(self, points: Array, answers: Array | None = None) -> Array:
-        """g at points (n, dimension), of their answers if these are known; inf beyond `REACH`."""
+        """g at points (n, dimension), from their answers if there are; inf beyond `REACH`."""
         if answers is None:
             answers = self.answers(points)
         return np.where(within_reach(points), self.limits(answers), np.inf)
@@ -103,8 +115,8 @@ class Evaluator:
     def mass(self, values: Array) -> Array:
         """Probability of failure given values of g: 0 or 1, or Phi(-g); nan stays nan."""
         if self.integrated:
-            return np.asarray(special.ndtr(-values))
-        return np.where(np.isnan(values), np.nan, (values < 0.0).astype(float))
+            return special.ndtr(-values)
+        return np.where(np.isnan(values), np.nan, values < 0.0)
 
 
 def within_reach(points: Array) -> Flags:

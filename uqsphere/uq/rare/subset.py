@@ -13,14 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, count_bound, probability_ends
-from uqsphere.uq.points import random_generator, sobol_points
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
 #: share of a level that seeds the next (Au and Beck), the rate of acceptance that steps aim at
 #: (Papaioannou et al.), and the levels at most: ten to the minus fourteen
 SHARE, ACCEPTANCE, MOST_LEVELS = 0.1, 0.44, 14
+#: whole runs, whose spread is the interval
+REPETITIONS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,34 +38,23 @@ class SubsetAnswer:
     levels: int
 
 
-def subset_simulation(
-    evaluator: Evaluator, *, seed: int, per_level: int = 1000, repetitions: int = 4
-) -> SubsetAnswer:
-    """Probability of failure with the spread of `repetitions` whole runs of `per_level` points a
-    level.
+def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnswer:
+    """Probability of failure with the spread of whole runs of `per_level` points a level.
 
-    >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2)
-    >>> found = subset_simulation(plane, seed=1).estimate
-    >>> found.low < 1.3499e-3 < found.high
+    >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2, seed=1)
+    >>> estimate = subset_simulation(plane).estimate
+    >>> estimate.low < 1.3499e-3 < estimate.high
     True
     """
     begun, size, seeds = evaluator.count, evaluator.size, int(SHARE * per_level)
-    count, rng = 10 * seeds, random_generator(seed=seed, task="subset chains")
-    method = f"subset simulation, {repetitions} repetitions"
-    reached, probability = np.ones(repetitions), np.full(repetitions, np.nan)
-    failures, level = [np.empty((0, size))], 0
-    going = np.arange(repetitions)
-    states = np.stack(
-        [
-            special.ndtri(
-                sobol_points(dimension=size, count=count, seed=seed, task="subset", replicate=r)
-            )
-            for r in range(repetitions)
-        ]
-    )
+    count, rng = 10 * seeds, random_generator(seed=evaluator.seed, task="subset chains")
+    method = f"subset simulation, {REPETITIONS} repetitions"
+    reached, probability = np.ones(REPETITIONS), np.full(REPETITIONS, np.nan)
+    failures, level, going = [np.empty((0, size))], 0, np.arange(REPETITIONS)
+    states = np.stack([evaluator.normals(size, count, "subset", r) for r in range(REPETITIONS)])
     with suppress(Spent):
-        values = evaluator.hard(states.reshape(-1, size)).reshape(repetitions, count)
-        while going.size:
+        values = evaluator.hard(states.reshape(-1, size)).reshape(REPETITIONS, count)
+        while True:
             order = np.argsort(values, axis=1, kind="stable")
             thresholds = np.take_along_axis(values, order[:, seeds - 1 : seeds], axis=1)
             failing, within = (values < 0.0).sum(axis=1), (values <= thresholds).sum(axis=1)
@@ -71,41 +62,41 @@ def subset_simulation(
             last = (within > 0.5 * count) | ~np.isfinite(thresholds[:, 0]) | (level >= MOST_LEVELS)
             done = (failing >= seeds) | (last & (failing > 0))
             probability[going[done]] = reached[going[done]] * failing[done] / count
-            failures += [states[r][values[r] < 0.0] for r in np.flatnonzero(done)]
-            on = np.flatnonzero(~done & ~last)
-            going = going[on]
+            failures.append(states[done][values[done] < 0.0])
+            rest = np.flatnonzero(~done & ~last)
+            going = going[rest]
             if not going.size:
                 break
-            reached[going] *= within[on] / count
+            reached[going] *= within[rest] / count
             level += 1
+            chosen = order[rest, :seeds]
             # of a plateau that holds more points than there are seeds, some at random
-            chosen = [
-                order[r][:seeds]
-                if within[r] == seeds
-                else rng.permutation(order[r][: within[r]])[:seeds]
-                for r in on
-            ]
-            here = np.array([states[r][rows] for r, rows in zip(on, chosen, strict=True)])
-            levels = np.array([values[r][rows] for r, rows in zip(on, chosen, strict=True)])
-            states, values = _moved(evaluator, here, levels, thresholds[on], count, rng)
-    if evaluator.count == begun:
+            for row, r in zip(chosen, rest, strict=True):
+                if within[r] > seeds:
+                    row[:] = rng.permutation(order[r][: within[r]])[:seeds]
+            here = states[rest[:, None], chosen], values[rest[:, None], chosen]
+            states, values = _moved(evaluator, *here, thresholds[rest], rng)
+    spent = evaluator.count - begun
+    if not spent:
         nothing = absent("the budget does not suffice for the first level", method, 0)
         return SubsetAnswer(estimate=nothing, failures=failures[0], levels=0)
-    shares, spent = probability[~np.isnan(probability)], evaluator.count - begun
+    shares = probability[~np.isnan(probability)]
     value, low, high, error, reason = None, 0.0, 1.0, None, None
     if not shares.size:
         # no failure was seen: the level that was reached bounds the probability from above
-        high = min(1.0, 3.0 * float(reached.mean())) if level else count_bound(count * repetitions)
+        high = count_bound(count * REPETITIONS)
+        if level:
+            high = min(1.0, 3.0 * float(reached.mean()))
         reason = f"no failure was reached; its probability is below {high:.2g}"
-    elif shares.size < repetitions:
+    elif shares.size < REPETITIONS:
         # some repetitions reached a failure domain that others did not: their answers are worlds
         # apart
-        value, error = float(shares.sum()) / repetitions, float(shares.max())
+        value, error = float(shares.sum()) / REPETITIONS, float(shares.max())
         high = min(10.0 * error, 1.0)
     else:
         value = float(shares.mean())
-        error = value * max(float(np.std(np.log(shares), ddof=1)), 0.02) / math.sqrt(repetitions)
-        low, high, _ = probability_ends(value, 1.0 - value, error, repetitions, spent)
+        error = value * max(float(np.std(np.log(shares), ddof=1)), 0.02) / math.sqrt(REPETITIONS)
+        low, high, _ = probability_ends(value, 1.0 - value, error, REPETITIONS, spent)
     estimate = Estimate(
         value=value,
         low=low,
@@ -123,24 +114,20 @@ def _moved(
     states: Array,
     values: Array,
     thresholds: Array,
-    count: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Chains of every repetition from its seeds (R, seeds, size), all in step: the sample of the
     next level.
     """
-    parts, scales = [(states, values)], np.full((len(states), 1, 1), 0.6)
-    for step in range(1, count // states.shape[1]):
-        spread = np.minimum(1.0, scales)
-        tried = np.sqrt(1.0 - spread**2) * states + spread * rng.standard_normal(states.shape)
-        found = evaluator.hard(tried.reshape(-1, states.shape[2])).reshape(values.shape)
-        accepted = found <= thresholds
-        states, values = (
-            np.where(accepted[:, :, None], tried, states),
-            np.where(accepted, found, values),
-        )
-        parts.append((states, values))
+    all_states, all_values, scales = [states], [values], np.full((len(states), 1, 1), 0.6)
+    for step in range(1, 10):
+        width = np.minimum(1.0, scales)
+        tried = np.sqrt(1.0 - width**2) * states + width * rng.standard_normal(states.shape)
+        tried_values = evaluator.hard(tried.reshape(-1, states.shape[2])).reshape(values.shape)
+        accepted = tried_values <= thresholds
+        states = np.where(accepted[:, :, None], tried, states)
+        values = np.where(accepted, tried_values, values)
+        all_states.append(states)
+        all_values.append(values)
         scales *= np.exp((accepted.mean(axis=1)[:, None, None] - ACCEPTANCE) / math.sqrt(step))
-    return np.concatenate([s for s, _ in parts], axis=1), np.concatenate(
-        [v for _, v in parts], axis=1
-    )
+    return np.concatenate(all_states, axis=1), np.concatenate(all_values, axis=1)
