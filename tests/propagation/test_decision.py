@@ -13,9 +13,14 @@ from scipy import stats
 
 import uqsphere
 from uqsphere import Study
-from uqsphere.propagation.evidence import standing
+from uqsphere.models.model import Model
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.evidence import least_factor, standing
+from uqsphere.propagation.grow import grow
+from uqsphere.propagation.verdict import judge
 from uqsphere.results.types import Decision
-from uqsphere.study import load_study
+from uqsphere.study import load_study, shipped_studies
+from uqsphere.uq import make_law
 
 LOOSE = {"accuracy": {"mean": 0.1, "quantile": 0.2, "sobol": 0.2, "probability": 0.05}}
 LOAD = {"dist": "lognormal", "mean": 1.0, "cov": 0.1}
@@ -201,6 +206,62 @@ def test_tests_refute_a_true_strength_as_often_as_they_should() -> None:
     right, low = (stats.weibull_min.cdf(forces, 8.0, scale=scale) for scale in (5.0, 5.0 / 1.2))
     assert np.mean(standing(right) < 0.05) == pytest.approx(0.05, abs=0.012)
     assert np.mean(standing(low) < 0.05) > 0.98
+
+
+def test_a_strength_is_raised_until_its_tests_are_as_probable_as_asked() -> None:
+    law = make_law("weibull", {"mean": 2.0, "modulus": 6.0})
+    demands = np.random.default_rng(2).weibull(8.0, (3, 25)) * [[5.0], [3.0], [8.0]]
+    factors = least_factor(law, demands)
+    below = law.cdf(demands / factors[:, None])
+    assert standing(below) == pytest.approx(0.05, rel=1e-9)
+
+
+BALL = """
+sphere = { material = "granite", radius = { dist = "normal", mean = "12.5 mm", sd = "1 mm" } }
+rig = { kind = "drop_weight" }
+hammer = { material = "steel", shape = "ball", diameter = "75 mm" }
+hammer.drop_height = { dist = "normal", mean = "2 m", cov = 0.1 }
+anvil = { material = "manganese_steel" }
+margins = { solve = "hammer.drop_height", between = ["0.2 m", "20 m"] }
+[limits.broken]
+quantity = "specific_energy_sphere"
+aim = "break"
+target = 0.2
+strength = { dist = "lognormal", mean = "130 J/kg", cov = 0.6 }
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "key", "plans", "law"),
+    [
+        ("limestone_margin", "striker.speed", ("0.1 m/s", "10 m/s"), "plastic"),
+        ("limestone_chute", "rig.drop_height", ("0.1 m", "10 m"), "plastic"),
+        ("ball", "hammer.drop_height", ("0.3 m", "15 m"), "plastic"),
+        ("ball", "hammer.drop_height", ("0.3 m", "15 m"), "hertz"),
+    ],
+)
+def test_a_plan_moved_over_decades_leaves_the_numbers(
+    name: str, key: str, plans: tuple[str, str], law: str
+) -> None:
+    """For both aims, by tests and by declared strengths, where contacts yield and where they are
+    elastic by name.
+    """
+    path, text = Path("ball.toml"), BALL
+    if name != "ball":
+        path = shipped_studies()[name]
+        text = path.read_text(encoding="utf-8")
+    accuracy = ", ".join(f"{word} = {value}" for word, value in LOOSE["accuracy"].items())
+    numbers = []
+    for planned in plans:
+        more = [f"{key}.mean={planned}", f"contact.law={law}"]
+        study = load_study(path, [f"analysis.accuracy={{ {accuracy} }}", *more], text=text)
+        design = Design.of(study)
+        with Model(design.judged) as model:
+            judged, _ = judge(design, model, grow(design, model))
+        numbers.append([aim.line.number for aim in judged if aim.line is not None])
+    assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
+    assert None not in numbers[0]
 
 
 @pytest.mark.slow
