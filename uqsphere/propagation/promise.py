@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.doubts import (
@@ -25,13 +25,12 @@ from uqsphere.propagation.doubts import (
     LAWS,
     REFUTED,
     TESTS,
-    Doubt,
     others_survive,
     tests_behind,
 )
 from uqsphere.propagation.evidence import demands_in_tests, least_factor, median
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, scaled_strength
-from uqsphere.propagation.line import Line, score
+from uqsphere.propagation.line import score
 from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
@@ -52,21 +51,11 @@ _FORCES: Final = 60
 #: Euler's constant
 _GAMMA: Final = 0.5772156649015329
 
-#: what strengths with these locations and scales of their logarithm allow
+#: places that strengths with these locations and scales of their logarithm allow
 Tabulated = Callable[[Array, Array], Array]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Series:
-    """Series of tests of a limit's strength.
-
-    logs : logarithms (J, r) of the strengths of those that failed
-    leaving : tests that end with each failure (r,): as many are stopped, at the largest, as today
-    """
-
-    limit: Limit
-    logs: Array
-    leaving: Array
+#: what failure modes add to the exceedance of a limit at places (J, L), those of the library being
+#: stronger than at their middle by logarithms (J,)
+Added = Callable[[Sequence[Array], Array], Array]
 
 
 def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
@@ -83,189 +72,146 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     Weibull or lognormal strength, or without a number.
     """
     limits = [limit for limit in settled.aim.limits if _has_tests(limit)]
-    number = settled.number
-    if not limits or number is None or math.isinf(number):
+    if not limits or settled.number is None or math.isinf(settled.number):
         return []
-    promise = _Promise(settled, limits)
+    line, pick = settled.line, np.maximum if settled.least else np.minimum
+    places = [line.place_of(settled.ends[1])]
+    for doubt in settled.doubts:
+        by_tests = doubt.code == TESTS or (doubt.code == COMPUTATION and doubt.limit in limits)
+        if not by_tests and doubt.margin is not None and math.isfinite(doubt.margin):
+            places.append(line.place_of(doubt.margin))
+    promises = [_Promise(settled, limit) for limit in limits]
     today = max(len(tests_behind(limit)) for limit in limits)
     gains = []
     for n in sizes:
         if n > today:
-            numbers = promise.numbers(n)
-            low, middle, high = (float(x) for x in np.quantile(numbers, [0.1, 0.5, 0.9]))
+            uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
+            allowed = [np.full(_SERIES, place) for place in places]
+            for promise in promises:
+                allowed += promise.places(uniforms)
+            ends = np.quantile(pick.reduce(allowed), [0.1, 0.5, 0.9])
+            low, middle, high = sorted(line.value_at(float(end)) for end in ends)
             gains.append(TestsGain(tests=n, low=low, median=middle, high=high))
     return gains
 
 
 def _has_tests(limit: Limit) -> bool:
     law = strength_of(limit)
-    fitted = isinstance(law, Law) and is_fitted(law) and bool(law.data)
-    return fitted and isinstance(law, Law) and law.family.name in STRENGTHS
+    if not isinstance(law, Law) or law.family.name not in STRENGTHS:
+        return False
+    return is_fitted(law) and bool(law.data)
 
 
 class _Promise:
-    """The tables behind the numbers of an aim, and what does not depend on the tests."""
+    """What tests of a limit's strength allow, with the failure modes that they leave."""
 
-    def __init__(self, settled: Settled, limits: Sequence[Limit]) -> None:
-        self.settled, self.limits = settled, limits
-        names = [mode.called for mode in settled.aim.modes]
-        library = failure_modes_of(settled.aim.design.study).assumed
-        self.modes = [Cut(settled, mode) for mode in library if mode.called in names]
-        self.others = [doubt for doubt in settled.doubts if not self._by_tests(doubt)]
-        asked = {limit.name: limit for limit in limits}
-        asked |= {doubt.limit.name: doubt.limit for doubt in self.others}
-        self.added = {
-            name: Added(settled, limit, self.modes)
-            for name, limit in asked.items()
-            if settled.curves.adds_up(limit)
-        }
-        self.tables = {limit.name: self._tables(limit) for limit in limits}
-
-    def _by_tests(self, doubt: Doubt) -> bool:
-        """Whether a doubt follows the tests."""
-        return doubt.code == TESTS or (doubt.code == COMPUTATION and doubt.limit in self.limits)
-
-    def _tables(self, limit: Limit) -> dict[str, list[Tabulated]]:
-        """By distribution that the tests may leave, the place at shares of the target."""
-        law, allowed = strength_of(limit), np.array([limit.allowable])
+    def __init__(self, settled: Settled, limit: Limit) -> None:
+        law = strength_of(limit)
         assert isinstance(law, Law)
+        self.settled, self.limit, self.law = settled, limit, law
         names = dict.fromkeys([law.family.name, *STRENGTHS])
         if limit.needs_modulus:
             names = {law.family.name: None}
-        if limit.name in self.added:
-            allowed = limit.allowable * np.array(_SHARES)
-        return {name: _tabulated(self.settled, limit, name, allowed) for name in names}
+        counted = [mode.called for mode in settled.aim.modes]
+        library = failure_modes_of(settled.aim.design.study).assumed
+        self.modes = [mode for mode in library if mode.called in counted]
+        self.allowed, self.added = np.array([limit.allowable]), None
+        if settled.curves.adds_up(limit):
+            self.allowed = limit.allowable * np.array(_SHARES)
+            self.added = _added(settled, limit, self.modes)
+        self.tables = {name: _tabulated(settled, limit, name, self.allowed) for name in names}
 
-    def numbers(self, n: int) -> Array:
-        """The number to use (J,) by each of some series of n tests."""
+    def places(self, uniforms: Array) -> list[Array]:
+        """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
         settled, line = self.settled, self.settled.line
-        uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
-        series = [_series(limit, uniforms) for limit in self.limits]
-        stronger = {mode.name: mode.stronger(series, n) for mode in self.modes}
-        pick = np.maximum if settled.least else np.minimum
-        places = np.full(_SERIES, line.place_of(settled.ends[1]))
-        along = np.broadcast_to(line.places, (_SERIES, line.places.size))
-        for doubt in self.others:
-            curves = np.broadcast_to(doubt.single, along.shape)
-            if doubt.limit.name in self.added:
-                curves = curves + self.added[doubt.limit.name](stronger, along)
-            at = _places(settled, score(curves), np.array([doubt.allowed]))
-            places = pick(places, at[:, 0])
-        for tests in series:
-            own, added = strength_of(tests.limit), self.added.get(tests.limit.name)
-            assert isinstance(own, Law)
-            for name, tables in self.tables[tests.limit.name].items():
-                at = self._allowed(tests, STRENGTHS[name], tables)
-                if added is not None:
-                    at = self._together(tests.limit, at, added(stronger, at))
-                if name != own.family.name:
-                    unsafe = line.place_of(settled.ends[1])
-                    refuted = _refuted(STRENGTHS[name], tests)
-                    at = np.where(refuted[:, None], unsafe, at)
-                places = pick(places, at[:, -1])
-            if added is not None:
-                by_modes = score(added(stronger, along))
-                at = _places(settled, by_modes, np.array([tests.limit.allowable]))
-                places = pick(places, at[:, 0])
-        return np.asarray(np.exp(places) if line.values[0] > 0.0 else places)
+        logs, leaving = self._series(uniforms)
+        ones, places = np.ones(leaving.size), []
+        added = None
+        if self.added is not None:
+            stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
+            added = partial(self.added, stronger)
+            along = np.broadcast_to(line.places, (_SERIES, line.places.size))
+            target = np.array([self.limit.allowable])
+            places.append(_places(settled, score(added(along)), target)[:, 0])
+        for name, tables in self.tables.items():
+            kind = STRENGTHS[name]
+            location, scale = (part[:, None] for part in kind.maximum(logs, ones, leaving - 1.0))
+            pivots = _pivots(kind, tuple(leaving.tolist()))
+            centre, inverse = kind.ranked(*pivots, self.limit.allowable)
+            end = ENDS[1] if settled.least else ENDS[0]
+            strengths = location - scale * centre, scale * inverse
+            at = np.array([np.quantile(table(*strengths), end, axis=1) for table in tables]).T
+            if added is not None:  # where the limit's share and the other modes make the target
+                together, target = score(self.allowed + added(at)), score(self.limit.allowable)
+                pairs = zip(together, at, strict=True)
+                at = np.array([[np.interp(target, scores, row)] for scores, row in pairs])
+            if name != self.law.family.name:
+                refuted = _refuted(kind, logs, leaving)[:, None]
+                at = np.where(refuted, line.place_of(settled.ends[1]), at)
+            places.append(at[:, 0])
+        return places
 
-    def _allowed(self, tests: Series, kind: LocationScale, tables: Sequence[Tabulated]) -> Array:
-        """The place (J, shares) that the strengths allow which each series leaves."""
-        ones, stopped = np.ones(tests.leaving.size), tests.leaving - 1.0
-        location, scale = (part[:, None] for part in kind.maximum(tests.logs, ones, stopped))
-        pivots = _pivots(kind, tuple(tests.leaving.tolist()))
-        centre, inverse = kind.ranked(*pivots, tests.limit.allowable)
-        end = ENDS[1] if self.settled.least else ENDS[0]
-        columns = [
-            np.quantile(table(location - scale * centre, scale * inverse), end, axis=1)
-            for table in tables
-        ]
-        return np.stack(columns, axis=1)
-
-    @staticmethod
-    def _together(limit: Limit, places: Array, added: Array) -> Array:
-        """The place (J, 1) where a limit, which takes a share of its target at each place, reaches
-        it with what other failure modes add.
+    def _series(self, uniforms: Array) -> tuple[Array, Array]:
+        """Logarithms (J, r) of the strengths that failed, and the tests that end with each failure
+        (r,): as many are stopped, at the largest, as today.
         """
-        together = score(limit.allowable * np.array(_SHARES) + added)
-        target = float(score(limit.allowable))
-        pairs = zip(together, places, strict=True)
-        return np.array([[np.interp(target, scores, row)] for scores, row in pairs])
+        kind, location, scale = _place_of(self.law)
+        n, law = uniforms.shape[1], self.law
+        broken = max(n - round(n * len(law.censored) / count_tests(law)), 3)
+        logs = location + scale * kind.form.quantile(uniforms, 1.0 - uniforms)
+        return logs[:, :broken], np.append(np.ones(broken - 1), 1.0 + n - broken)
 
-
-class Cut:
-    """A failure mode of the library, and how far tests cut its range."""
-
-    def __init__(self, settled: Settled, mode: AssumedMode) -> None:
-        middle = mode.limit.strength
+    def _stronger(self, mode: AssumedMode, logs: Array, leaving: Array) -> Array:
+        """Logarithm (J,) of what series of tests multiply the middle of a mode by; infinite where
+        they refute it.
+        """
+        tested, middle = self.limit.tested, mode.limit.strength
         assert isinstance(middle, Law)
-        self.mode, self.name, self.middle = mode, mode.called, middle
-        self.study, self.line = settled.aim.design.study, settled.line
-        self.weak, self.strong = (
-            math.log(median(law) / median(middle)) for law in (mode.weak, mode.strong)
-        )
-
-    def stronger(self, series: Sequence[Series], n: int) -> Array:
-        """Logarithm (J,) of what series of n tests multiply the middle by; infinite where they
-        refute the mode.
-        """
-        parts, forces = [], set[tuple[float, ...]]()
-        for tests in series:
-            tested = tests.limit.tested
-            if tested is None or not tested.forces or tested.forces in forces:
-                continue
-            forces.add(tested.forces)
-            logs = np.repeat(tests.logs, tests.leaving.astype(int), axis=1)
-            grid = np.linspace(logs.min(), logs.max(), _FORCES)
-            alike = replace(
-                tested, forces=tuple(np.exp(grid)), diameters=(tested.diameter,) * _FORCES
-            )
-            demands = np.log(demands_in_tests(self.study, [alike], self.mode))
-            parts.append(np.exp(np.interp(logs, grid, demands)))
-        if not parts:
-            return np.zeros(_SERIES)
-        raised = self.weak + np.log(least_factor(self.mode.weak, np.concatenate(parts, axis=1)))
-        return np.where(raised > self.strong, math.inf, np.maximum(raised, 0.0))
+        if tested is None or not tested.forces:
+            return np.zeros(len(logs))
+        grid = np.linspace(logs.min(), logs.max(), _FORCES)
+        alike = replace(tested, forces=tuple(np.exp(grid)), diameters=(tested.diameter,) * _FORCES)
+        demands = np.log(demands_in_tests(self.settled.aim.design.study, [alike], mode))
+        borne = np.repeat(logs, leaving.astype(int), axis=1)
+        raised = np.log(least_factor(mode.weak, np.exp(np.interp(borne, grid, demands))))
+        raised += math.log(median(mode.weak) / median(middle))
+        return np.where(raised > _range_of(mode), math.inf, np.maximum(raised, 0.0))
 
 
-class Added:
-    """What other failure modes add to the exceedance of a limit, at places of the free number and
-    by strengths of the library's modes.
-    """
+def _range_of(mode: AssumedMode) -> float:
+    """Logarithm of the strong end of the library's range over its middle."""
+    middle = mode.limit.strength
+    assert isinstance(middle, Law)
+    return math.log(median(mode.strong) / median(middle))
 
-    def __init__(self, settled: Settled, limit: Limit, modes: Sequence[Cut]) -> None:
-        from scipy.interpolate import RectBivariateSpline
 
-        line, word = settled.curves.few.line, settled.aim.word
-        stands = 1.0 - line.exceedance(line.state(limit), word)
-        self.line, self.tables, self.ends = line, {}, {}
-        others = others_survive(replace(settled.aim, modes=()), line).get(limit.name)
-        self.others = np.zeros(line.places.size)
-        if others is not None:
-            self.others = line.means((1.0 - others) * stands).mean(axis=1)
-        for cut in modes:
-            nodes, rows = np.linspace(0.0, max(cut.strong, 1e-6), _STRENGTHS), []
-            for node in nodes:
-                strength = scaled_strength(cut.middle, math.exp(node))
-                exceeded = line.exceedance(line.state(cut.mode.limit, strength), word)
-                rows.append(line.means(exceeded * stands).mean(axis=1))
-            self.ends[cut.name] = float(nodes[-1])
-            self.tables[cut.name] = RectBivariateSpline(
-                nodes, line.places, score(np.array(rows)), kx=1, ky=1
-            )
+def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Added:
+    """What other failure modes add to the exceedance of a limit."""
+    from scipy.interpolate import RectBivariateSpline
 
-    def __call__(self, stronger: Mapping[str, Array], places: Array) -> Array:
-        """The probability (J, L) at places (J, L), where modes are stronger (J,) than the library's
-        middle.
-        """
-        from scipy.special import ndtr
+    line, word = settled.curves.few.line, settled.aim.word
+    stands = 1.0 - line.exceedance(line.state(limit), word)
+    others = others_survive(replace(settled.aim, modes=()), line).get(limit.name, np.ones(1))
+    held = line.means(others * stands + 1.0 - stands).mean(axis=1)
+    tables = []
+    for mode in modes:
+        middle, nodes = mode.limit.strength, np.linspace(0.0, _range_of(mode), _STRENGTHS)
+        assert isinstance(middle, Law)
+        rows = []
+        for node in nodes:
+            state = line.state(mode.limit, scaled_strength(middle, math.exp(node)))
+            rows.append(line.means(line.exceedance(state, word) * stands).mean(axis=1))
+        scores = score(np.array(rows))
+        tables.append((RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1), nodes[-1]))
 
-        held = 1.0 - np.interp(places, self.line.places, self.others)
-        for name, table in self.tables.items():
-            by = stronger[name][:, None]
-            exceeded = ndtr(table.ev(np.minimum(by, self.ends[name]), places))
-            held = held * np.where(np.isinf(by), 1.0, 1.0 - exceeded)
-        return np.asarray(1.0 - held)
+    def added(stronger: Sequence[Array], places: Array) -> Array:
+        none = np.interp(places, line.places, held)
+        for (table, most), by in zip(tables, stronger, strict=True):
+            exceeded = special.ndtr(table.ev(np.minimum(by, most)[:, None], places))
+            none = none * np.where(np.isinf(by)[:, None], 1.0, 1.0 - exceeded)
+        return np.asarray(1.0 - none)
+
+    return added
 
 
 def _place_of(law: Law) -> tuple[LocationScale, float, float]:
@@ -276,27 +222,14 @@ def _place_of(law: Law) -> tuple[LocationScale, float, float]:
     return kind, math.log(p["scale"]), 1.0 / p["modulus"]
 
 
-def _series(limit: Limit, uniforms: Array) -> Series:
-    """Series of tests of a limit's strength at sorted uniforms (J, n)."""
-    law = strength_of(limit)
-    assert isinstance(law, Law)
-    kind, location, scale = _place_of(law)
-    n = uniforms.shape[1]
-    broken = max(n - round(n * len(law.censored) / count_tests(law)), 3)
-    logs = location + scale * kind.form.quantile(uniforms, 1.0 - uniforms)
-    leaving = np.append(np.ones(broken - 1), 1.0 + n - broken)
-    return Series(limit=limit, logs=logs[:, :broken], leaving=leaving)
-
-
 @lru_cache(maxsize=16)
 def _pivots(kind: LocationScale, leaving: tuple[float, ...]) -> tuple[Array, Array]:
     generator = np.random.default_rng(len(leaving))
     return kind.pivots(np.array(leaving), FINER * LAWS, generator)
 
 
-def _refuted(kind: LocationScale, tests: Series) -> Flags:
-    """Whether each series refutes a distribution that is fitted to it."""
-    leaving = tests.leaving
+def _refuted(kind: LocationScale, logs: Array, leaving: Array) -> Flags:
+    """Whether each of some series of tests (J, r) refutes a distribution that is fitted to it."""
 
     def away(values: Array) -> Array:
         ones = np.ones(leaving.size)
@@ -304,7 +237,7 @@ def _refuted(kind: LocationScale, tests: Series) -> Flags:
         return distance(kind.form.tails((values - location) / scale)[0], leaving)
 
     usual = away(kind.series(leaving, 1000, np.random.default_rng(leaving.size + 1)))
-    return np.asarray(away(tests.logs) > np.quantile(usual, 1.0 - REFUTED))
+    return np.asarray(away(logs) > np.quantile(usual, 1.0 - REFUTED))
 
 
 def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> list[Tabulated]:
@@ -336,15 +269,12 @@ def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> lis
         laws.append(make_law(name, {key: float(x) for key, x in parameters.items()}))
     curves = settled.curves.by_strengths(limit, laws)[0].mean(axis=2)
     table = _places(settled, score(curves), allowed).reshape(quantiles.size, scales.size, -1)
-    splines = [
-        RectBivariateSpline(quantiles, np.log(scales), table[:, :, k], kx=1, ky=1)
-        for k in range(allowed.size)
-    ]
 
-    def tabulated(spline: RectBivariateSpline) -> Tabulated:
+    def tabulated(places: Array) -> Tabulated:
+        spline = RectBivariateSpline(quantiles, np.log(scales), places, kx=1, ky=1)
         return lambda at, wide: spline.ev(at + z * wide, np.log(wide))
 
-    return [tabulated(spline) for spline in splines]
+    return [tabulated(places) for places in np.moveaxis(table, 2, 0)]
 
 
 def _places(settled: Settled, scores: Array, allowed: Array) -> Array:
@@ -353,7 +283,7 @@ def _places(settled: Settled, scores: Array, allowed: Array) -> Array:
     """
     from scipy.interpolate import PchipInterpolator
 
-    line: Line = settled.line
+    line = settled.line
     fine = np.linspace(line.places[0], line.places[-1], 8 * line.places.size)
     curves, levels = PchipInterpolator(line.places, scores, axis=1)(fine), score(allowed)
     if not settled.aim.survive:
