@@ -135,7 +135,7 @@ def _rows_at(
     yielding = judged.settling.yielding
     if settled.governing.code != CONTACT or yielding is None:
         return sample
-    fresh = YieldingRows(design=yielding.design, known={})
+    fresh = YieldingRows(design=yielding.design, evaluated={})
     along = fresh.along(Line(design=design, values=(number,), samples=(sample,)))
     assert along is not None
     return along.samples[0]

@@ -60,7 +60,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     """Checks of the model on the first rows of every replicate, those of the tables, and what the
     model noted.
     """
-    found = [
+    breached = [
         Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified")
         for note in notes
     ]
@@ -91,7 +91,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 effect = f"{format_probability(worst)} of the failures lie in such rows"
             elif GRADES[result.grade] != "note":
                 effect = "bias not quantified"
-            found.append(
+            breached.append(
                 Check(
                     name=result.check,
                     text=result.text,
@@ -101,12 +101,12 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                     failures=failures,
                 )
             )
-        found += _later_loading(design, rows) + _out_of_reach(design, rows)
+        breached += _later_loading(design, rows) + _out_of_reach(design, rows)
     source = source_of(design, tables)
     failed = source.dropped or float(sample.failed.mean())
     if failed > 0.0:
         policy = design.study.analysis.policy
-        found.append(
+        breached.append(
             Check(
                 name="failed_rows",
                 share=failed,
@@ -117,7 +117,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
         )
     if source.refusal:
         n = tables.runs
-        found.append(
+        breached.append(
             Check(
                 name="few_runs",
                 share=1.0,
@@ -129,8 +129,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 effect=f"failure probabilities below {3.0 / n:.2g} are bounds",
             )
         )
-    found += _heavy_tails(design, tables)
-    return found
+    breached += _heavy_tails(design, tables)
+    return breached
 
 
 #: checks of the contact that hold a number in rows of the worst grade
@@ -154,7 +154,7 @@ def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None
     results, grades = checked_rows(design.judged, names, rows, design.columns)
     limit_by_name = {limit.name: limit for limit in design.judged.limits}
     elastic = design.study.options.get("contact.law", "hertz") == "hertz"
-    found = []
+    breached = []
     for result in results:
         worst = 3 if result.check in _RANGE else 2
         if result.check not in (*_RANGE, *_YIELD) or (worst == 2 and not elastic):
@@ -166,7 +166,7 @@ def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None
             weights = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
             if weights.sum() > 0.0:
                 failures[limit.name] = float((weights * beyond).sum() / weights.sum())
-        found.append(
+        breached.append(
             Check(
                 name=result.check,
                 text=result.text,
@@ -175,18 +175,18 @@ def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None
                 failures=failures,
             )
         )
-    return found
+    return breached
 
 
 def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
     """Whether the loose sphere strikes one bar harder after the record than in it."""
     with np.errstate(all="ignore"):
         ratio = later_loading(design.study, design.inputs, rows)
-    known = ratio[np.isfinite(ratio)]
-    harder = known > 1.001
+    finite = ratio[np.isfinite(ratio)]
+    harder = finite > 1.001
     if not harder.any():
         return []
-    share, median = float(harder.mean()), float(np.median(known[harder]))
+    share, median = float(harder.mean()), float(np.median(finite[harder]))
     whole = {limit.name: share for limit in design.fracture if limit.aim == "survive"}
     return [
         Check(
@@ -211,9 +211,9 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
     never break.
     """
     hardness = hardness_of(design.study, design.inputs, rows)
-    found: list[Check] = []
+    breached: list[Check] = []
     if hardness is None:
-        return found
+        return breached
     for limit in design.limits:
         if limit.quantity not in ("p_max", "first_peak", "p_mean"):
             continue
@@ -221,7 +221,7 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
         share = float(np.mean(law.sf(hardness) if isinstance(law, Law) else law > hardness))
         if share < REACH[0]:
             continue
-        found.append(
+        breached.append(
             Check(
                 name="reachable",
                 share=share,
@@ -240,14 +240,14 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
                 ),
             )
         )
-    return found
+    return breached
 
 
 def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
     """One warning by Hill's rule: an output whose variance may not exist."""
     from uqsphere.uq.describe import hill
 
-    found = []
+    heavy = []
     for name in design.described:
         values = tables.sample.outputs(name)
         values = values[np.isfinite(values)]
@@ -255,7 +255,7 @@ def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
             continue
         order = hill(values)
         if order < 2.0:
-            found.append(
+            heavy.append(
                 Check(
                     name=f"heavy_tail_{name}",
                     share=1.0,
@@ -265,4 +265,4 @@ def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
                     effect="read quantiles; do not use standard deviation and indices",
                 )
             )
-    return found
+    return heavy

@@ -52,15 +52,15 @@ class YieldingRows:
     """Rows with contacts that yield, evaluated where they are asked for."""
 
     design: Design
-    known: dict[float, Sample]
+    evaluated: dict[float, Sample]
 
     def along(self, line: Line) -> Line | None:
         """The rows of a line with contacts that yield; None where none of them has an answer."""
         for value, sample in zip(line.values, line.samples, strict=True):
-            if value not in self.known or self.known[value].count < sample.count:
-                self.known[value] = self._evaluated(value, sample)
+            if value not in self.evaluated or self.evaluated[value].count < sample.count:
+                self.evaluated[value] = self._evaluated(value, sample)
         samples = [
-            self.known[value].head(sample.count)
+            self.evaluated[value].head(sample.count)
             for value, sample in zip(line.values, line.samples, strict=True)
         ]
         if any(sample.failed.all() for sample in samples):
@@ -78,12 +78,12 @@ class YieldingRows:
             columns.append(np.full(sample.size, value))
             moving[margins.solve] = np.full(shape, value)
         rows = stacked(columns, sample.size)
-        found = evaluate_scene(self.design.judged, names, rows, self.design.columns)
-        answers = np.where(found.good[:, None], found.values, np.nan)
+        evaluated = evaluate_scene(self.design.judged, names, rows, self.design.columns)
+        answers = np.where(evaluated.good[:, None], evaluated.values, np.nan)
         answered = sample.with_answers(
             self.design.columns,
             answers.reshape(*shape, -1),
-            censored=found.censored.reshape(*shape, -1),
-            failed=~found.good.reshape(shape),
+            censored=evaluated.censored.reshape(*shape, -1),
+            failed=~evaluated.good.reshape(shape),
         )
         return with_test_forces(self.design, answered, moving)

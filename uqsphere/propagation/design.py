@@ -49,15 +49,15 @@ class Design:
     @classmethod
     def of(cls, study: Study) -> Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
-        found = failure_modes_of(study)
-        wide = _with_limits(study, [mode.limit for mode in found.assumed])
+        candidates = failure_modes_of(study)
+        wide = _with_limits(study, [mode.limit for mode in candidates.assumed])
         reasons = {
-            mode.called: absent_quantity(wide, mode.limit.quantity) for mode in found.assumed
+            mode.called: absent_quantity(wide, mode.limit.quantity) for mode in candidates.assumed
         }
         unanswered = {name: reason for name, reason in reasons.items() if reason}
-        answered = [mode for mode in found.assumed if mode.called not in unanswered]
+        answered = [mode for mode in candidates.assumed if mode.called not in unanswered]
         evidence, modes = judged_by_tests(study, answered)
-        refuted = {one.mode: refuted_text(one) for one in evidence if one.refuted}
+        refuted = {entry.mode: refuted_text(entry) for entry in evidence if entry.refuted}
         wide = _with_limits(study, [mode.limit for mode in modes])
         columns = dict.fromkeys(
             [*study.analysis.quantities, *(limit.quantity for limit in wide.limits)]
@@ -66,7 +66,7 @@ class Design:
             study=study,
             judged=wide,
             modes=tuple(modes),
-            not_judged={**found.not_judged, **unanswered, **refuted},
+            not_judged={**candidates.not_judged, **unanswered, **refuted},
             columns=tuple(columns),
             evidence=tuple(evidence),
         )

@@ -165,24 +165,24 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
 
 def alternatives(aim: Aim) -> list[Alternative]:
     """Every strength of an aim's limits that may be otherwise, and every tie to the inputs."""
-    found: list[Alternative] = []
+    options: list[Alternative] = []
     for limit in aim.limits:
         law = strength_of(limit)
         if not isinstance(law, Law):
             continue
         if is_fitted(law):
-            found += [
+            options += [
                 Alternative(code=TESTS, limit=limit, detail=name, laws=laws)
                 for name, laws in strengths_allowed(aim.design, limit).items()
             ]
         else:
-            found += [
+            options += [
                 Alternative(code=DISTRIBUTION, limit=limit, detail=name, laws=(other,))
                 for name, other in other_distributions(law).items()
             ]
         if _is_tied(aim.design, limit):
-            found.append(Alternative(code=TIE, limit=limit, tied=False))
-    return found
+            options.append(Alternative(code=TIE, limit=limit, tied=False))
+    return options
 
 
 def _is_tied(design: Design, limit: Limit) -> bool:
@@ -201,7 +201,7 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
     laws = {law.family.name: law}
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
         laws |= {name: other for name, other in _other_fits(law) if name not in laws}
-    found: dict[str, tuple[Law, ...]] = {}
+    allowed: dict[str, tuple[Law, ...]] = {}
     tests = tests_behind(limit) or (0.0,)
     first, last = tests[0], tests[-1]
     for name, fitted in laws.items():
@@ -209,8 +209,8 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
             seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
         )
         with suppress(LawError):
-            found[name] = tuple(possible_laws(fitted, LAWS, generator, limit.allowable))
-    return found
+            allowed[name] = tuple(possible_laws(fitted, LAWS, generator, limit.allowable))
+    return allowed
 
 
 def _other_fits(law: Law) -> Iterator[tuple[str, Law]]:
@@ -439,11 +439,11 @@ class Curves:
 
 def doubts_of(curves: Curves, others: Sequence[Alternative]) -> list[Doubt]:
     """Every doubt of the limits of an aim along a line."""
-    found: list[Doubt] = []
+    doubts: list[Doubt] = []
     for limit in curves.aim.limits:
-        found.append(curves.computed(limit))
-        found += [curves.otherwise(other) for other in others if other.limit.name == limit.name]
+        doubts.append(curves.computed(limit))
+        doubts += [curves.otherwise(other) for other in others if other.limit.name == limit.name]
         yields = curves.contacts_yield(limit)
         if yields is not None:
-            found.append(yields)
-    return found
+            doubts.append(yields)
+    return doubts

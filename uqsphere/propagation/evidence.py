@@ -64,10 +64,10 @@ def judged_by_tests(
     series = series_of(study)
     if not series:
         return [], list(modes)
-    found, left = [], []
+    results, modes_left = [], []
     for mode in modes:
         evidence = _evidence(study, series, mode)
-        found.append(evidence)
+        results.append(evidence)
         if evidence.refuted:
             continue
         weak = scaled_strength(mode.weak, evidence.raised)
@@ -75,8 +75,8 @@ def judged_by_tests(
         assert isinstance(middle, Law)
         if median(weak) > median(middle):
             middle = weak
-        left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
-    return found, left
+        modes_left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
+    return results, modes_left
 
 
 def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evidence:

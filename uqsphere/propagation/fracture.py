@@ -63,25 +63,25 @@ def fracture(design: Design, tables: Tables) -> Answers:
     shape = drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
     rows = np.stack([sample.input(name).ravel()[flat] for name in design.inputs], axis=1)
-    found = fractures_of(
+    fractures = fractures_of(
         design.judged,
         design.inputs,
         rows,
         [limit.quantity for limit in limits],
         drawn.shares.reshape(len(limits), -1).T,
     )
-    first = found.first.reshape(shape)
+    first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
         share = share_of(first == k, METHOD, weights=drawn.weights)
         answers.add("fracture", "mode_share", limit.name, share, unit="1", runs=first.size)
     for name, values, unit in (
-        ("time", found.time, "s"),
-        ("force", found.force, "N"),
-        ("energy", found.energy, "J"),
+        ("time", fractures.time, "s"),
+        ("force", fractures.force, "N"),
+        ("energy", fractures.energy, "J"),
     ):
-        known = np.where(np.isfinite(values), values, 0.0).reshape(shape)
+        filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
         for p in (0.05, 0.5, 0.95):
-            estimate = weighted_quantile(known, drawn.weights, p, METHOD, first.size)
+            estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
             answers.add("fracture", f"{name}_at_fracture", p, estimate, unit=unit, runs=first.size)
     return answers
 
@@ -96,8 +96,8 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     if joint.correlation is None or len(random) < 2:
         return covariance
     at = [joint.names.index(names[k]) for k in random]
-    given = [joint.names.index(name) for name in design.drawn.names]
-    own, across = joint.correlation[np.ix_(at, at)], joint.correlation[np.ix_(given, at)]
-    within = joint.correlation[np.ix_(given, given)]
-    covariance[np.ix_(random, random)] = own - across.T @ np.linalg.solve(within, across)
+    drawn = [joint.names.index(name) for name in design.drawn.names]
+    among, across = joint.correlation[np.ix_(at, at)], joint.correlation[np.ix_(drawn, at)]
+    within = joint.correlation[np.ix_(drawn, drawn)]
+    covariance[np.ix_(random, random)] = among - across.T @ np.linalg.solve(within, across)
     return residual_correlation(covariance)

@@ -58,19 +58,19 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     if limit.name in tables.failures:
         return tables.failures[limit.name]
     state = state_of(design, limit, tables.sample)
-    found = failure_of_aim(state, limit.aim)
+    sampled = failure_of_aim(state, limit.aim)
     if limit.name in tables.rare:
-        return _searched(tables.rare[limit.name].estimate, found, tables.sample.size)
+        return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
     if (
         not design.drawn.names
-        and found.value is not None
+        and sampled.value is not None
         and not state.late.any()
         and not state.broken.any()
     ):
-        return exact(found.value)
+        return exact(sampled.value)
     return source_of(design, tables).probability(
         column_of(limit),
-        found,
+        sampled,
         lambda sample: failure_given_inputs(state_of(design, limit, sample), limit.aim),
     )
 

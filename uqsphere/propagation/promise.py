@@ -249,9 +249,9 @@ def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> lis
 
     law = strength_of(limit)
     assert isinstance(law, Law)
-    own, location, scale = _place_of(law)
+    fitted, location, scale = _place_of(law)
     kind = STRENGTHS[name]
-    if kind is not own:
+    if kind is not fitted:
         # the same mean and standard deviation of the logarithm
         wider = math.sqrt(6.0) / math.pi
         location, scale = location + _GAMMA * wider * scale, scale * wider

@@ -80,7 +80,7 @@ def judge(
         aim = aim_of(design, word)
         settling = Settling(design=design, model=model, others=alternatives(aim), end=end)
         if yields is not None:
-            settling = replace(settling, yielding=YieldingRows(design=yields, known={}))
+            settling = replace(settling, yielding=YieldingRows(design=yields, evaluated={}))
         head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
         plan = settling.once(aim, plan_of(design, head))
         line, settled = line_of(design, tables), None
@@ -147,14 +147,14 @@ def aim_of(design: Design, word: types.Aim) -> Aim:
 
 def _at_plan(design: Design, tables: Tables, plan: Settled) -> dict[str, Estimate]:
     """The failure probability of each limit at the plan with the other failure modes."""
-    found = {}
+    estimates = {}
     for limit in plan.aim.limits:
         estimate = failure(design, tables, limit)
         alone, joint = plan.curves.base(limit)
         if plan.curves.adds_up(limit):
             estimate = _added(estimate, (joint - alone)[0])
-        found[limit.name] = estimate
-    return found
+        estimates[limit.name] = estimate
+    return estimates
 
 
 def _added(estimate: Estimate, more: Array) -> Estimate:
