@@ -14,13 +14,17 @@ from scipy import stats
 import uqsphere
 from uqsphere import Study
 from uqsphere.models.model import Model
+from uqsphere.propagation.demands import demands_of
 from uqsphere.propagation.design import Design
+from uqsphere.propagation.doubts import Curves, alternatives
 from uqsphere.propagation.evidence import least_factor, standing
 from uqsphere.propagation.grow import grow
-from uqsphere.propagation.verdict import judge
+from uqsphere.propagation.line import plan_of
+from uqsphere.propagation.tables import evaluate
+from uqsphere.propagation.verdict import aim_of, judge
 from uqsphere.results.types import Decision
 from uqsphere.study import load_study, shipped_studies
-from uqsphere.uq import make_law
+from uqsphere.uq import Law, make_law
 
 LOOSE = {"accuracy": {"mean": 0.1, "quantile": 0.2, "sobol": 0.2, "probability": 0.05}}
 LOAD = {"dist": "lognormal", "mean": 1.0, "cov": 0.1}
@@ -208,6 +212,33 @@ def test_tests_refute_a_true_strength_as_often_as_they_should() -> None:
     assert np.mean(standing(low) < 0.05) > 0.98
 
 
+def test_another_distribution_of_the_tests_keeps_the_declared_size_law(tmp_path: Path) -> None:
+    """The exponent of the weakest link belongs to the declared Weibull strength; a lognormal one is
+    held against the same equivalent forces.
+    """
+    forces = 5.0 * np.random.default_rng(4).weibull(9.0, 15)
+    rows = ["force_kN,diameter_mm", *(f"{force:.6g},25" for force in forces)]
+    (tmp_path / "tests.csv").write_text("\n".join(rows), encoding="utf-8")
+    tests = (
+        '{ file = "tests.csv", force = "force_kN", diameter = "diameter_mm", platens = "steel" }'
+    )
+    text = PLAIN.replace('{ dist = "weibull", mean = "8 MPa", modulus = 8 }', tests)
+    design = Design.of(load_study(tmp_path / "study.toml", text=text))
+    (limit,) = design.limits
+    tested, aim = limit.tested, aim_of(design, "survive")
+    assert tested is not None
+    assert isinstance(tested.law, Law)
+    assert tested.exponent == pytest.approx(2.0 - 3.0 / tested.law.parameters["modulus"])
+    others = {other.detail: other.laws for other in alternatives(aim) if other.code == "tests"}
+    assert set(others) == {"weibull", "lognormal"}
+    with Model(design.judged) as model:
+        line = plan_of(design, evaluate(design, model, design.points(1)))
+    at_once = Curves(aim=aim, line=line).by_strengths(limit, others["lognormal"][:3])[0, :, 0]
+    demand = demands_of(limit, line.samples[0])[0, 0]
+    for law, seen in zip(others["lognormal"], at_once, strict=False):
+        assert seen == pytest.approx(law.cdf(np.array([demand]))[0], rel=1e-9)
+
+
 def test_a_strength_is_raised_until_its_tests_are_as_probable_as_asked() -> None:
     law = make_law("weibull", {"mean": 2.0, "modulus": 6.0})
     demands = np.random.default_rng(2).weibull(8.0, (3, 25)) * [[5.0], [3.0], [8.0]]
@@ -219,10 +250,13 @@ def test_a_strength_is_raised_until_its_tests_are_as_probable_as_asked() -> None
 BALL = """
 sphere = { material = "granite", radius = { dist = "normal", mean = "12.5 mm", sd = "1 mm" } }
 rig = { kind = "drop_weight" }
-hammer = { material = "steel", shape = "ball", diameter = "75 mm" }
-hammer.drop_height = { dist = "normal", mean = "2 m", cov = 0.1 }
 anvil = { material = "manganese_steel" }
 margins = { solve = "hammer.drop_height", between = ["0.2 m", "20 m"] }
+[hammer]
+material = "steel"
+shape = "ball"
+diameter = "75 mm"
+drop_height = { dist = "normal", mean = "2 m", cov = 0.1 }
 [limits.broken]
 quantity = "specific_energy_sphere"
 aim = "break"
@@ -258,7 +292,7 @@ def test_a_plan_moved_over_decades_leaves_the_numbers(
         study = load_study(path, [f"analysis.accuracy={{ {accuracy} }}", *more], text=text)
         design = Design.of(study)
         with Model(design.judged) as model:
-            judged, _ = judge(design, model, grow(design, model))
+            judged, _ = judge(design, model, grow(design, model, seconds=600.0))
         numbers.append([aim.line.number for aim in judged if aim.line is not None])
     assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
     assert None not in numbers[0]

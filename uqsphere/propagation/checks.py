@@ -42,7 +42,6 @@ class Check:
     share: float
     grade: Grade
     effect: str = ""
-    remedy: str = ""
     failures: Mapping[str, float] = field(default_factory=dict)
 
     def entry(self) -> CheckEntry:
@@ -200,8 +199,6 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
                 "blows on one face after the last squeeze between both are not counted: set "
                 "model.whole_record = true"
             ),
-            remedy="set model.whole_record = true to count every loading up to the horizon, or "
-            "model.first_loading_only = true to count the first only",
         )
     ]
 
@@ -230,14 +227,8 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
                 text=f"{format_probability(share)} of the strengths of {limit.name} lie above the "
                 "hardness, which no "
                 "pressure exceeds",
-                effect=(
-                    "such spheres never break by it; more do if the strength was computed from a "
-                    "force by Hertz"
-                ),
-                remedy=(
-                    'set strength_is = "hertz" if the strength was computed from a force, or '
-                    "measure the hardness"
-                ),
+                effect='such spheres never break by it: set strength_is = "hertz" if it was '
+                "computed from a force, else measure the hardness",
             )
         )
     return breached

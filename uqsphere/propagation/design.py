@@ -16,8 +16,9 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.models.scene import absent_quantity
-from uqsphere.propagation.evidence import Evidence, judged_by_tests, refuted_text
+from uqsphere.propagation.evidence import judged_by_tests, refuted_text
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, means_fracture
+from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
 
@@ -44,7 +45,7 @@ class Design:
     modes: tuple[AssumedMode, ...]
     not_judged: Mapping[str, str]
     columns: tuple[str, ...]
-    evidence: tuple[Evidence, ...] = ()
+    evidence: tuple[EvidenceEntry, ...] = ()
 
     @classmethod
     def of(cls, study: Study) -> Design:

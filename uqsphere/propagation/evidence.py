@@ -10,7 +10,7 @@ is a product of uniform variables.)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,31 +18,13 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.propagation.failure_modes import AssumedMode, scaled_strength, size_factor
+from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Study
 from uqsphere.study.values import Tested
 from uqsphere.uq import Law
 
 #: a strength that makes the tests less probable than this is refuted
 REFUTED: Final = 0.05
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evidence:
-    """What the tests say of an assumed strength.
-
-    weak, middle, strong : probability of the tests by either end of the library's range and by its
-        middle
-    refuted : by the strong end as well: the mode is left out
-    raised : what the weak end is multiplied by where the tests refute it, else 1
-    """
-
-    mode: str
-    tests: int
-    weak: float
-    middle: float
-    strong: float
-    refuted: bool
-    raised: float
 
 
 def series_of(study: Study) -> list[Tested]:
@@ -57,7 +39,7 @@ def series_of(study: Study) -> list[Tested]:
 
 def judged_by_tests(
     study: Study, modes: Sequence[AssumedMode]
-) -> tuple[list[Evidence], list[AssumedMode]]:
+) -> tuple[list[EvidenceEntry], list[AssumedMode]]:
     """The evidence on every assumed mode, and the modes that are left, with what is left of their
     range.
     """
@@ -79,7 +61,7 @@ def judged_by_tests(
     return results, modes_left
 
 
-def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evidence:
+def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> EvidenceEntry:
     middle = mode.limit.strength
     assert isinstance(middle, Law)
     demands = demands_in_tests(study, series, mode)
@@ -91,7 +73,7 @@ def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evid
         # the strong end of a range may be of another scatter than its weak end
         factor = float(least_factor(mode.weak, demands[None, :])[0])
         raised = min(factor, median(mode.strong) / median(mode.weak))
-    return Evidence(
+    return EvidenceEntry(
         mode=mode.called,
         tests=len(demands),
         weak=weak,
@@ -147,6 +129,6 @@ def median(law: Law) -> float:
     return float(law.ppf(np.array([0.5]))[0])
 
 
-def refuted_text(evidence: Evidence) -> str:
+def refuted_text(evidence: EvidenceEntry) -> str:
     """Why a mode that the tests refute is not judged."""
     return f"refuted by your {evidence.tests} tests: spheres bore more than this strength allows"

@@ -7,8 +7,8 @@ and their spread is the interval.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,14 +19,9 @@ from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.study import Limit
-from uqsphere.uq import Estimate, Law, Sample
+from uqsphere.uq import Estimate
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from uqsphere.arrays import Array
 
 METHOD = "the same points at every value"
 
@@ -85,70 +80,36 @@ def planned_value(design: Design) -> float | None:
     return design.study.at_means().get(margins.solve)
 
 
-def curve_by(
-    design: Design,
-    tables: Tables,
-    chance: Callable[[Sample, float], Array],
-    targets: Sequence[float],
-) -> Fragility:
-    """The curve of what `chance` gives (R, n) at points and a value, with the free number at each
-    of the targets.
-    """
-    margins = design.study.margins
-    assert margins is not None
-    pairs = tables.line
-    if margins.limit is not None:
-        pairs = dict.fromkeys(grid(margins, VALUES), tables.sample)
-    return _curve(
-        tables,
-        pairs,
-        [chance(sample, value).mean(axis=1) for value, sample in pairs.items()],
-        targets,
-    )
-
-
-def _curve(
-    tables: Tables, pairs: Mapping[float, Sample], rows: Sequence[Array], targets: Sequence[float]
-) -> Fragility:
-    """The curve of means (R,) at each value of the free number, each replicate by itself."""
-    counts = [sample.count for sample in pairs.values()]
-    return fragility_of(
-        np.array([*pairs]),
-        np.clip(np.array(rows), 0.0, 1.0),
-        targets,
-        samples=min(counts),
-        evaluations=tables.sample.replicates * sum(counts),
-    )
-
-
 def curve_of(
     design: Design,
     tables: Tables,
     limit: Limit,
-    strength: Law | float | None = None,
-    targets: tuple[float, ...] = (),
+    targets: Sequence[float] = (),
 ) -> Fragility:
-    """The curve of a limit with its margins; `strength` in place of its own."""
+    """The curve of a limit, with the free number at the study's probabilities and the target, or at
+    others.
+    """
     margins = design.study.margins
     assert margins is not None
-    wanted = targets or tuple(sorted({*margins.for_probability, limit.allowable}))
-    if margins.limit is None:
-        # all values at once
-        exceeded = failure_given_inputs(state_of(design, limit, tables.along, strength), "survive")
-        ends = np.cumsum([sample.count for sample in tables.line.values()])[:-1]
-        return _curve(
-            tables,
-            tables.line,
-            [part.mean(axis=1) for part in np.split(exceeded, ends, axis=1)],
-            wanted,
-        )
-    state = state_of(design, limit, tables.sample, strength)
-
-    def at(sample: Sample, value: float) -> Array:
-        moved = replace(state, demands=state.demands * demand_factor(margins, limit, value))
-        return failure_given_inputs(moved, "survive")
-
-    return curve_by(design, tables, at, wanted)
+    if margins.limit is None:  # all values at once
+        values, counts = [*tables.line], [sample.count for sample in tables.line.values()]
+        exceeded = failure_given_inputs(state_of(design, limit, tables.along), "survive")
+        parts = np.split(exceeded, np.cumsum(counts)[:-1], axis=1)
+    else:
+        values, state = grid(margins, VALUES), state_of(design, limit, tables.sample)
+        counts = [tables.sample.count] * len(values)
+        factors = [demand_factor(margins, limit, value) for value in values]
+        parts = [
+            failure_given_inputs(replace(state, demands=state.demands * factor), "survive")
+            for factor in factors
+        ]
+    return fragility_of(
+        np.array(values),
+        np.clip(np.array([part.mean(axis=1) for part in parts]), 0.0, 1.0),
+        targets or sorted({*margins.for_probability, limit.allowable}),
+        samples=min(counts),
+        evaluations=tables.sample.replicates * sum(counts),
+    )
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
@@ -156,7 +117,7 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     accuracy is held to.
     """
     wanted = limit.allowable
-    values = curve_of(design, tables, limit, None, tuple(sorted({0.16, wanted, 0.84}))).values
+    values = curve_of(design, tables, limit, sorted({0.16, wanted, 0.84})).values
     low, high = values[0.16].value, values[0.84].value
     if low is None or high is None or low == high:
         return values[wanted], None

@@ -67,7 +67,7 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
         values=np.array([*line]),
         outputs=outputs,
         limits={
-            limit.name: curve_of(design, tables, limit, None, margins.for_probability)
+            limit.name: curve_of(design, tables, limit, margins.for_probability)
             for limit in study.limits
         },
         failed=np.array([float(sample.failed.mean()) for sample in samples]),

@@ -37,7 +37,6 @@ from uqsphere.results.types import (
     CorrelationEntry,
     Decision,
     DependenceEntry,
-    EvidenceEntry,
     FreeNumber,
     InputEntry,
     LimitEntry,
@@ -114,7 +113,7 @@ def results_of(
         inputs={name: _input(design, name) for name in inputs},
         answers=answers.rows,
         decisions=list(decisions),
-        evidence=[EvidenceEntry(**asdict(evidence)) for evidence in design.evidence],
+        evidence=list(design.evidence),
         checks=[check.entry() for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
