@@ -165,11 +165,10 @@ def test_the_terminal_has_no_codes(granite: Results) -> None:
 
 
 def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
-    """By the limit alone: what other failure modes take is told by the decision."""
     ends = {"subject": "limits.crushing", "target": 0.01}
     doubts = [
-        Doubt(code="computation", margin=0.3, alone=0.66, **ends),
-        Doubt(code="tests", margin=0.2, alone=0.404, tests=20, **ends),
+        Doubt(code="computation", margin=0.66, **ends),
+        Doubt(code="tests", margin=0.404, tests=20, **ends),
     ]
     results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
     row = mode_rows(results)[0]

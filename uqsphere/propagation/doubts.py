@@ -129,8 +129,8 @@ class Doubt:
         the other failure modes
     opposite : the joint curve at the other end of what tests leave open; None for other doubts
     error : standard error (K,) of the curve by the numerical computation
-    single_margin, margin : where the two cross the target; None where the safe end misses it,
-        infinite where the whole range keeps it
+    margin : where the curve crosses its target; None where the safe end misses it, infinite where
+        the whole range keeps it
     """
 
     code: DoubtCode
@@ -140,7 +140,6 @@ class Doubt:
     single: Array
     curve: Array
     error: Array
-    single_margin: float | None = None
     margin: float | None = None
     opposite: Array | None = None
 
@@ -418,12 +417,10 @@ class Curves:
         """A doubt with its curves (K,), alone and joint, and the error that its replicates (K, R)
         show.
         """
-        margins: list[float | None] = [None, None]
+        margin = None
         if len(self.line.values) > 1:
-            margins = [
-                self.line.crossing(curve, limit.allowable, keeps_below=self.aim.survive)
-                for curve in curves
-            ]
+            keeps_below = self.aim.survive
+            margin = self.line.crossing(curves[1], limit.allowable, keeps_below=keeps_below)
         return Doubt(
             code=code,
             limit=limit,
@@ -432,8 +429,7 @@ class Curves:
             single=curves[0],
             curve=curves[1],
             error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
-            single_margin=margins[0],
-            margin=margins[1],
+            margin=margin,
         )
 
 

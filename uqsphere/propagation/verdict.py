@@ -336,6 +336,11 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
     settled, aim = judged.line or judged.plan, judged.aim
     doubt = along or at_plan
     assert doubt is not None
+    note: types.MarginNote = ""
+    if along is not None and along.margin is None:
+        note = "nowhere"
+    elif along is not None and math.isinf(along.margin or 0.0):
+        note = "everywhere"
     at_number, number, at_plan_range = types.Range(), settled.number, types.Range()
     if along is not None and number is not None and math.isfinite(number):
         at_number = _failure_range(aim, settled.line.at(doubt.curve, number))
@@ -351,24 +356,13 @@ def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Do
         option=option,
         target=doubt.limit.target,
         margin=doubt.margin,
-        margin_note=_note(along, doubt.margin),
-        alone=doubt.single_margin,
-        alone_note=_note(along, doubt.single_margin),
+        margin_note=note,
         at_number=at_number,
         at_plan=at_plan_range,
         governs=doubt.key == settled.governing.key,
         counts=doubt.code != ASSUMED or any(doubt.limit is mode.limit for mode in aim.modes),
         tests=number_of_tests(strength_of(doubt.limit)),
     )
-
-
-def _note(along: Doubt | None, margin: float | None) -> types.MarginNote:
-    """Why a margin is no number."""
-    if along is None:
-        return ""
-    if margin is None:
-        return "nowhere"
-    return "everywhere" if math.isinf(margin) else ""
 
 
 def _is_carrier(aim: Aim, limit: Limit) -> bool:

@@ -226,8 +226,8 @@ class ModeRow:
 
     @property
     def margins(self) -> list[float]:
-        """The free number at the target of this limit alone, under each doubt that has one."""
-        return [doubt.alone for doubt in self.doubts if doubt.alone is not None]
+        """The free number at the target under each doubt that has one."""
+        return [doubt.margin for doubt in self.doubts if doubt.margin is not None]
 
     def beta(self) -> str:
         """The reliability index."""
@@ -237,7 +237,7 @@ class ModeRow:
 
     def number(self, path: str) -> str:
         """The free number at the target by this limit: its conservative end."""
-        if any(doubt.alone_note == "nowhere" for doubt in self.doubts):
+        if any(doubt.margin_note == "nowhere" for doubt in self.doubts):
             return "none"
         if not self.doubts:
             return DASH

@@ -353,10 +353,6 @@ class Doubt(Part):
     margin_note: MarginNote = Field(
         default="", description="why there is no margin: the target is kept everywhere, or nowhere"
     )
-    alone: Finite = Field(
-        default=None, description="the same margin by this limit alone, without the others"
-    )
-    alone_note: MarginNote = Field(default="", description="why there is none")
     at_number: Range = Field(
         default=Range(), description="failure probability at the number to use"
     )
