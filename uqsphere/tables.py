@@ -15,7 +15,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -24,6 +23,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
+from uqsphere.documents import suggestion
 from uqsphere.errors import UsageError, as_text
 from uqsphere.files import TooLarge, read_given
 from uqsphere.units import UNITS, nearest_unit, typed_units
@@ -249,13 +249,11 @@ class Table:
     @cached_property
     def _no_data(self) -> dict[str, Flags]:
         """Rows that are no data, by what they are."""
+        sums = _each(lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows)
+        again = _each(self.headings.__eq__, self.rows)
         return {
-            "this is a summary row, not data. Delete it": _each(
-                lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows
-            ),
-            "the headings are repeated; pasted twice?": _each(
-                lambda row: row == self.headings, self.rows
-            ),
+            "this is a summary row, not data. Delete it": sums,
+            "the headings are repeated; pasted twice?": again,
         }
 
     def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
@@ -275,19 +273,18 @@ class Table:
         if len(named) == 1 and dimension != "number" and column not in (*self.headings, *bare):
             wrong = unknown_unit(named[0], dimension)
             raise TableError(f"{named[0]!r}: {wrong} ({typed_units(dimension)})", key)
-        near = get_close_matches(column, [*self.headings, *bare], n=1)
-        often, hints = "not", [note for note in self.notes if _OTHER_SHEETS in note]
+        often, hint = "not", suggestion(column, [*self.headings, *bare])
         if column in (*self.headings, *bare):
-            often = "twice or more"
-        elif near:
-            hints = [f"did you mean {near[0]!r}?"]
-        elif all(map(_is_numeric, self.headings)):
-            hints.append("the first row holds numbers: add a row of headings")
-        elif not hints and len(self.headings) == 1 and re.search(r"\S[\s|]", self.headings[0]):
-            hints.append("divide columns by commas, semicolons or tabs")
+            often, hint = "twice or more", ""
+        hint = hint or _other_sheets(self.notes)
+        if not hint and all(map(_is_numeric, self.headings)):
+            hint = "; the first row holds numbers: add a row of headings"
+        elif not hint and len(self.headings) == 1 and re.search(r"\S[\s|]", self.headings[0]):
+            hint = "; divide columns by commas, semicolons or tabs"
         headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
-        message = f"the column {column!r} is {often} in {self.name!r}, which has {headings}"
-        raise TableError("; ".join([message, *hints]), key)
+        raise TableError(
+            f"the column {column!r} is {often} in {self.name!r}, which has {headings}{hint}", key
+        )
 
     def unit_of(self, column: str | int, dimension: str) -> str | None:
         """The unit of a dimension in the heading of a column."""
@@ -316,41 +313,36 @@ class Table:
         if column.isdigit():
             column = self.headings[at]
         if dimension != "number":
-            unit = self._unit(at, dimension, unit, key) or self._missing(column, at, dimension, key)
-            factor = UNITS[dimension][unit]
+            factor = self._factor(at, dimension, unit, key)
         values = factor * self._parsed(at, column, key, blank)
         self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
         return values
 
-    def _unit(self, at: int, dimension: str, unit: str | None, key: str) -> str | None:
-        """The unit of a column as given or of its heading, which must agree."""
-        heading, units, unit_key = self.headings[at], UNITS[dimension], _UNIT_KEYS.get(key, "units")
-        in_heading = unit_in_heading(heading, dimension)[1]
+    def _factor(self, at: int, dimension: str, unit: str | None, key: str) -> float:
+        """The unit of a column in SI: as given or of its heading, which must agree."""
+        heading, units, known = self.headings[at], UNITS[dimension], typed_units(dimension)
+        unit_key, in_heading = _UNIT_KEYS.get(key, "units"), unit_in_heading(heading, dimension)[1]
         if unit is not None and unit not in units:
             near = nearest_unit(unit, dimension)
             hint = f"; did you mean {near!r}?" if near else ""
-            raise TableError(
-                f"{unit_key} must be one of {typed_units(dimension)}, not {unit!r}{hint}", unit_key
-            )
+            raise TableError(f"{unit_key} must be one of {known}, not {unit!r}{hint}", unit_key)
         if unit and in_heading and units[unit] != units[in_heading]:
             raise TableError(
                 f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key
             )
-        return in_heading if unit is None else unit
-
-    def _missing(self, column: str, at: int, dimension: str, key: str) -> str:
-        """Raises TableError for a column without a unit of its dimension."""
-        wrong, known = unknown_unit(self.headings[at], dimension), typed_units(dimension)
-        if wrong:
-            raise TableError(f"{column!r}: {wrong} ({known})", key)
-        first, more = next(iter(UNITS[dimension])), ""
-        if key in _UNIT_KEYS:
-            more = f', or add {_UNIT_KEYS[key]} = "{first}"'
-        raise TableError(
-            f'the unit of the column {column!r} is missing. Write it in the heading, "{column} '
-            f'[{first}]"{more} ({known})',
-            key,
-        )
+        if unit is None and in_heading is None:
+            wrong = unknown_unit(heading, dimension)
+            if wrong:
+                raise TableError(f"{heading!r}: {wrong} ({known})", key)
+            first, more = next(iter(units)), ""
+            if key in _UNIT_KEYS:
+                more = f', or add {unit_key} = "{first}"'
+            raise TableError(
+                f"the unit of the column {heading!r} is missing. Write it in the heading, "
+                f'"{heading} [{first}]"{more} ({known})',
+                key,
+            )
+        return units[unit or in_heading or ""]
 
     def _parsed(self, at: int, column: str, key: str, blank: bool) -> Array:
         """Numbers of a column without its unit: which mark is the decimal one, and what is no
@@ -537,8 +529,11 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     try:
         return replace(table_of(name, rows, notes, decimal), apart=apart)
     except TableError as error:
-        others = [note for note in notes if _OTHER_SHEETS in note]
-        raise TableError("; ".join([str(error), *others]), error.key) from None
+        raise TableError(f"{error}{_other_sheets(notes)}", error.key) from None
+
+
+def _other_sheets(notes: Iterable[str]) -> str:
+    return "".join(f"; {note}" for note in notes if _OTHER_SHEETS in note)
 
 
 def _trimmed(row: list[str]) -> list[str]:

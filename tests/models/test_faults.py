@@ -409,9 +409,7 @@ def test_a_dask_cluster_that_goes_away_is_told(place: Path) -> None:
         threading.Timer(0.2, went).start()
         with (
             Model(study(), reference, executor=client, cache_file=place / end) as model,
-            pytest.raises(
-                ExecutorLost, match=r"executor was lost .* continues from there"
-            ) as lost,
+            pytest.raises(ExecutorLost, match=r"executor was lost .* continues from there") as lost,
         ):
             model.evaluate(["a"], np.arange(100.0)[:, None], ["y"])
         assert lost.value.exit_code == 7

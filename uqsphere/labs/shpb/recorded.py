@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import mode
 from typing import Final
@@ -111,18 +111,17 @@ def _form(name: str, live: Mapping[int, str]) -> _Form:
 
 def _numeric(rows: Sequence[list[str]], divider: str, mark: str) -> _Form:
     """The columns that contain numbers, with words in less than half of the rows."""
-    number = NUMBER[mark]
-    rows = [row for row in rows if any(map(number.fullmatch, row))]
+    rows = [row for row in rows if any(map(NUMBER[mark].fullmatch, row))]
     width = mode(map(len, rows)) if rows else 0
-    rows = [row for row in rows if len(row) == width]
-    places = []
-    for place in range(width):
-        column = [row[place] for row in rows]
-        words = sum(not _is_number(cell, mark) for cell in column)
-        if any(map(number.fullmatch, column)) and 2 * words < len(rows):
+    columns = [*zip(*(row for row in rows if len(row) == width), strict=True)]
+    places, whole = [], set[int]()
+    for place, column in enumerate(columns):
+        words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
+        if any(map(NUMBER[mark].fullmatch, column)) and 2 * len(words) < len(column):
             places.append(place)
-    form = _Form(divider=divider, mark=mark, width=width, places=places, whole=0)
-    return replace(form, whole=sum(_all_numbers(row, form) for row in rows))
+            whole |= words
+    count = len(columns[0]) - len(whole) if columns else 0
+    return _Form(divider=divider, mark=mark, width=width, places=places, whole=count)
 
 
 def _is_number(cell: str, mark: str) -> bool:
@@ -130,15 +129,11 @@ def _is_number(cell: str, mark: str) -> bool:
     return bool(NUMBER[mark].fullmatch(cell)) or cell.lower() in NOTHING
 
 
-def _all_numbers(row: Sequence[str], form: _Form) -> bool:
-    return all(_is_number(row[place], form.mark) for place in form.places)
-
-
 def _has_numbers(row: Sequence[str], form: _Form) -> bool:
     """Whether a row is one of numbers, not all of them missing."""
     if len(row) <= form.places[-1] or not any(row[place] for place in form.places):
         return False
-    return _all_numbers(row, form)
+    return all(_is_number(row[place], form.mark) for place in form.places)
 
 
 def _body(
