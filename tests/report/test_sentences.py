@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from uqsphere.report import summary
-from uqsphere.report.format import mode_rows
 from uqsphere.report.sentences import STOPPED, decision_text, doubt_text
+from uqsphere.report.tables import limits
 from uqsphere.results.types import (
     Caveat,
     CheckEntry,
@@ -171,34 +171,9 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
         Doubt(code="tests", margin=0.404, tests=20, **ends),
     ]
     results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
-    row = mode_rows(results)[0]
-    assert row.number("striker.speed") == "0.4 m/s"
-    assert row.span("striker.speed") == "0.404 to 0.660 m/s"
-
-
-def test_an_undecided_verdict_names_the_doubt_that_says_no(granite: Results) -> None:
-    whole = {"subject": "limits.crushing", "target": 0.01, "margin": 0.1}
-    doubts = [
-        Doubt(code="computation", at_plan=Range(value=0.002), **whole),
-        Doubt(code="distribution", option="weibull", at_plan=Range(value=0.014), **whole),
-    ]
-    (text,) = decision_text(granite, decision(verdict="undecided", doubts=doubts)).open
-    assert text.startswith("fracture probability at the planned value up to 1.4 %")
-    assert "Weibull" in text
-
-
-def test_a_target_that_is_kept_everywhere_allows_the_whole_range(granite: Results) -> None:
-    doubts = [
-        Doubt(
-            code="tests",
-            subject="limits.crushing",
-            target=0.01,
-            margin=None,
-            margin_note="everywhere",
-        )
-    ]
-    text = decision_text(granite, decision(use=None, doubts=doubts))
-    assert text.use.startswith("Use any value between")
+    table = limits(results)
+    assert table is not None
+    assert table.rows[0][4:6] == ("0.4 m/s", "0.404 to 0.660 m/s")
 
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from itertools import chain
 from typing import Final, Protocol
 
 from uqsphere.quantities import (
-    format_conservative,
     format_estimate,
     format_index,
     format_probability,
@@ -20,11 +18,8 @@ from uqsphere.quantities import (
 )
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
-    Answer,
     Decision,
-    Doubt,
     InputEntry,
-    Kind,
     LimitEntry,
     PaperRow,
     QuantityEntry,
@@ -205,88 +200,14 @@ def label(subject: str) -> str:
     return name or subject or "all failure modes"
 
 
-# --- one line a limit -----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModeRow:
-    """A limit, or a failure mode beside it: what stands in its row.
-
-    exceedance : probability that the demand exceeds the strength (of fracture, for most)
-    best : free number at the target, best estimate; doubts : its rows of the certificate
-    """
-
-    subject: str
-    entry: LimitEntry
-    exceedance: Answer | None
-    index: Answer | None
-    best: Answer | None
-    doubts: Sequence[Doubt]
-    least: bool
-
-    @property
-    def margins(self) -> list[float]:
-        """The free number at the target under each doubt that has one."""
-        return [doubt.margin for doubt in self.doubts if doubt.margin is not None]
-
-    def beta(self) -> str:
-        """The reliability index."""
-        if self.index is None or self.index.value is None:
-            return DASH
-        return f"{self.index.value:.2f}"
-
-    def number(self, path: str) -> str:
-        """The free number at the target by this limit: its conservative end."""
-        if any(doubt.margin_note == "nowhere" for doubt in self.doubts):
-            return "none"
-        if not self.doubts:
-            return DASH
-        if not self.margins:
-            return "whole range"
-        worst = min(self.margins)
-        if self.least:
-            worst = max(self.margins)
-        return format_conservative(worst, path, least=self.least)
-
-    def span(self, path: str) -> str:
-        """The range of the free number at the target over what is open."""
-        return value_range(min(self.margins, default=None), max(self.margins, default=None), path)
-
-    def best_estimate(self, path: str) -> str:
-        """The free number at the target by this limit alone, without what is open."""
-        if self.best is None:
-            return DASH
-        if self.best.value is None:
-            return "outside margins.between"
-        return value(self.best.value, path)
-
-
-def mode_rows(results: Results) -> list[ModeRow]:
-    """Limits of the study, and failure modes beside them."""
-    answers, rows = table_of(results), list[ModeRow]()
-    doubts = list(chain.from_iterable(decision.doubts for decision in results.decisions))
-    least = {decision.aim: is_least(decision) for decision in results.decisions}
-    entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
-    entries |= {f"modes.{name}": entry for name, entry in results.study.modes.items()}
-    for subject, entry in entries.items():
-        margins = [row for row in answers.where(subject, Kind.MARGIN) if isinstance(row.at, float)]
-        best = (row for row in margins if abs(float(row.at) - entry.allowable) <= 1e-9)
-        rows.append(
-            ModeRow(
-                subject=subject,
-                entry=entry,
-                exceedance=answers.get(subject, Kind.EXCEEDANCE_PROBABILITY),
-                index=answers.get(subject, Kind.RELIABILITY_INDEX),
-                best=next(best, None),
-                doubts=[doubt for doubt in doubts if doubt.subject == subject],
-                least=least.get(entry.aim, entry.aim == "break"),
-            )
-        )
-    return rows
-
-
 def is_least(decision: Decision) -> bool:
     """Whether the number to use of a decision is the least allowable one."""
     if decision.use is None:
         return decision.aim == "break"
     return decision.use.safe_end == "smallest"
+
+
+def entries_of(results: Results) -> dict[str, LimitEntry]:
+    """Limits of the study, and failure modes beside them, by their subject."""
+    entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
+    return entries | {f"modes.{name}": entry for name, entry in results.study.modes.items()}

@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from uqsphere.quantities import format_conservative, format_probability, format_together
 from uqsphere.report.format import (
     DASH,
-    ModeRow,
     capital,
     complement,
+    entries_of,
     estimate,
     index,
     is_least,
     label,
     meaning,
-    mode_rows,
     paper_cells,
     probability,
     short,
@@ -36,7 +35,8 @@ from uqsphere.report.sentences import (
     exceedance_name,
     listed,
 )
-from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, Range, Results
+from uqsphere.results.answers import Answers
+from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, LimitEntry, Range, Results
 
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
@@ -117,21 +117,25 @@ def certificate(results: Results, decision: Decision) -> PageTable | None:
 
 def limits(results: Results) -> PageTable | None:
     """One line a limit or failure mode, and one for those of an aim together."""
-    modes, free = mode_rows(results), results.study.free
-    if not modes:
+    entries, free, answers = entries_of(results), results.study.free, table_of(results)
+    if not entries:
         return None
     head = ["limit", f"{exceedance_name(results).lower()} at the plan", "β"]
     if free is not None:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
     rows = list[Sequence[str]]()
-    aims = [mode.entry.aim for mode in modes]
-    for mode in modes:
-        cells = [label(mode.subject), probability(mode.exceedance), mode.beta()]
+    aims = [entry.aim for entry in entries.values()]
+    for subject, entry in entries.items():
+        p = probability(answers.get(subject, Kind.EXCEEDANCE_PROBABILITY))
+        beta = answers.get(subject, Kind.RELIABILITY_INDEX)
+        cells = [label(subject), p, DASH]
+        if beta is not None and beta.value is not None:
+            cells[2] = f"{beta.value:.2f}"
         if free is not None:
-            cells.append(mode.best_estimate(free.path))
-            alone = aims.count(mode.entry.aim) == 1
-            cells += [mode.number(free.path), mode.span(free.path)] if alone else ["", ""]
-        rows.append((*cells, _demand_and_strength(mode), _strength_source(mode)))
+            cells.append(_best_estimate(answers, subject, entry, free.path))
+            cells += _number_to_use(results, subject, free.path)
+        strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
+        rows.append((*cells, strength, _strength_source(entry)))
     if free is not None:
         for decision in results.decisions:
             if aims.count(decision.aim) > 1:
@@ -140,8 +144,7 @@ def limits(results: Results) -> PageTable | None:
     notes = ["bold: governs"]
     if free is not None:
         notes.append(
-            "best estimate: each limit by itself; to use: by all of them, considering "
-            "what is open, which gives the range"
+            "each limit by itself; to use: considering what is open, which gives the range"
         )
     if results.study.modes:
         notes.append("* strength assumed, from the library")
@@ -152,9 +155,34 @@ def limits(results: Results) -> PageTable | None:
         caption="Limits and failure modes",
         head=(*head, "demand: strength", "source of the strength"),
         rows=rows,
-        marked=[k for k, mode in enumerate(modes) if mode.subject in governing],
+        marked=[k for k, subject in enumerate(entries) if subject in governing],
         note="; ".join(notes),
     )
+
+
+def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, path: str) -> str:
+    """The free number at the target by one limit alone, without what is open."""
+    for row in answers.where(subject, Kind.MARGIN):
+        if isinstance(row.at, float) and abs(row.at - entry.allowable) <= 1e-9:
+            return "outside margins.between" if row.value is None else value(row.value, path)
+    return DASH
+
+
+def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
+    """The free number at the target by one limit alone: its conservative end, and range."""
+    for decision in results.decisions:
+        doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
+        margins = [doubt.alone for doubt in doubts if doubt.alone is not None]
+        if any(doubt.alone_note == "nowhere" for doubt in doubts):
+            return ["none", DASH]
+        if margins:
+            least = is_least(decision)
+            worst = max(margins) if least else min(margins)
+            number = format_conservative(worst, path, least=least)
+            return [number, value_range(min(margins), max(margins), path)]
+        if doubts:
+            return ["whole range", DASH]
+    return [DASH, DASH]
 
 
 def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
@@ -172,12 +200,7 @@ def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
     return rows
 
 
-def _demand_and_strength(mode: ModeRow) -> str:
-    return f"{meaning(mode.entry.quantity)}: {mode.entry.strength.text}"
-
-
-def _strength_source(mode: ModeRow) -> str:
-    entry = mode.entry
+def _strength_source(entry: LimitEntry) -> str:
     source = entry.source
     if entry.assumed:
         source = "library, not this rock"
@@ -191,14 +214,14 @@ def _strength_source(mode: ModeRow) -> str:
 def assumptions(results: Results) -> PageTable | None:
     """Fracture probabilities under other assumptions, one at a time."""
     rows, answers = [], table_of(results)
-    for mode in mode_rows(results):
-        for row in answers.where(mode.subject, Kind.FAILURE_PROBABILITY):
+    for subject, entry in entries_of(results).items():
+        for row in answers.where(subject, Kind.FAILURE_PROBABILITY):
             if str(row.at).startswith("assumed: "):
                 event = Range(value=row.value, low=row.low, high=row.high, note=row.note)
-                if mode.entry.aim == "break":
+                if entry.aim == "break":
                     event = complement(event)
                 assumed = str(row.at).removeprefix("assumed: ")
-                rows.append((label(mode.subject), assumed, probability(event)))
+                rows.append((label(subject), assumed, probability(event)))
     if not rows:
         return None
     return PageTable(
@@ -306,19 +329,19 @@ def drivers(results: Results) -> list[PageTable]:
     """Sensitivity of each failure probability, and design points."""
     answers = table_of(results)
     changes, points = dict[str, dict[str, float]](), dict[str, dict[str, str]]()
-    for mode in mode_rows(results):
-        rows = answers.where(mode.subject, Kind.DRIVER)
+    for subject, entry in entries_of(results).items():
+        rows = answers.where(subject, Kind.DRIVER)
         if not any(row.value for row in rows):
             continue
-        head = label(mode.subject)
+        head = label(subject)
         for row in rows:
             changes.setdefault(_variable(row.at), {})[head] = 100.0 * (row.value or 0.0)
-        for row in answers.where(mode.subject, Kind.DESIGN_POINT):
+        for row in answers.where(subject, Kind.DESIGN_POINT):
             variable, quantity = _variable(row.at), str(row.at)
             if not variable:
-                quantity = mode.entry.quantity
+                quantity = entry.quantity
             text = value(row.value, quantity)
-            if not variable and mode.entry.tests:  # in terms of the test force
+            if not variable and entry.tests:  # in terms of the test force
                 text = DASH
             points.setdefault(head, {})[variable] = text
     if not changes:
