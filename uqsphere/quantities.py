@@ -117,16 +117,15 @@ def format_together(values: Sequence[float], name: str, digits: int = 3) -> list
     (['2.60 GPa', '2.69 GPa', '2.78 GPa'], ['0.081', '2.500'])
     """
     sizes = [abs(value) for value in values if value]
-    unit, factor = display_unit(name, max(sizes, default=0.0))
-    decimals = 0
-    span = max(values, default=0.0) - min(values, default=0.0)
-    for size, wanted in (
-        (max(sizes, default=1.0), digits),
-        (min(sizes, default=1.0), 2),
-        (span, 2),
-    ):
-        if size > 0.0:
-            decimals = max(decimals, wanted - 1 - math.floor(math.log10(size * factor)))
+    if not sizes:
+        return [format_value(value, name) for value in values]
+    unit, factor = display_unit(name, max(sizes))
+    span = max(values) - min(values) or max(sizes)
+    first, smallest, spanned = (
+        -math.floor(math.log10(size * factor)) for size in (max(sizes), min(sizes), span)
+    )
+    # of ends that are close, one digit more at most
+    decimals = max(first + digits - 1, smallest + 1, min(spanned + 1, first + digits), 0)
     if decimals > 6:
         return [format_value(value, name, digits) for value in values]
     return [f"{value * factor:.{decimals}f} {unit}".rstrip() for value in values]

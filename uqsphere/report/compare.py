@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.report.format import DASH, label, meaning, value
@@ -20,15 +22,8 @@ if TYPE_CHECKING:
 #: answers that are probabilities, indices, and all that are compared
 PROBABILITIES = (Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.MODE_SHARE)
 INDICES = (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
-COMPARED = (
-    *PROBABILITIES,
-    Kind.MEAN,
-    Kind.SD,
-    Kind.QUANTILE,
-    Kind.MARGIN,
-    Kind.SAFETY_FACTOR,
-    *INDICES,
-)
+OF_QUANTITIES = (Kind.MEAN, Kind.SD, Kind.QUANTILE)
+COMPARED = (*PROBABILITIES, *OF_QUANTITIES, Kind.MARGIN, Kind.SAFETY_FACTOR, *INDICES)
 #: relative change that is worth a line
 WORTH = 1e-3
 
@@ -44,53 +39,35 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     """
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    keys = ["subject", "answer", "at"]
-    tables: list[Any] = []
+    keys, tables = ["subject", "answer", "at"], list[Any]()
     for number, run in enumerate(runs):
-        table = run.answers[run.answers["answer"].isin(COMPARED)].copy()
-        table["at"] = table["at"].map(str)
-        if number:
-            table = table.drop(columns="unit")
-        kept = [name for name in ("unit", "value", "low", "high") if name in table]
-        renamed = {name: f"{name}_{number}" for name in ("value", "low", "high")}
-        tables.append(table.set_index(keys)[kept].rename(columns=renamed))
+        table = run.answers[run.answers["answer"].isin(COMPARED)]
+        table = table.assign(at=table["at"].map(str)).set_index(keys)
+        tables.append(table[["unit", "value", "low", "high"]].add_suffix(f"_{number}"))
     merged = tables[0].join(tables[1:], how="outer").reset_index()
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
-    changes, significant = [], []
-    for _, row in merged.iterrows():
-        pairs = [_change(row, k, targets.get(row["subject"])) for k in range(1, len(runs))]
-        change, outside = max(pairs, key=lambda pair: abs(pair[0]))
-        changes.append(change)
-        significant.append(outside)
-    merged["change"], merged["significant"] = changes, significant
-    for number, name in enumerate(names):
-        merged[name] = merged[f"value_{number}"]
-    order = merged.assign(size=merged["change"].abs())
-    order = order.sort_values(["significant", "size"], ascending=False, kind="stable")
-    columns = [*keys, "unit", *names, "change", "significant"]
-    ordered: pd.DataFrame = order[columns].reset_index(drop=True)
-    return ordered
-
-
-def _change(row: Any, k: int, target: float | None) -> tuple[float, bool]:
-    """Relative change of an answer from the first run to the k-th, and whether it is outside the
-    interval of the difference.
-    """
-    before, after = row["value_0"], row[f"value_{k}"]
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return 0.0, False
-    scale = abs(before)
-    if row["answer"] in PROBABILITIES:
-        scale = target or max(abs(before), 1e-12)
-    elif row["answer"] in INDICES:
-        scale = 1.0
-    widths = [row[f"high_{number}"] - row[f"low_{number}"] for number in (0, k)]
-    half = 0.5 * math.hypot(*(width for width in widths if math.isfinite(width)))
-    change, outside = after - before, abs(after - before) > half
-    if scale > 0.0:
-        return change / scale, outside
-    return 0.0, outside
+    values = {k: merged[f"value_{k}"] for k in range(len(runs))}
+    widths = {k: (merged[f"high_{k}"] - merged[f"low_{k}"]).fillna(0.0) for k in values}
+    # of an index the change itself, of a probability over its target
+    scale = values[0].abs()
+    chances = merged["answer"].isin(PROBABILITIES)
+    scale[chances] = merged["subject"].map(targets).fillna(scale.clip(lower=1e-12))[chances]
+    scale[merged["answer"].isin(INDICES)] = 1.0
+    change, significant = 0.0 * scale.fillna(0.0), scale < 0.0
+    for k in list(values)[1:]:
+        difference = values[k] - values[0]
+        outside = difference.abs() > 0.5 * np.hypot(widths[0], widths[k])
+        relative = (difference / scale.where(scale > 0.0)).fillna(0.0)
+        larger = (relative.abs() > change.abs()) | (k == 1)
+        change, significant = change.mask(larger, relative), significant.mask(larger, outside)
+    merged = merged.rename(columns={"unit_0": "unit"})
+    merged = merged.assign(change=change, significant=significant, size=change.abs())
+    for k, name in enumerate(names):
+        merged[name] = values[k]
+    merged = merged.sort_values(["significant", "size"], ascending=False, kind="stable")
+    shown: pd.DataFrame = merged[[*keys, "unit", *names, "change", "significant"]]
+    return shown.reset_index(drop=True)
 
 
 def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -> str:
@@ -158,27 +135,23 @@ def _input(entry: InputEntry | None, path: str) -> str:
 
 
 def _answer(row: Any, runs: Sequence[Run], names: Sequence[str]) -> str:
-    subject = label(row["subject"])
-    if subject == row["subject"]:
-        subject = meaning(subject)
-    kind = str(row["answer"]).replace("_", " ")
-    at = f" {row['at']}".rstrip()
-    texts = " -> ".join(_number(row, name, runs) for name in names)
-    return f"{subject}, {kind}{at}: {texts} ({100.0 * row['change']:+.3g} %)"
-
-
-def _number(row: Any, name: str, runs: Sequence[Run]) -> str:
-    """A value of the table with its unit."""
-    number = row[name]
-    if math.isnan(number):
-        return DASH
-    if row["answer"] in PROBABILITIES:
-        return format_probability(number)
-    quantity, free = "", runs[0].results.study.free
-    if row["answer"] in (Kind.MEAN, Kind.SD, Kind.QUANTILE):
-        quantity = row["subject"]
-    elif row["answer"] == Kind.MARGIN and free is not None:
+    subject, kind, free = row["subject"], row["answer"], runs[0].results.study.free
+    quantity, texts = "", []
+    if kind in OF_QUANTITIES:
+        quantity = subject
+    elif kind == Kind.MARGIN and free is not None:
         quantity = free.path
-    if quantity:
-        return format_value(number, quantity)
-    return f"{number:.4g}"
+    for name in names:
+        text = DASH
+        if math.isfinite(row[name]):
+            text = f"{row[name]:.4g}"
+            if quantity:
+                text = format_value(row[name], quantity)
+            elif kind in PROBABILITIES:
+                text = format_probability(row[name])
+        texts.append(text)
+    title = label(subject)
+    if title == subject:
+        title = meaning(subject)
+    title = f"{title}, {kind.replace('_', ' ')} {row['at']}".rstrip()
+    return f"{title}: {' -> '.join(texts)} ({100.0 * row['change']:+.3g} %)"
