@@ -173,6 +173,11 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
     results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
     table = limits(results)
     assert table is not None
+    # other modes are judged with it: they have one number together
+    assert table.rows[0][4:6] == ("", "")
+    alone = results.model_copy(update={"study": results.study.model_copy(update={"modes": {}})})
+    table = limits(alone)
+    assert table is not None
     assert table.rows[0][4:6] == ("0.4 m/s", "0.404 to 0.660 m/s")
 
 

@@ -133,7 +133,8 @@ def limits(results: Results) -> PageTable | None:
             cells[2] = f"{beta.value:.2f}"
         if free is not None:
             cells.append(_best_estimate(answers, subject, entry, free.path))
-            cells += _number_to_use(results, subject, free.path)
+            alone = aims.count(entry.aim) == 1
+            cells += _number_to_use(results, subject, free.path) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
     if free is not None:
@@ -144,7 +145,8 @@ def limits(results: Results) -> PageTable | None:
     notes = ["bold: governs"]
     if free is not None:
         notes.append(
-            "each limit by itself; to use: considering what is open, which gives the range"
+            "best estimate: each limit by itself; to use: by all of them, considering what is "
+            "open, which gives the range"
         )
     if results.study.modes:
         notes.append("* strength assumed, from the library")
@@ -169,11 +171,11 @@ def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, path: str)
 
 
 def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
-    """The free number at the target by one limit alone: its conservative end, and range."""
+    """The free number at the target by the doubts of a limit: its conservative end, and range."""
     for decision in results.decisions:
         doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
-        margins = [doubt.alone for doubt in doubts if doubt.alone is not None]
-        if any(doubt.alone_note == "nowhere" for doubt in doubts):
+        margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
+        if any(doubt.margin_note == "nowhere" for doubt in doubts):
             return ["none", DASH]
         if margins:
             least = is_least(decision)
