@@ -369,7 +369,7 @@ CASES = [
         "a t copula without freedom",
         "spearman = 0.6",
         'spearman = 0.6\ncopula = "student_t"',
-        "dof, 4 say",
+        "for example 4",
         at="[[dependence]]",
     ),
     one(

@@ -15,6 +15,7 @@ from uqsphere.uq.fitting import (
     fit_strength,
     fitted_law,
     law_of_draws,
+    law_of_known_modulus,
     make_tests,
     possible_laws,
     series_behind,
@@ -125,7 +126,7 @@ def test_an_unknown_law_is_refused() -> None:
     with pytest.raises(LawError, match="a threshold is not fitted"):
         fitted_law([1.0, 2.0], "weibull3")
     with pytest.raises(LawError, match='that of fit = "weibull"'):
-        fitted_law([1.0, 2.0], "lognormal", modulus=8.0)
+        law_of_known_modulus([1.0, 2.0], "lognormal", censored=[], modulus=8.0)
 
 
 PUBLIC = {  # values with their failures and stops, and what others published for them
@@ -215,7 +216,9 @@ def test_a_known_modulus_needs_no_failure(n: int, stop: float) -> None:
     rng, truth, hits, none = np.random.default_rng(8), stats.weibull_min(6.0, scale=2.0), 0, 0
     for _ in range(200):
         values, stopped = stopped_at(truth.rvs(n, random_state=rng), stop)
-        law = fitted_law(values[~stopped].tolist(), censored=values[stopped].tolist(), modulus=6.0)
+        law = law_of_known_modulus(
+            values[~stopped].tolist(), None, censored=values[stopped].tolist(), modulus=6.0
+        )
         found = [-math.expm1(-(draw[2] ** -6.0)) for draw in law.draws]
         hits += bool(np.quantile(found, 0.95) >= truth.cdf(1.0))
         none += bool(stopped.all())

@@ -130,13 +130,13 @@ def test_tail_dependence_of_the_t_copula() -> None:
     ("kind", "size", "given", "key", "text"),
     [
         ("clayton", 2, {"spearman": 0.5}, "copula", "known: gaussian, student_t"),
-        ("gaussian", 1, {"spearman": 0.5}, "of", "two or more"),
+        ("gaussian", 1, {"spearman": 0.5}, "of", "at least two"),
         ("gaussian", 2, {}, "", "spearman or kendall"),
         ("gaussian", 2, {"spearman": 0.5, "kendall": 0.5}, "kendall", "spearman or kendall"),
         ("gaussian", 2, {"spearman": 1.0}, "spearman", "strictly between"),
         ("gaussian", 3, {"spearman": -0.6}, "spearman", "not positive definite"),
-        ("gaussian", 2, {"spearman": 0.5, "dof": 4.0}, "dof", "belongs to copula"),
-        ("student_t", 2, {"spearman": 0.5}, "dof", "dof, 4 say"),
+        ("gaussian", 2, {"spearman": 0.5, "dof": 4.0}, "dof", "is used only with copula"),
+        ("student_t", 2, {"spearman": 0.5}, "dof", "for example 4"),
         ("student_t", 2, {"spearman": 0.5, "dof": 0.5}, "dof", "between 1 and 1000"),
     ],
 )
@@ -171,7 +171,7 @@ def test_a_joint_ties_some_and_leaves_others() -> None:
 def test_given_some_inputs_the_others_follow_their_conditional_law() -> None:
     joint, z = five(), normals(4096, 10)
     base = joint.scores(z[:, :5])
-    again = joint.given((0, 1), base, z[:, 5:])
+    again = joint.redrawn((0, 1), base, z[:, 5:])
     assert np.array_equal(again[:, :2], base[:, :2])
     for i, j in ((0, 2), (1, 4)):
         own = stats.spearmanr(base[:, i], base[:, j]).statistic
@@ -184,12 +184,12 @@ def test_the_tie_of_what_is_not_drawn() -> None:
     rho = 2.0 * math.sin(math.pi * 0.6 / 6.0)
     tie = joint.tie("c", ("a", "b", "d"), scores)
     assert tie is not None
-    found = tie.copula.score_at(1, (0,), tie.given, scores[:, 3])
+    found = tie.copula.score_at(1, (0,), tie.scores, scores[:, 3])
     assert found == pytest.approx(rho * scores[:, 0] + math.sqrt(1.0 - rho * rho) * scores[:, 3])
     other = joint.tie("e", ("a", "b", "c", "d"), scores)
     assert other is not None
     assert other.columns == (1,)
-    assert np.array_equal(other.given, scores[:, [1]])
+    assert np.array_equal(other.scores, scores[:, [1]])
     assert joint.tie("e", ("a", "d"), scores[:, :2]) is None
     assert joint.tie("d", ("a", "b"), scores[:, :2]) is None
 
@@ -198,7 +198,7 @@ def test_the_tie_of_what_is_not_drawn() -> None:
     ("ties", "text"),
     [
         ([Dependence(of=("a", "x"), spearman=0.5)], "'x' is not a random input"),
-        ([Dependence(of=("a", "a"), spearman=0.5)], "two or more different"),
+        ([Dependence(of=("a", "a"), spearman=0.5)], "at least two different"),
         (
             [Dependence(of=("a", "b"), spearman=0.5), Dependence(of=("b", "a"), spearman=0.1)],
             "given twice",

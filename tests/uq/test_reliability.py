@@ -101,7 +101,7 @@ def test_no_event_among_the_samples_is_not_zero_for_certain() -> None:
 def tied(rho: float, z: np.ndarray) -> Tie:
     return Tie(
         copula=Copula(correlation=np.array([[1.0, rho], [rho, 1.0]])),
-        given=z[..., None],
+        scores=z[..., None],
         columns=(0,),
     )
 

@@ -43,7 +43,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
             small = np.where(np.arange(len(tie.columns)) == k, STEP, 0.0)
             below, above = (
                 failure_given_inputs(
-                    replace(state, tie=replace(tie, given=tie.given + way)), limit.aim
+                    replace(state, tie=replace(tie, scores=tie.scores + way)), limit.aim
                 )
                 for way in (-small, small)
             )

@@ -42,6 +42,7 @@ from uqsphere.uq.fitting import (
     STRENGTHS,
     fitted_law,
     law_of_draws,
+    law_of_known_modulus,
     make_tests,
     outliers,
     probability_of,
@@ -540,14 +541,10 @@ def fit(
             "file",
         )
     with _blamed("fit", "lower", "upper", otherwise="file"):
-        return fitted_law(
-            data[~stopped].tolist(),
-            kind,
-            *bounds,
-            censored=data[stopped].tolist(),
-            unbiased=table.unbiased,
-            modulus=modulus,
-        )
+        failures, censored = data[~stopped].tolist(), data[stopped].tolist()
+        if modulus is not None:
+            return law_of_known_modulus(failures, kind, censored=censored, modulus=modulus)
+        return fitted_law(failures, kind, *bounds, censored=censored, unbiased=table.unbiased)
 
 
 def warn_of_rows(

@@ -103,52 +103,53 @@ class Family:
         bounds = "lower, upper" if self.bounded else ""
         return "; ".join(part for part in (sets, extra, bounds) if part)
 
-    def parameters(self, given: Mapping[str, float], lower: float, upper: float) -> Keys:
+    def parameters(self, table: Mapping[str, float], lower: float, upper: float) -> Keys:
         """The parameters that a law keeps, from one of the alternative key sets; raises
         LawError.
         """
-        if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
-            missing = "lower" if math.isinf(lower) else "upper"
-            raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
-        for key, value in given.items():
+        for key, end in self.bounds(lower, upper).items():
+            if math.isinf(end):
+                raise LawError(f"{self.name} needs lower and upper; {key} is missing", key)
+        for key, value in table.items():
             if key not in self.keys:
                 raise LawError(
                     f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key
                 )
             if not math.isfinite(value):
                 raise LawError(f"{key} must be a finite number, found {value}", key)
-        own = {key: value for key, value in given.items() if key not in self.optional}
-        if set(own) not in map(set, self.alternatives):
-            best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
-            odd = next((key for key in own if key not in best), "")
+        keys = {key: value for key, value in table.items() if key not in self.optional}
+        if set(keys) not in map(set, self.alternatives):
+            best = max(self.alternatives, key=lambda alternative: len({*alternative} & {*keys}))
+            odd = next((key for key in keys if key not in best), "")
             raise LawError(
-                f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd
+                f"{self.name} takes {self.allowed()}; found {', '.join(keys) or 'none of them'}",
+                odd,
             )
-        for key in (key for key in _POSITIVE if own.get(key, 1.0) <= 0.0):
-            hint = ""
-            if own[key] == 0.0:
-                hint = "; give the number itself where a fixed value is meant"
-            raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
-        if self.positive and not self.optional and own.get("mean", 1.0) <= 0.0:
-            raise LawError(
-                f"mean of a {self.name} law must be positive, found {own['mean']:g}", "mean"
-            )
-        if own.get("mean") == 0.0 and "cov" in own:
-            raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
-        if "cov" in own:
-            own["sd"] = own.pop("cov") * abs(own["mean"])
-        own |= {key: given.get(key, usual) for key, usual in self.optional.items()}
+        for key in _POSITIVE:
+            if keys.get(key, 1.0) <= 0.0:
+                hint = ""
+                if keys[key] == 0.0:
+                    hint = "; give the number itself where a fixed value is meant"
+                raise LawError(f"{key} must be positive, found {keys[key]:g}{hint}", key)
+        mean = keys.get("mean", 1.0)
+        if self.positive and not self.optional and mean <= 0.0:
+            raise LawError(f"mean of a {self.name} law must be positive, found {mean:g}", "mean")
+        if "cov" in keys:
+            if mean == 0.0:
+                raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
+            keys["sd"] = keys.pop("cov") * abs(mean)
+        keys |= {key: table.get(key, usual) for key, usual in self.optional.items()}
         try:
-            if self.from_moments is not None and not set(self.parameters_of) <= set(own):
-                own |= self.from_moments(**own, **self.bounds(lower, upper))
-            found = {key: float(own[key]) for key in self.parameters_of}
+            if self.from_moments is not None and not set(self.parameters_of) <= set(keys):
+                keys |= self.from_moments(**keys, **self.bounds(lower, upper))
+            parameters = {key: float(keys[key]) for key in self.parameters_of}
         except (OverflowError, ZeroDivisionError):
-            found = {"": math.inf}
-        if not all(map(math.isfinite, found.values())):
+            parameters = {"": math.inf}
+        if not all(map(math.isfinite, parameters.values())):
             raise LawError(
                 f"these parameters of {self.name} give numbers beyond floating point", ""
             )
-        return found
+        return parameters
 
 
 # --- how keys become parameters -------------------------------------------------------------------
@@ -307,25 +308,25 @@ def _of_scipy(name: str) -> Family | None:
     """
     from scipy import stats
 
-    found = getattr(stats, name.removeprefix(PREFIX), None)
-    if not isinstance(found, stats.rv_continuous):
+    distribution = getattr(stats, name.removeprefix(PREFIX), None)
+    if not isinstance(distribution, stats.rv_continuous):
         return None
-    shapes = tuple((found.shapes or "").replace(",", " ").split())
+    keys = tuple((distribution.shapes or "").replace(",", " ").split())
 
-    def form(loc: float, scale: float, **own: float) -> tuple[float, float, Form]:
-        for shape, value in own.items():
+    def form(loc: float, scale: float, **shapes: float) -> tuple[float, float, Form]:
+        first = (*keys, "")[0]
+        for key, value in shapes.items():
             # beyond these SciPy searches for quantiles for minutes
             if value != 0.0 and not 1e-4 <= abs(value) <= 1e5:
-                raise LawError(f"{name}: {shape} must be between 1e-4 and 1e5 in size", shape)
-        first = (*shapes, "")[0]
+                raise LawError(f"{name}: {key} must be between 1e-4 and 1e5 in size", key)
         try:
-            return loc, scale, forms.form_of(name, found(**own), first)
+            return loc, scale, forms.form_of(name, distribution(**shapes), first)
+        except LawError:
+            raise
         except (ArithmeticError, ValueError) as error:
-            if isinstance(error, LawError):
-                raise
             raise LawError(f"{name} has no law with these shapes", first) from error
 
-    return Family(name=name, alternatives=(shapes,), optional={"loc": 0.0, "scale": 1.0}, form=form)
+    return Family(name=name, alternatives=(keys,), optional={"loc": 0.0, "scale": 1.0}, form=form)
 
 
 def family_named(name: str) -> Family | None:

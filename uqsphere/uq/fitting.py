@@ -154,10 +154,10 @@ class LocationScale:
             return places, np.exp(logs)
         # a thousand series at a time
         blocks = [min(1000, count - done) for done in range(0, count, 1000)]
-        found = [
+        fits = [
             self.maximum(self.series(leaving, block, generator), ones, stopped) for block in blocks
         ]
-        location, scale = (np.concatenate(part) for part in zip(*found, strict=True))
+        location, scale = np.concatenate(fits, axis=1)
         return location / scale, 1.0 / scale
 
     def ranked(self, centre: Array, inverse: Array, at: float) -> tuple[Array, Array]:
@@ -350,8 +350,8 @@ def fit_strength(
     series.
 
     >>> tests = make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1])
-    >>> found = fit_strength(tests)
-    >>> round(found.shape, 2), round(found.scale, 3), found.failures
+    >>> fit = fit_strength(tests)
+    >>> round(fit.shape, 2), round(fit.scale, 3), fit.failures
     (4.66, 1.108, 6)
     """
     location, spread = _best(tests, law)
@@ -392,7 +392,7 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     """
     location, spread = _best(tests, law)
     z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
-    own = distance(law.form.tails(z)[0][None, :], tests.leaving)[0]
+    apart = distance(law.form.tails(z)[0][None, :], tests.leaving)[0]
     firsts = np.arange(0, z.size, max(1, -(-z.size // MANY)))
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     drawn = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
@@ -400,7 +400,7 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     others = distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(
         few.size / z.size
     )
-    return float((1 + (others >= own).sum()) / (_OTHERS + 1))
+    return float((1 + (others >= apart).sum()) / (_OTHERS + 1))
 
 
 # --- a law from a column --------------------------------------------------------------------------
@@ -448,22 +448,26 @@ def fitted_law(
     *,
     censored: Sequence[float] = (),
     unbiased: bool = False,
-    modulus: float | None = None,
 ) -> Law:
-    """The law of a column of observations (SI): "kde" (the default), "steps" or a family by its
-    name.
+    """The law of a column of observations.
 
-    `censored` are observations that are known only to be larger, and `unbiased` takes the bias out
-    of a fitted scatter; both need a Weibull or lognormal fit.  `modulus`: of a Weibull law, if
-    known; then no failure is needed.
-    Raises LawError with the offending key, what was found and what is allowed.
+    Parameters
+    ----------
+    data : observations (n,) [SI]
+    fit : "kde" (the default), "steps" or a family by its name
+    lower, upper : bounds [SI]
+    censored : observations that are known only to be larger [SI], of a Weibull or lognormal fit
+    unbiased : take the bias out of the scatter of a Weibull or lognormal fit
+
+    Raises
+    ------
+    LawError
+        With the offending key, what was found and what is allowed.
 
     >>> fitted_law([1.0, 1.2, 0.9, 1.1], "exponential").family.name
     'exponential'
     """
     (a, b), how = bounds_of(lower, upper), fit or "kde"
-    if modulus is not None:
-        return _of_known_modulus(data, fit, censored, modulus)
     if how not in FITS:
         raise LawError(
             f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit"
@@ -543,14 +547,14 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     )
 
 
-def _of_known_modulus(
-    data: Sequence[float], fit: str | None, censored: Sequence[float], modulus: float
+def law_of_known_modulus(
+    data: Sequence[float], fit: str | None, *, censored: Sequence[float], modulus: float
 ) -> Law:
-    """Weibull laws of a known modulus m that tests allow, and their mean: scale^-m is a gamma
-    variable of sum(x^m).
+    """Weibull laws of a known modulus m that tests allow, and their mean; no failure is needed.
 
-    Its shape is r + 1/2 for r failures, and 1 for none, which puts the scale on the safe side (W.
-    Q. Meeker, L. A. Escobar, Statistical Methods for Reliability Data, 1998, section 8.5).
+    scale^-m is a gamma variable of sum(x^m).  Its shape is r + 1/2 for r failures, and 1 for none,
+    which puts the scale on the safe side (W. Q. Meeker, L. A. Escobar, Statistical Methods for
+    Reliability Data, 1998, section 8.5).
     """
     x = np.array([*data, *censored], dtype=float)
     if fit not in (None, "weibull"):
@@ -597,7 +601,7 @@ def possible_laws(
 
     >>> law = fitted_law([1.0, 1.2, 0.9, 1.1, 1.05], "normal")
     >>> laws = possible_laws(law, 1000, np.random.default_rng(1))
-    >>> means = [one.parameters["mean"] for one in laws]
+    >>> means = [possible.parameters["mean"] for possible in laws]
     >>> bool(np.std(means) > law.parameters["sd"] / 5**0.5)
     True
     """

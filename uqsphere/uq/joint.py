@@ -13,7 +13,7 @@ number of groups with Student t copulas stand next to it; an input belongs to on
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import Final
@@ -51,50 +51,47 @@ class Copula:
         """The copula of some of the members, in the order given."""
         return Copula(correlation=self.correlation[np.ix_(members, members)], dof=self.dof)
 
-    def _given(self, target: int, given: Sequence[int], known: Array) -> tuple[Array, Array]:
-        """Centre and scale (n,) of the (t) variate of a member, given others at the scores `known`
+    def _conditional(
+        self, target: int, others: Sequence[int], scores: Array
+    ) -> tuple[Array, Array]:
+        """Centre and scale (n,) of the (t) variate of a member, given others at these scores
         (n, j).
         """
-        inverse = np.linalg.inv(self.correlation[np.ix_(given, given)])
-        across = self.correlation[list(given), target]
+        inverse = np.linalg.inv(self.correlation[np.ix_(others, others)])
+        across = self.correlation[list(others), target]
         weights = inverse @ across
         remaining = math.sqrt(max(0.0, 1.0 - float(across @ weights)))
-        x = _variate(known, self.dof)
+        x = _variate(scores, self.dof)
         if math.isinf(self.dof):
-            return np.asarray(x @ weights), np.full(len(known), remaining)
+            return np.asarray(x @ weights), np.full(len(x), remaining)
         # scale of the conditional t law: sqrt((dof + x' R⁻¹ x)/(dof + j))
-        distance = np.einsum("ni,ij,nj->n", x, inverse, x)
-        return np.asarray(x @ weights), remaining * np.sqrt(
-            (self.dof + distance) / (self.dof + known.shape[1])
-        )
+        distance = self.dof + np.einsum("ni,ij,nj->n", x, inverse, x)
+        return np.asarray(x @ weights), remaining * np.sqrt(distance / (self.dof + x.shape[1]))
 
     def conditional_score(
-        self, target: int, given: Sequence[int], known: Array, score: Array
+        self, target: int, others: Sequence[int], scores: Array, score: Array
     ) -> Array:
-        """Normal score (n,) of P(member `target` <= `score` | members `given` at the scores `known`
-        (n, j)).
-        """
-        centre, scale = self._given(target, given, known)
-        return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(given))
+        """Normal score (n,) of P(member `target` <= `score` | `others` at the scores (n, j))."""
+        centre, scale = self._conditional(target, others, scores)
+        return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(others))
 
-    def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
+    def score_at(self, target: int, others: Sequence[int], scores: Array, normal: Array) -> Array:
         """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of
         `conditional_score`.
         """
-        centre, scale = self._given(target, given, known)
-        return _score(centre + scale * _variate(normal, self.dof + len(given)), self.dof)
+        centre, scale = self._conditional(target, others, scores)
+        return _score(centre + scale * _variate(normal, self.dof + len(others)), self.dof)
 
-    def conditional_scores(self, given: Sequence[int], known: Array, normals: Array) -> Array:
-        """Scores (n, size - j) of the members not given, in their order, from independent standard
-        normals.
+    def conditional_scores(self, others: Sequence[int], scores: Array, normals: Array) -> Array:
+        """Scores (n, size - j) of the members beside the others, in their order, from independent
+        standard normals.
         """
-        held, scores = list(given), known
-        for member, normal in zip(
-            (k for k in range(self.size) if k not in given), normals.T, strict=True
-        ):
-            scores = np.column_stack([scores, self.score_at(member, held, scores, normal)])
-            held.append(member)
-        return scores[:, len(given) :]
+        drawn = list(others)
+        free = [k for k in range(self.size) if k not in others]
+        for member, normal in zip(free, normals.T, strict=True):
+            scores = np.column_stack([scores, self.score_at(member, drawn, scores, normal)])
+            drawn.append(member)
+        return scores[:, len(others) :]
 
     def score_gradient(self, scores: Array) -> Array:
         """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
@@ -151,20 +148,20 @@ class Dependence:
             raise LawError(f"unknown copula {self.copula!r}; known: {', '.join(COPULAS)}", "copula")
         if size < 2 or len(set(self.of)) != size:
             raise LawError(
-                f"a dependence needs two or more different inputs, found {list(self.of)}", "of"
+                f"a dependence must name at least two different inputs, not {list(self.of)}", "of"
             )
-        key, value = "spearman", self.spearman
-        if value is None:
-            key, value = "kendall", self.kendall
-        if value is None or None not in (self.spearman, self.kendall):
-            key = "kendall" if value is not None else ""
+        ranks = {"spearman": self.spearman, "kendall": self.kendall}
+        there = {key: value for key, value in ranks.items() if value is not None}
+        if len(there) != 1:
             raise LawError(
-                "one rank correlation between -1 and 1 is required, spearman or kendall", key
+                "one rank correlation between -1 and 1 is required, spearman or kendall",
+                *list(there)[1:],
             )
+        ((key, value),) = there.items()
         if not -1.0 < value < 1.0:
             raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
         if (self.copula == "student_t") != (dof is not None):
-            raise LawError('dof, 4 say, belongs to copula = "student_t" and to no other', "dof")
+            raise LawError('dof (for example 4) is used only with copula = "student_t"', "dof")
         if dof is not None and not 1.0 <= dof <= 1000.0:
             raise LawError(f"dof must lie between 1 and 1000, found {dof}", "dof")
         if key == "kendall":
@@ -208,12 +205,25 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tie:
-    """An input that is not drawn: the last member of `copula`, given the normal scores (..., size -
-    1) of others, which are these columns of the inputs that are drawn."""
+    """An input that is not drawn: the last member of `copula`, given the normal `scores` (..., size
+    - 1) of others, which are these columns of the inputs that are drawn."""
 
     copula: Copula
-    given: Array
+    scores: Array
     columns: tuple[int, ...]
+
+    def conditional_score(self, score: Array) -> Array:
+        """Normal score of P(it <= its score | the others), elementwise."""
+        return self._mapped(self.copula.conditional_score, score)
+
+    def score_at(self, normal: Array) -> Array:
+        """Its score where `conditional_score` is this one, elementwise."""
+        return self._mapped(self.copula.score_at, normal)
+
+    def _mapped(self, function: Callable[..., Array], score: Array) -> Array:
+        last, near = self.copula.size - 1, np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
+        mapped = function(last, range(last), self.scores.reshape(score.size, -1), near)
+        return np.where(np.isinf(score), score, mapped.reshape(score.shape))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -258,7 +268,7 @@ class Joint:
         if not self.blocks:
             return normals
         flat = normals.reshape(-1, len(self.names))
-        return self.given((), flat, flat).reshape(normals.shape)
+        return self.redrawn((), flat, flat).reshape(normals.shape)
 
     def marginal(self, scores: Array) -> Array:
         """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties
@@ -307,7 +317,7 @@ class Joint:
                 blocks.append((tuple(at.index(columns[k]) for k in kept), copula))
         return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
-    def given(self, columns: Sequence[int], scores: Array, normals: Array) -> Array:
+    def redrawn(self, columns: Sequence[int], scores: Array, normals: Array) -> Array:
         """Dependent scores (n, d): `columns` as in `scores` (n, d), the others drawn afresh given
         those.
 
@@ -337,18 +347,14 @@ class Joint:
         """
         at = self.names.index(target)
         for block, copula in self.blocks:
-            known = [k for k, column in enumerate(block) if self.names[column] in drawn]
-            if at in block and known:
-                own, columns = (
-                    block.index(at),
-                    tuple(list(drawn).index(self.names[block[k]]) for k in known),
-                )
-                if math.isfinite(copula.dof) or np.any(copula.correlation[own, known]):
-                    return Tie(
-                        copula=copula.among([*known, own]),
-                        given=scores[..., columns],
-                        columns=columns,
-                    )
+            others = [k for k, column in enumerate(block) if self.names[column] in drawn]
+            if at not in block or not others:
+                continue
+            member = block.index(at)
+            if math.isfinite(copula.dof) or np.any(copula.correlation[member, others]):
+                columns = tuple(list(drawn).index(self.names[block[k]]) for k in others)
+                among = copula.among([*others, member])
+                return Tie(copula=among, scores=scores[..., columns], columns=columns)
         return None
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
-from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.joint import Tie
 from uqsphere.uq.law import Law
 
@@ -28,7 +27,7 @@ from uqsphere.uq.law import Law
 class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
-    `strength` is a number or a law.  `tie`, with given scores (R, n, k), says how it depends on the
+    `strength` is a number or a law.  `tie`, with scores (R, n, k), says how it depends on the
     inputs (`Joint.tie`).  `censored` demands are known only to exceed their value; `failed` rows
     (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
     once as not ("bound"), never as survival.
@@ -69,10 +68,7 @@ class LimitState:
         """
         if self.tie is None:
             return score
-        last, inputs = self.tie.copula.size - 1, self.tie.given.reshape(score.size, -1)
-        near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
-        tied = self.tie.copula.conditional_score(last, range(last), inputs, near)
-        return np.where(np.isinf(score), score, tied.reshape(score.shape))
+        return self.tie.conditional_score(score)
 
     def score_drawn(self, score: Array) -> Array:
         """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is
@@ -80,9 +76,7 @@ class LimitState:
         """
         if self.tie is None:
             return score
-        last, inputs = self.tie.copula.size - 1, self.tie.given.reshape(score.size, -1)
-        near = np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
-        return self.tie.copula.score_at(last, range(last), inputs, near).reshape(score.shape)
+        return self.tie.score_at(score)
 
 
 def score_of(below: Array, above: Array) -> Array:

@@ -120,9 +120,9 @@ class Sample:
         until `fill`.
         """
 
-        def longer(own: Cells) -> Cells:
-            room = np.empty((own.shape[0], count, *own.shape[2:]), own.dtype)
-            room[:, : self.count] = own
+        def longer(cells: Cells) -> Cells:
+            room = np.empty((cells.shape[0], count, *cells.shape[2:]), cells.dtype)
+            room[:, : self.count] = cells
             return room
 
         return self._each(longer)
@@ -146,11 +146,11 @@ class Sample:
 
     def rows(self, first: int, end: int) -> Sample:
         """Rows of every replicate from one place to another."""
-        return self._each(lambda own: own[:, first:end])
+        return self._each(lambda cells: cells[:, first:end])
 
     def where(self, which: Flags) -> Sample:
         """Some rows (n,) of every replicate."""
-        return self._each(lambda own: own[:, which])
+        return self._each(lambda cells: cells[:, which])
 
     def _each(self, change: Callable[[Cells], Cells]) -> Sample:
         changed: dict[str, Any] = {name: change(getattr(self, name)) for name in _ROWS}

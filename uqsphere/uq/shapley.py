@@ -64,7 +64,7 @@ def closed_effects(
             return float(len(subset) > 0), np.zeros(REPLICATES)
         rows = []
         for r, (base, fresh, y, apart) in enumerate(designs):
-            z = function(joint.given(subset, base, fresh), r)
+            z = function(joint.redrawn(subset, base, fresh), r)
             y, z, none = (y - centre) / unit, (z - centre) / unit, (apart - centre) / unit
             rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
         plain, small, square = np.array(rows).T

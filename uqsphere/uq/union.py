@@ -185,9 +185,9 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
     """Strengths (R, m) at normal scores given the inputs of the picked samples."""
     if not isinstance(state.strength, Law):
         return np.full(score.shape, float(state.strength))
-    tie = None if state.tie is None else replace(state.tie, given=state.tie.given[pick])
-    there = replace(state, demands=state.demands[pick], tie=tie, censored=None, failed=None)
-    return state.strength.from_normal(there.score_drawn(score))
+    if state.tie is not None:
+        score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
+    return state.strength.from_normal(score)
 
 
 def weighted_quantile(
