@@ -99,15 +99,13 @@ class Answers(dict[Any, Any]):
         """
         from pandas import DataFrame
 
-        flat = []
-        for order, row in self.items():
-            if isinstance(row, dict):
-                flat += [(order, *pair) for pair in row.items()]
         columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
         rows = []
-        for order, name, estimate in flat or [("", *pair) for pair in self.items()]:
-            values = {column: getattr(estimate, column) for column in columns}
-            rows.append({"order": order, "name": name, **values})
+        for key, content in self.items():
+            order, estimates = (key, content) if isinstance(content, dict) else ("", {key: content})
+            for name, estimate in estimates.items():
+                values = {column: getattr(estimate, column) for column in columns}
+                rows.append({"order": order, "name": name, **values})
         return DataFrame(rows)
 
 

@@ -376,7 +376,7 @@ CASES = [
         "freedom of a stranger",
         "spearman = 0.6",
         "spearman = 0.6\ndof = 4.0",
-        "belongs to copula",
+        "is used only with copula",
         at="dof",
     ),
     one(

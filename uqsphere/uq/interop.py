@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -124,24 +124,28 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     }
 
 
+#: SALib's names of the laws that it has, which take the bounds and then the parameters
+SALIB: Final = {
+    "normal": "norm",
+    "lognormal": "lognorm",
+    "uniform": "unif",
+    "loguniform": "logunif",
+    "triangular": "triang",
+}
+
+
 def _law_to_salib(law: Law) -> tuple[str, list[float]]:
     """SALib's name of a law, and the numbers that it calls bounds."""
-    name, parameters = law.family.name, law.parameters
-    bounded = [np.isfinite(end) for end in (law.lower, law.upper)]
-    if name == "normal" and not any(bounded):
-        return "norm", [parameters["mean"], parameters["sd"]]
-    if name == "normal" and all(bounded):
-        return "truncnorm", [law.lower, law.upper, parameters["mean"], parameters["sd"]]
-    if name == "lognormal" and not any(bounded):
-        return "lognorm", [parameters["log_mean"], parameters["log_sd"]]
-    if name == "uniform":
-        return "unif", [law.lower, law.upper]
-    if name == "loguniform":
-        return "logunif", [law.lower, law.upper]
-    if name == "triangular":
-        share = (parameters["mode"] - law.lower) / (law.upper - law.lower)
-        return "triang", [law.lower, law.upper, share]
-    return "unif", _ends(law)
+    ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
+    numbers = [*ends, *law.parameters.values()]
+    if law.family.name == "normal" and len(ends) == 2:
+        return "truncnorm", numbers
+    if law.family.name not in SALIB or bool(ends) != law.family.bounded:
+        return "unif", _ends(law)
+    if law.family.name == "triangular":
+        # the mode as a share of the way from one bound to the other
+        numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)
+    return SALIB[law.family.name], numbers
 
 
 def to_salib(
@@ -195,10 +199,8 @@ def salib_measures(
     d = len(names)
     if method == "morris":
         # in each step of a trajectory (d + 1, d) one input moves
-        steps, rises = (
-            np.diff(uniforms.reshape(-1, d + 1, d), axis=1),
-            np.diff(outputs.reshape(-1, d + 1), axis=1),
-        )
+        steps = np.diff(uniforms.reshape(-1, d + 1, d), axis=1)
+        rises = np.diff(outputs.reshape(-1, d + 1), axis=1)
         effects = np.abs((rises[:, :, None] / np.where(steps == 0.0, np.inf, steps)).sum(axis=1))
         return [from_replicates(column, f"{shown}, mu*", outputs.size) for column in effects.T]
     from SALib.analyze import delta, enhanced_hdmr, pawn
@@ -214,14 +216,6 @@ def salib_measures(
         measures = enhanced_hdmr.analyze(
             problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y), seed=seed
         )["ST"][:d]
-    return [
-        Estimate(
-            value=float(value),
-            low=None,
-            high=None,
-            std_error=None,
-            method=shown,
-            evaluations=outputs.size,
-        )
-        for value in np.asarray(measures, dtype=float)
-    ]
+    # the measure alone: no interval is known
+    nothing = absent("no measure", shown, outputs.size)
+    return [replace(nothing, value=float(value), reason=None) for value in np.asarray(measures)]

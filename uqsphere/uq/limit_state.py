@@ -144,9 +144,7 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     if kept.min() < 2:
         return absent("too few successful samples in a replicate", state.method, broken.size)
     cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
-    event, other = below, above
-    if aim == "break":
-        event, other = above, below
+    event, other = (above, below) if aim == "break" else (below, above)
     value, low, high, error = _interval(event, other, kept, cell)
     bound = state.on_failure == "bound" and bool(broken.any())
     method = state.method
