@@ -140,7 +140,8 @@ class Settling:
         alone = len(settled.aim.limits) == 1 and governing.limit is settled.aim.limits[0]
         if governing.code == ASSUMED or (settled.number is None and not alone):
             return self.once(settled.aim.without(governing.limit.name), settled.line).number
-        rest = [doubt for doubt in settled.doubts if doubt.key != governing.key]
+        gone = governing.code, governing.limit.name
+        rest = [doubt for doubt in settled.doubts if (doubt.code, doubt.limit.name) != gone]
         if not rest:
             return None
         return _most_conservative(rest, least=settled.least)[0]

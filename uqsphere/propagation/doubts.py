@@ -367,16 +367,28 @@ class Curves:
         doubt = self._doubt(alternative.code, limit, alternative.detail, *unsafe)
         return replace(doubt, opposite=opposite)
 
-    def contacts_yield(self, limit: Limit) -> Doubt | None:
-        """A limit where contacts yield; None where none would."""
+    def contacts_yield(self, limit: Limit, others: Sequence[Alternative]) -> list[Doubt]:
+        """A limit where contacts yield, by its own strength and by the alternatives to it; empty
+        where none would.
+        """
         if self.yielding is None:
-            return None
+            return []
         limits = {judged.name: judged for judged in self.yielding.design.judged.limits}
         aim = replace(self.aim, limits=tuple(limits[asked.name] for asked in self.aim.limits))
-        rows = Curves(aim=aim, line=self.yielding).base(limits[limit.name])
-        few, every = self.few.base(limit), self.base(limit)
-        unsafe = self._shifted(limit, rows[:, None], few, every, self._unsafe)
-        return self._doubt(CONTACT, limit, "", *unsafe)
+        curves, few, every = (
+            Curves(aim=aim, line=self.yielding),
+            self.few.base(limit),
+            self.base(limit),
+        )
+        doubts = []
+        for detail, laws in [
+            ("", ()),
+            *((other.detail, other.laws) for other in others if other.laws),
+        ]:
+            rows = curves.by_strengths(limits[limit.name], laws)
+            unsafe = self._shifted(limit, rows, few, every, self._unsafe)
+            doubts.append(self._doubt(CONTACT, limit, detail, *unsafe))
+        return doubts
 
     @property
     def _unsafe(self) -> float:
@@ -437,9 +449,8 @@ def doubts_of(curves: Curves, others: Sequence[Alternative]) -> list[Doubt]:
     """Every doubt of the limits of an aim along a line."""
     doubts: list[Doubt] = []
     for limit in curves.aim.limits:
+        mine = [other for other in others if other.limit.name == limit.name]
         doubts.append(curves.computed(limit))
-        doubts += [curves.otherwise(other) for other in others if other.limit.name == limit.name]
-        yields = curves.contacts_yield(limit)
-        if yields is not None:
-            doubts.append(yields)
+        doubts += [curves.otherwise(other) for other in mine]
+        doubts += curves.contacts_yield(limit, mine)
     return doubts

@@ -24,7 +24,6 @@ from uqsphere.propagation.doubts import (
     ENDS,
     LAWS,
     REFUTED,
-    TESTS,
     others_survive,
     tests_behind,
 )
@@ -77,7 +76,7 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     line, pick = settled.line, np.maximum if settled.least else np.minimum
     places = [line.place_of(settled.ends[1])]
     for doubt in settled.doubts:
-        by_tests = doubt.code == TESTS or (doubt.code == COMPUTATION and doubt.limit in limits)
+        by_tests = doubt.limit in limits and (doubt.code == COMPUTATION or doubt.detail)
         if not by_tests and doubt.margin is not None and math.isfinite(doubt.margin):
             places.append(line.place_of(doubt.margin))
     promises = [_Promise(settled, limit) for limit in limits]

@@ -502,6 +502,8 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         if name == "weibull":
             name = "Weibull"
         at = "assumed: " + _TEXTS[doubt.code].format(name)
+        if doubt.code == CONTACT and name:
+            at += f", {name} strength"
         p = float(doubt.single[0])
         if not survive:
             p = 1.0 - p

@@ -356,7 +356,7 @@ def _considering(doubt: Doubt) -> str:
         "computation": "with the sampling uncertainty of the run",
         "tests": f"with what its {doubt.tests} tests leave open",
         "distribution": f"with a {_family(doubt.option)} distribution of its strength",
-        "contact law": "with contacts that yield",
+        "contact law": f"with contacts that yield{_besides(doubt)}",
         "carrier": f"with its strength transferred by {_carrier(doubt)}",
         "tie": "with its strength taken as independent of the inputs",
         "assumed strength": "with a strength of the library",
@@ -370,7 +370,7 @@ def doubt_text(doubt: Doubt) -> str:
         "computation": "as computed (95 % sampling interval)",
         "tests": f"{doubt.tests} tests, {_family(doubt.option)} distribution",
         "distribution": f"{_family(doubt.option)} distribution instead",
-        "contact law": "contacts that yield",
+        "contact law": f"contacts that yield{_besides(doubt)}",
         "carrier": f"strength transferred by {_carrier(doubt)}",
         "tie": "strength independent of the inputs",
         "assumed strength": f"library strength, {doubt.option}".removesuffix(", "),
@@ -396,6 +396,15 @@ def _family(option: str) -> str:
     if text in ("weibull", "gumbel", "frechet", "rayleigh"):
         return text.capitalize()
     return text
+
+
+def _besides(doubt: Doubt) -> str:
+    """What is considered of the strength where contacts yield."""
+    if not doubt.option:
+        return ""
+    if doubt.tests:
+        return f" and what {doubt.tests} tests leave open ({_family(doubt.option)} distribution)"
+    return f" and a {_family(doubt.option)} distribution of the strength"
 
 
 def _carrier(doubt: Doubt) -> str:
