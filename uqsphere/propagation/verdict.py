@@ -28,6 +28,7 @@ from uqsphere.propagation.doubts import (
     TESTS,
     TIE,
     Aim,
+    Curves,
     Doubt,
     alternatives,
 )
@@ -96,18 +97,15 @@ def judge(
             if tables.line:
                 pairs = zip(settled.line.values, settled.line.samples, strict=True)
                 tables = replace(tables, line=dict(pairs))
-        alone, all_modes = plan, dict[str, Estimate]()
-        if aim.modes:
-            alone = settling.once(replace(aim, modes=()), plan.line)
-            all_modes = _at_plan(design, tables, plan)
+        by_study = Curves(aim=replace(aim, modes=()), line=plan.line)
         judged.append(
             Judged(
                 aim=aim,
                 settling=settling,
                 line=settled,
                 plan=plan,
-                probability=_at_plan(design, tables, alone),
-                all_modes=all_modes,
+                probability=_at_plan(tables, by_study),
+                all_modes=_at_plan(tables, plan.curves) if aim.modes else {},
                 planned=planned_value(design),
             )
         )
@@ -145,13 +143,13 @@ def aim_of(design: Design, word: types.Aim) -> Aim:
     return Aim(design=design, word=word, limits=tuple(limits), modes=modes)
 
 
-def _at_plan(design: Design, tables: Tables, plan: Settled) -> dict[str, Estimate]:
+def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
     """The failure probability of each limit at the plan with the other failure modes."""
     estimates = {}
-    for limit in plan.aim.limits:
-        estimate = failure(design, tables, limit)
-        alone, joint = plan.curves.base(limit)
-        if plan.curves.adds_up(limit):
+    for limit in curves.aim.limits:
+        estimate = failure(curves.aim.design, tables, limit)
+        alone, joint = curves.base(limit)
+        if curves.adds_up(limit):
             estimate = _added(estimate, (joint - alone)[0])
         estimates[limit.name] = estimate
     return estimates
