@@ -512,7 +512,9 @@ def _run(options: argparse.Namespace) -> int:
     from uqsphere.propagation import run
     from uqsphere.propagation.progress import watched
 
-    study, seconds, folder = _loaded(options), _budget(options), _folder(options, "results")
+    study = _loaded(options)
+    seconds = _budget(options)
+    folder = _folder(options, "results")
     if options.dask is not None and not study.black_box:
         raise UsageError(
             "run --dask distributes the model runs of a black box; the impact model runs in this "
@@ -556,7 +558,8 @@ def _sweep(options: argparse.Namespace) -> int:
         write_sweep,
     )
 
-    text, folder = _standard_input(options), _folder(options, "sweep")
+    text = _standard_input(options)
+    folder = _folder(options, "sweep")
     sweep = plan_sweep(options.over, folder, lambda values: _study(options, text, values))
     _warn(list(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points))))
     finished = {point.name: finished_run(sweep, point) for point in sweep.points}
@@ -653,7 +656,8 @@ def _differ_by_rounding(before: Sequence[Any], after: Sequence[Any]) -> bool:
             ends.append(1e-6)
         slack = 1e-9 * max(ends, default=0.0)
         for key in type(row).model_fields:
-            first, second = getattr(row, key), getattr(again, key)
+            first = getattr(row, key)
+            second = getattr(again, key)
             if isinstance(first, float) and isinstance(second, float):
                 if not abs(first - second) <= max(slack, 1e-9 * abs(first)):
                     return False

@@ -39,7 +39,8 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     """
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    keys, tables = ["subject", "answer", "at"], list[Any]()
+    keys = ["subject", "answer", "at"]
+    tables = list[Any]()
     for number, run in enumerate(runs):
         table = run.answers[run.answers["answer"].isin(COMPARED)]
         table = table.assign(at=table["at"].map(str)).set_index(keys)
@@ -54,7 +55,8 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     chances = merged["answer"].isin(PROBABILITIES)
     scale[chances] = merged["subject"].map(targets).fillna(scale.clip(lower=1e-12))[chances]
     scale[merged["answer"].isin(INDICES)] = 1.0
-    change, significant = 0.0 * scale.fillna(0.0), scale < 0.0
+    change = 0.0 * scale.fillna(0.0)
+    significant = scale < 0.0
     for k in list(values)[1:]:
         difference = values[k] - values[0]
         outside = difference.abs() > 0.5 * np.hypot(widths[0], widths[k])
@@ -79,7 +81,8 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
     if settings:
         lines += ["", "settings that differ:", *(f"  {text}" for text in settings)]
     moved = table[table["change"].abs() > WORTH]
-    sure, unsure = moved[moved["significant"]], moved[~moved["significant"]]
+    sure = moved[moved["significant"]]
+    unsure = moved[~moved["significant"]]
     if not sure.empty:
         lines += ["", "answers that changed:"]
         lines += [f"  {_answer(row, runs, names)}" for _, row in sure.head(most).iterrows()]
@@ -113,7 +116,8 @@ def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
 
 def _settings(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
     """What --set changed, and inputs that differ from those of the first run."""
-    lines, first = list[str](), runs[0].results
+    lines = list[str]()
+    first = runs[0].results
     for name, run in zip(names, runs, strict=True):
         if run.results.study.overrides and run.results.study.overrides != first.study.overrides:
             lines.append(f"--set {'; '.join(run.results.study.overrides)} ({name})")
@@ -135,8 +139,11 @@ def _input(entry: InputEntry | None, path: str) -> str:
 
 
 def _answer(row: Any, runs: Sequence[Run], names: Sequence[str]) -> str:
-    subject, kind, free = row["subject"], row["answer"], runs[0].results.study.free
-    quantity, texts = "", []
+    subject = row["subject"]
+    kind = row["answer"]
+    free = runs[0].results.study.free
+    quantity = ""
+    texts = []
     if kind in OF_QUANTITIES:
         quantity = subject
     elif kind == Kind.MARGIN and free is not None:

@@ -82,7 +82,8 @@ def picture_svg(draw: Callable[[Figure], None], width: float, height: float) -> 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # a user's matplotlibrc may ask for TeX
         matplotlib.rcParams.update(STYLE)  # type: ignore[arg-type]
-        figure, text = Figure(figsize=(width / 72.0, height / 72.0), dpi=72), io.StringIO()
+        figure = Figure(figsize=(width / 72.0, height / 72.0), dpi=72)
+        text = io.StringIO()
         draw(figure)
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     body = re.sub(r"^.*?(?=<svg)", "", text.getvalue(), flags=re.S)
@@ -158,10 +159,12 @@ def pictures_of(results: Results) -> dict[str, Picture]:
 
 def _fragility(results: Results) -> dict[str, Picture]:
     """The fragility chart, for a wide screen and for a narrow one; empty for a run without it."""
-    free, curves = results.study.free, curves_of(results)
+    free = results.study.free
+    curves = curves_of(results)
     if free is None or not curves:
         return {}
-    texts, planned = [f"{chart_title(results)} over the {free.meaning}"], planned_value(free)
+    texts = [f"{chart_title(results)} over the {free.meaning}"]
+    planned = planned_value(free)
     if planned is not None:
         for curve in curves:
             p = float(np.interp(planned, curve.x, curve.p))
@@ -195,7 +198,8 @@ def _density(results: Results, quantity: str, entry: QuantityEntry) -> Picture:
 
 def _sobol(results: Results, quantities: Sequence[str]) -> Picture:
     """Sobol' indices of some quantities in one chart, a row an input."""
-    columns, texts = indices_of(results, quantities), []
+    columns = indices_of(results, quantities)
+    texts = []
     inputs = columns[0].inputs
     height = max(190.0, 50.0 + 26.0 * len(inputs))
     names = LETTER * max(map(len, inputs)) + 12.0
@@ -203,7 +207,8 @@ def _sobol(results: Results, quantities: Sequence[str]) -> Picture:
 
     def draw(figure: Figure) -> None:
         for k, column in enumerate(columns):
-            left, width = (names + each * k) / 480.0, (each - 50.0) / 480.0
+            left = (names + each * k) / 480.0
+            width = (each - 50.0) / 480.0
             place = (left, 26.0 / height, width, 1.0 - 52.0 / height)
             draw_indices(figure.add_axes(place), column, names=k == 0)
 

@@ -68,7 +68,8 @@ class Curve:
         from scipy.special import ndtri
 
         finite = np.isfinite(self.p)
-        places, y = self.x[finite], ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
+        places = self.x[finite]
+        y = ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
         if logarithmic:
             places, x = np.log(places), np.log(x)
         if len(places) < 2:
@@ -89,18 +90,22 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     """The curves of a run, or of one limit: limits in hues of their own, assumed strengths in
     grey, one that governs in red.  Of too many, those that are exceeded most often.
     """
-    answers, often = table_of(results), dict[str, float]()
+    answers = table_of(results)
+    often = dict[str, float]()
     for row in answers:
         if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
             p = answers.get(row.subject, Kind.EXCEEDANCE_PROBABILITY)
             often[row.subject] = (p and p.value) or 0.0
     kept = sorted(often, key=lambda subject: -often[subject])[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
-    hues, curves = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO)), list[Curve]()
+    hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
+    curves = list[Curve]()
     for subject in [subject for subject in often if subject in kept]:
-        colour, style = GREY, ASSUMED
+        colour = GREY
+        style = ASSUMED
         if subject.startswith("limits."):
-            colour, style = next(hues), LIMIT
+            colour = next(hues)
+            style = LIMIT
         elif subject in governing:
             colour = RED
         points = [(row.at, row.value) for row in answers.where(subject, Kind.CURVE)]
@@ -135,9 +140,11 @@ def draw_fragility(
     """
     from scipy.special import ndtri
 
-    free, curves = results.study.free, curves_of(results, limit)
+    free = results.study.free
+    curves = curves_of(results, limit)
     assert free is not None
-    planned, used = planned_value(free), list[Decision]()
+    planned = planned_value(free)
+    used = list[Decision]()
     if limit is None:
         used = [decision for decision in results.decisions if decision.use is not None]
     unit, factor = display_unit(free.path, planned or free.high)
@@ -184,7 +191,8 @@ def _ends_of_interest(
     shown = shown[(shown >= free.low) & (shown <= free.high)]
     if len(shown) < 2 or shown.max() <= shown.min():
         return free.low, free.high
-    low, high = float(shown.min()), float(shown.max())
+    low = float(shown.min())
+    high = float(shown.max())
     if free.low > 0.0:
         return max(low / 1.15, free.low), min(high * 1.15, free.high)
     room = 0.04 * (high - low)
@@ -210,7 +218,8 @@ def _draw_curves(
     if logarithmic:
         x = np.geomspace(*axes.get_xlim(), 400)
     bottom, top = axes.get_ylim()
-    above, right = [], []
+    above = []
+    right = []
     for curve in curves:
         y, (dashes, width) = curve.scores(x / factor, logarithmic=logarithmic), curve.style
         axes.plot(x, y, linestyle=dashes, lw=width, color=curve.colour, zorder=2 + width)
@@ -226,7 +235,8 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
     """Band and points of the limit with tests that governs, else of the first one."""
     from scipy.special import ndtri
 
-    limits, colours = results.study.limits, {curve.name: curve.colour for curve in curves}
+    limits = results.study.limits
+    colours = {curve.name: curve.colour for curve in curves}
     for decision in results.decisions:
         tested = [name for name in decision.limits if name in limits and limits[name].tests]
         tested.sort(key=lambda name: f"limits.{name}" != decision.governing)
@@ -240,7 +250,8 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
         edges = ndtri(np.clip((low[drawn], high[drawn]), 1e-9, 1.0 - 1e-9))
         axes.fill_between(x[drawn] * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
         points = np.array(limits[tested[0]].test_points or np.empty((2, 0)))
-        places, shares = points[0] * factor, ndtri(np.clip(points[1], LOWEST, HIGHEST))
+        places = points[0] * factor
+        shares = ndtri(np.clip(points[1], LOWEST, HIGHEST))
         stopped = np.zeros(len(places), dtype=bool)
         if len(points) > 2:
             stopped = points[2] > 0.0
@@ -265,7 +276,8 @@ def _draw_mark(axes: Axes, decision: Decision, factor: float) -> float:
     """Draw a number to use, with the values that are allowed as a bar on the axis; its place."""
     from scipy.special import ndtri
 
-    use, p = decision.use, decision.target or 0.0
+    use = decision.use
+    p = decision.target or 0.0
     assert use is not None
     if decision.aim == "break":
         p = 1.0 - p
@@ -283,9 +295,13 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    frame, ticks, sign = 1.0, 0.0, 1.0
+    frame = 1.0
+    ticks = 0.0
+    sign = 1.0
     if edge == "below":  # the ticks have their numbers first
-        frame, ticks, sign = 0.0, -19.0 / 72.0, -1.0
+        frame = 0.0
+        ticks = -19.0 / 72.0
+        sign = -1.0
     shift = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
     coordinates = axes.get_xaxis_transform() + shift
     ends: list[float] = []
@@ -293,9 +309,15 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         place = float(axes.transData.transform((at, 0.0))[0])
         width = LETTER * len(text)
         # left of the leader; right of it where there is no room
-        start, stop, side, gap = place - width - 4.0, place, "right", -3.0
+        start = place - width - 4.0
+        stop = place
+        side = "right"
+        gap = -3.0
         if start <= 0.0:
-            start, stop, side, gap = place, place + width + 4.0, "left", 3.0
+            start = place
+            stop = place + width + 4.0
+            side = "left"
+            gap = 3.0
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         if row == len(ends):
             ends.append(stop)

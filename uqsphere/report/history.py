@@ -191,7 +191,8 @@ def write_history(study: Study, course: History, folder: Path) -> list[str]:
 
 def _pictures(study: Study, course: History) -> dict[str, Picture]:
     """The figures of a scene by name."""
-    time, curves = 1e6 * course.time, dict[str, list[tuple[str, Array, Array]]]()
+    time = 1e6 * course.time
+    curves = dict[str, list[tuple[str, Array, Array]]]()
     for what, factor in (("force [kN]", 1e-3), ("pressure [GPa]", 1e-9)):
         columns = (getattr(course, f"{what.partition(' ')[0]}_{face}") for face in "ab")
         curves[f"contact {what}"] = [

@@ -43,7 +43,8 @@ def write_page(folder: Path) -> Path:
 
 def page_files(results: Results, names: Sequence[str]) -> dict[str, str]:
     """The page of a run and its figures, by the names of their files; it links to `names`."""
-    pictures, header = pictures_of(results), '<?xml version="1.0" encoding="utf-8"?>\n'
+    pictures = pictures_of(results)
+    header = '<?xml version="1.0" encoding="utf-8"?>\n'
     figures = {f"figures/{name}.svg": header + picture.svg for name, picture in pictures.items()}
     linked = [*(name for name in LINKED if name in names), *figures]
     return {"report.html": _render(results, pictures, linked), **figures}
@@ -114,7 +115,8 @@ def _first(pictures: dict[str, Picture]) -> list[str]:
 
 def _quantity_notes(results: Results) -> list[str]:
     """What quantities are, how they are correlated, and how well their expansions fit."""
-    notes, errors = [], []
+    notes = []
+    errors = []
     for name, entry in results.study.quantities.items():
         definition = entry.meaning.partition(": ")[2]
         if definition:

@@ -96,7 +96,9 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     x, y = np.array(entry.density, dtype=float) * scale
     axes.fill_between(x, 0.0, y, color=BLUE, alpha=0.18, linewidth=0)
     axes.plot(x, y, color=BLUE, linewidth=1.6)
-    low, high, peak = float(x[0]), float(x[-1]), float(y.max())
+    low = float(x[0])
+    high = float(x[-1])
+    peak = float(y.max())
     names = list[tuple[float, float, str]]()
     for name, limit in results.study.limits.items():
         if limit.quantity == quantity and limit.strength.density and len(names) < MOST_STRENGTHS:
@@ -170,9 +172,11 @@ def _mark_onset(
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
         text = f"{text} (off the scale)"
-    side, gap = "left", 6.0
+    side = "left"
+    gap = 6.0
     if place > 0.5 * (low + high):
-        side, gap = "right", -6.0
+        side = "right"
+        gap = -6.0
     at = (float(np.clip(place, low, high)), 1.0)
     write(axes, text, at, (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high
@@ -234,7 +238,8 @@ def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
     for row in range(count):
         height = count - 1 - row
         axes.axhline(height, color=FAINT, linewidth=0.7, zorder=0)
-        first, total = indices.first[:, row], indices.total[:, row]
+        first = indices.first[:, row]
+        total = indices.total[:, row]
         axes.hlines(height, *first[1:], color=INK, linewidth=1.2, zorder=2)
         axes.hlines(height, *total[1:], color=BLUE, linewidth=2.5, zorder=3)
         axes.plot(first[0], height, "o", mfc="none", mec=INK, ms=10, clip_on=False, zorder=4)

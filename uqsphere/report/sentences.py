@@ -103,7 +103,8 @@ def decision_text(results: Results, decision: Decision) -> DecisionText:
 
 def _open(results: Results, decision: Decision) -> list[str]:
     """Why a verdict is not established, and checks that fail."""
-    texts, synthetic = [], []
+    texts = []
+    synthetic = []
     for caveat in decision.caveats:
         if caveat.code == "synthetic tests":
             synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
@@ -128,7 +129,8 @@ def _undecided(decision: Decision) -> list[str]:
         return []
     worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
     p = plain_probability(as_event(decision, worst.at_plan))
-    name, side = plain_name(worst.subject), "down to" if decision.aim == "break" else "up to"
+    name = plain_name(worst.subject)
+    side = "down to" if decision.aim == "break" else "up to"
     return [f"fracture probability at the planned value {side} {p} ({name}, {_considering(worst)})"]
 
 
@@ -182,7 +184,8 @@ class _Writer:
 
     def sentence(self) -> str:
         """What governs the number, its margin to the plan, and what else would be allowed."""
-        decision, parts = self.decision, list[str]()
+        decision = self.decision
+        parts = list[str]()
         if decision.target is None and decision.use is None:
             return "No target is set."
         if self.free is None:
@@ -200,7 +203,8 @@ class _Writer:
     def plan(self) -> str:
         """The planned value, and how it stands to the number to use."""
         assert self.free is not None
-        planned, use = self.free.planned, self.decision.use
+        planned = self.free.planned
+        use = self.decision.use
         if planned is None:
             return ""
         text = f"Planned {self.free.meaning}: {value(planned, self.free.path)}"
@@ -216,7 +220,8 @@ class _Writer:
 
     def governs(self) -> str:
         """What sets the number to use."""
-        decision, library = self.decision, self.decision.library
+        decision = self.decision
+        library = self.decision.library
         name = plain_name(decision.governing)
         if library is not None:
             ends = [end for end in (library.weak, library.strong) if end is not None]
@@ -260,7 +265,8 @@ class _Writer:
             text += " at the planned value"
         by_study = as_event(decision, decision.probability)
         joint = as_event(decision, decision.all_modes or decision.probability)
-        together, alone = plain_probability(joint), plain_probability(by_study)
+        together = plain_probability(joint)
+        alone = plain_probability(by_study)
         if decision.all_modes is None:
             text += f": {probability(by_study)}"
         elif together == alone:
@@ -341,7 +347,8 @@ def plain_name(subject: str) -> str:
 def _strength_name(results: Results, subject: str) -> str:
     """The property that a strength of the library is: "fracture toughness"."""
     name = plain_name(subject)
-    names, entry = {name}, results.study.modes.get(name)
+    names = {name}
+    entry = results.study.modes.get(name)
     if entry is not None:
         names.add(entry.mode)
     for mode in FAILURE_MODES.values():

@@ -38,9 +38,11 @@ def study_html(study: Study) -> str:
 def _ties(study: Study) -> list[str]:
     texts = []
     for tie in study.dependence:
-        kind, correlation = "Spearman", tie.spearman
+        kind = "Spearman"
+        correlation = tie.spearman
         if tie.kendall is not None:
-            kind, correlation = "Kendall", tie.kendall
+            kind = "Kendall"
+            correlation = tie.kendall
         text = f"{kind}'s rank correlation {correlation:g}"
         texts.append(f"dependence: {', '.join(tie.of)}: {text}")
     return texts
@@ -53,7 +55,8 @@ def _tables(study: Study) -> list[PageTable]:
     for name, number in numbers.items():
         if isinstance(number, Law):
             family = number.family.name.replace("_", " ")
-            mean, sd = value(number.mean(), name, 4), value(number.sd(), name)
+            mean = value(number.mean(), name, 4)
+            sd = value(number.sd(), name)
             row = (name, mean, sd, _range(number, name), family)
         else:
             row = (name, format_value(number, name), DASH, DASH, "fixed")
@@ -83,7 +86,8 @@ def _range(law: Law, name: str) -> str:
 
 def _strength(limit: Limit) -> tuple[str, ...]:
     """A strength as read: its tests, distribution, mean and range, and what it is held against."""
-    law, name = limit.strength, limit.quantity
+    law = limit.strength
+    name = limit.quantity
     demand = short(lookup(name).meaning)
     if not isinstance(law, Law):
         return limit.name, DASH, DASH, "fixed", format_value(float(law), name), DASH, demand
@@ -95,7 +99,8 @@ def _strength(limit: Limit) -> tuple[str, ...]:
 def _tested(limit: Limit, law: Law) -> str:
     """The range of the tests behind a strength: forces on sizes, or values."""
     if limit.tested is not None and limit.tested.forces:
-        forces, sizes = limit.tested.forces, limit.tested.diameters
+        forces = limit.tested.forces
+        sizes = limit.tested.diameters
         ends = value_range(min(forces), max(forces), "P_max")
         return f"{ends} on {1e3 * min(sizes):.3g} to {1e3 * max(sizes):.3g} mm"
     if law.data:
@@ -121,10 +126,12 @@ def cost(study: Study) -> str:
     from uqsphere.propagation import run
     from uqsphere.propagation.grow import first_rows
 
-    first, budget = first_rows(study), study.analysis.budget
+    first = first_rows(study)
+    budget = study.analysis.budget
     start = f"A run starts with {first:,} model runs and doubles the sample until it is accurate"
     if study.black_box:
-        each, most = study.analysis.cost, f"at most {budget.evaluations:,}"
+        each = study.analysis.cost
+        most = f"at most {budget.evaluations:,}"
         if each is not None:
             seconds = min(each * budget.evaluations, budget.time)
             most += f" in {seconds:,.0f} s (analysis.cost, analysis.budget)"
@@ -134,7 +141,8 @@ def cost(study: Study) -> str:
     )
     each = _seconds_per_run(study)  # compiles the integrator, once
     accuracy = run(replace(study, analysis=few)).results.accuracy
-    runs, error = accuracy.reached[-1].runs, max(accuracy.reached[-1].error or 0.0, 1.0)
+    runs = accuracy.reached[-1].runs
+    error = max(accuracy.reached[-1].error or 0.0, 1.0)
     # the error falls with the runs n as n^(-1) to n^(-3/4)
     ends = []
     for power in (1.0, 4.0 / 3.0):

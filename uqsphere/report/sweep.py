@@ -159,7 +159,8 @@ def point_files(
     from uqsphere.propagation import run
 
     with _ONE, tempfile.TemporaryDirectory() as place:
-        reference, folder = None, Path(place) / "run"
+        reference = None
+        folder = Path(place) / "run"
         if model is not None:
             copy = Path(place) / model.path.name
             copy.write_bytes(model.source)
@@ -217,7 +218,8 @@ def run_on_cluster(
 
 def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     """Write table and page of the points that have run; returns the page's place."""
-    frame, first = sweep_table(sweep, runs), next(iter(runs.values())).results
+    frame = sweep_table(sweep, runs)
+    first = next(iter(runs.values())).results
     figure = picture_svg(partial(_draw, sweep=sweep, frame=frame), 900.0, 380.0)
     free = "number" if first.study.free is None else first.study.free.meaning
     chart = f"{capital(free)} to use, and {chart_title(first).lower()} at the plan"
@@ -275,9 +277,11 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
 
 def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     """One row a point and decision, as text."""
-    rows, name = [], ""
+    rows = []
+    name = ""
     for point, results, decision, p in _each(sweep, runs):
-        use, governing = decision_text(results, decision).use, plain_name(decision.governing)
+        use = decision_text(results, decision).use
+        governing = plain_name(decision.governing)
         values = point.values.values()
         rows.append((*values, use, plain_probability(p), decision.verdict, governing))
         name = exceedance_name(results).lower()
@@ -295,8 +299,11 @@ def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
     """The number to use, and the probability at the plan, over the first key."""
     figure.set_layout_engine("constrained")
     left, right = figure.subplots(1, 2)
-    key, margins = sweep.keys[0], sweep.points[0].study.margins
-    name, unit, factor = "number", "", 1.0
+    key = sweep.keys[0]
+    margins = sweep.points[0].study.margins
+    name = "number"
+    unit = ""
+    factor = 1.0
     if margins is not None:
         name = lookup(margins.solve).meaning
         unit, factor = display_unit(margins.solve, float(frame["use"].astype(float).max()))
@@ -306,7 +313,8 @@ def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
         curves.append("aim")
     groups = frame.groupby(curves, sort=False)
     for colour, (group, rows) in zip(itertools.cycle(COLOURS), groups, strict=False):
-        x, text = rows[key].map(places), ", ".join(map(str, group))
+        x = rows[key].map(places)
+        text = ", ".join(map(str, group))
         left.plot(x, rows["use"].astype(float) * factor, "o-", color=colour, label=text)
         right.plot(x, rows["probability"].astype(float) * 100.0, "o-", color=colour)
     for axes in (left, right):

@@ -117,7 +117,9 @@ def certificate(results: Results, decision: Decision) -> PageTable | None:
 
 def limits(results: Results) -> PageTable | None:
     """One line a limit or failure mode, and one for those of an aim together."""
-    entries, free, answers = entries_of(results), results.study.free, table_of(results)
+    entries = entries_of(results)
+    free = results.study.free
+    answers = table_of(results)
     if not entries:
         return None
     head = ["limit", f"{exceedance_name(results).lower()} at the plan", "β"]
@@ -189,7 +191,9 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
 
 def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
     """The study's own limits together, and all failure modes, with their numbers to use."""
-    least, use, rows = is_least(decision), decision.use, list[Sequence[str]]()
+    least = is_least(decision)
+    use = decision.use
+    rows = list[Sequence[str]]()
     if decision.own is not None and decision.all_modes is not None:
         p = probability(as_event(decision, decision.probability))
         own = format_conservative(decision.own, path, least=least)
@@ -197,7 +201,8 @@ def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
     if use is not None:
         p = probability(as_event(decision, decision.all_modes or decision.probability))
         number = format_conservative(use.value, path, least=least)
-        best, span = value(use.best.value, path), value_range(use.best.low, use.best.high, path)
+        best = value(use.best.value, path)
+        span = value_range(use.best.low, use.best.high, path)
         rows.append((f"all together, to {decision.aim}", p, "", best, number, span, "", ""))
     return rows
 
@@ -215,7 +220,8 @@ def _strength_source(entry: LimitEntry) -> str:
 
 def assumptions(results: Results) -> PageTable | None:
     """Fracture probabilities under other assumptions, one at a time."""
-    rows, answers = [], table_of(results)
+    rows = []
+    answers = table_of(results)
     for subject, entry in entries_of(results).items():
         for row in answers.where(subject, Kind.FAILURE_PROBABILITY):
             if str(row.at).startswith("assumed: "):
@@ -257,11 +263,12 @@ def fracture(results: Results) -> PageTable | None:
 
 def quantities(results: Results) -> PageTable:
     """Distributions: one row a quantity."""
-    answers, rows = table_of(results), []
+    answers = table_of(results)
+    rows = []
     entries = results.study.quantities
-    places = dict.fromkeys(
-        float(row.at) for name in entries for row in answers.where(name, Kind.QUANTILE)
-    )
+    places: dict[float, None] = {}
+    for name in entries:
+        places |= dict.fromkeys(float(row.at) for row in answers.where(name, Kind.QUANTILE))
     for name, entry in entries.items():
         quantiles = [estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places]
         mean = estimate(answers.get(name, Kind.MEAN), name)
@@ -277,7 +284,8 @@ def quantities(results: Results) -> PageTable:
 
 def indices(results: Results) -> PageTable | None:
     """First-order and total Sobol' indices: a row an input, the largest total first."""
-    answers, entries = table_of(results), results.study.quantities
+    answers = table_of(results)
+    entries = results.study.quantities
     names = [name for name in entries if answers.where(name, Kind.SOBOL_TOTAL)]
     ranked = ranked_inputs(results, names)
     if not ranked:
@@ -302,83 +310,73 @@ def indices(results: Results) -> PageTable | None:
 
 def margins(results: Results) -> PageTable | None:
     """The free number at the probabilities that were asked for, a column a limit of the study."""
-    free, answers = results.study.free, table_of(results)
+    free = results.study.free
+    answers = table_of(results)
     if free is None:
         return None
-    found = {
-        name: {row.at: row for row in answers.where(f"limits.{name}", Kind.MARGIN)}
-        for name in results.study.limits
-    }
-    places = {
-        at
-        for rows in found.values()
-        for at, row in rows.items()
-        if isinstance(at, float) and row.value is not None
-    }
-    if not places:
+    names = []
+    places = set[float]()
+    for name in results.study.limits:
+        rows = answers.where(f"limits.{name}", Kind.MARGIN)
+        asked = {row.at for row in rows if isinstance(row.at, float) and row.value is not None}
+        if asked:
+            names.append(name)
+            places |= asked
+    body = []
+    for p in sorted(places):
+        values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in names]
+        cells = [estimate(row, free.path) for row in values]
+        body.append((format_probability(p), *cells))
+    if not body:
         return None
     return PageTable(
         caption=f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
-        head=("probability", *found),
-        rows=[
-            (format_probability(p), *(estimate(rows.get(p), free.path) for rows in found.values()))
-            for p in sorted(places)
-        ],
+        head=("probability", *names),
+        rows=body,
     )
 
 
 def drivers(results: Results) -> list[PageTable]:
-    """Sensitivity of each failure probability, and design points."""
+    """Sensitivity of each failure probability, and design points: a column a limit."""
     answers = table_of(results)
-    changes, points = dict[str, dict[str, float]](), dict[str, dict[str, str]]()
+    largest = dict[str, float]()
+    changes = dict[str, dict[str, str]]()
+    points = dict[str, dict[str, str]]()
     for subject, entry in entries_of(results).items():
         rows = answers.where(subject, Kind.DRIVER)
-        if not any(row.value for row in rows):
+        moved = {_variable(row.at): 100.0 * (row.value or 0.0) for row in rows}
+        most = max(map(abs, moved.values()), default=0.0)
+        if most == 0.0:
             continue
-        head = label(subject)
-        for row in rows:
-            changes.setdefault(_variable(row.at), {})[head] = 100.0 * (row.value or 0.0)
-        for row in answers.where(subject, Kind.DESIGN_POINT):
-            variable, quantity = _variable(row.at), str(row.at)
-            if not variable:
-                quantity = entry.quantity
-            text = value(row.value, quantity)
-            if not variable and entry.tests:  # in terms of the test force
-                text = DASH
-            points.setdefault(head, {})[variable] = text
-    if not changes:
-        return []
-    ranked = sorted(changes, key=lambda name: -max(map(abs, changes[name].values())))[:MOST_ROWS]
-    names = [meaning(name, results.inputs) if name else "strength" for name in ranked]
-    heads = list(dict.fromkeys(itertools.chain.from_iterable(changes.values())))
-    forms = {}
-    for head in heads:
         # three digits of the largest in a column
-        largest = max(abs(moved.get(head, 0.0)) for moved in changes.values())
-        decimals = max(2 - math.floor(math.log10(largest)), 0)
-        forms[head] = f"+.{decimals}f" if decimals < 6 else "+.1e"
-    body = []
-    for name, variable in zip(names, ranked, strict=True):
-        moved = changes[variable]
-        body.append((name, *(f"{moved[h]:{forms[h]}}" if h in moved else DASH for h in heads)))
-    tables = [
-        PageTable(
-            caption="Sensitivity of the failure probability",
-            head=("input", *heads),
-            rows=body,
-            note="percentage points per standard deviation shift of the input's mean",
-        )
-    ]
-    if points:
-        body = [
-            (name, *(point.get(variable, DASH) for point in points.values()))
-            for name, variable in zip(names, ranked, strict=True)
-        ]
-        tables.append(
-            PageTable(
-                caption="Most probable failure (design point)", head=("input", *points), rows=body
-            )
-        )
+        decimals = max(2 - math.floor(math.log10(most)), 0)
+        form = "+.1e"
+        if decimals < 6:
+            form = f"+.{decimals}f"
+        changes[label(subject)] = {name: f"{change:{form}}" for name, change in moved.items()}
+        for name, change in moved.items():
+            largest[name] = max(largest.get(name, 0.0), abs(change))
+        for row in answers.where(subject, Kind.DESIGN_POINT):
+            name = _variable(row.at)
+            text = value(row.value, str(row.at))
+            if not name:
+                text = value(row.value, entry.quantity)
+                if entry.tests:  # in terms of the test force
+                    text = DASH
+            points.setdefault(label(subject), {})[name] = text
+    ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
+    shift = "percentage points per standard deviation shift of the input's mean"
+    tables = []
+    for cells, caption, note in (
+        (changes, "Sensitivity of the failure probability", shift),
+        (points, "Most probable failure (design point)", ""),
+    ):
+        body = []
+        for name in ranked:
+            head = meaning(name, results.inputs) if name else "strength"
+            body.append((head, *(column.get(name, DASH) for column in cells.values())))
+        if cells:
+            tables.append(PageTable(caption=caption, head=("input", *cells), rows=body, note=note))
     return tables
 
 
@@ -418,7 +416,8 @@ def random_inputs(results: Results) -> PageTable | None:
     rows = []
     for name, entry in results.inputs.items():
         if not entry.fixed:
-            mean, sd = value(entry.mean, name, 4), value(entry.sd, name)
+            mean = value(entry.mean, name, 4)
+            sd = value(entry.sd, name)
             span = value_range(entry.p05, entry.p95, name)
             cells = (entry.distribution, mean, sd, span, _source(entry))
             rows.append((meaning(name, results.inputs), *cells))

@@ -81,7 +81,8 @@ def _paper(results: Results, width: int) -> list[str]:
 
 
 def _quantities(results: Results, width: int) -> list[str]:
-    answers, rows = table_of(results), [("quantity", "mean", "5-95 % range")]
+    answers = table_of(results)
+    rows = [("quantity", "mean", "5-95 % range")]
     for name, entry in results.study.quantities.items():
         low, _, high = entry.range
         mean = estimate(answers.get(name, Kind.MEAN), name)
@@ -90,7 +91,8 @@ def _quantities(results: Results, width: int) -> list[str]:
 
 
 def _indices(results: Results, width: int) -> list[str]:
-    indices, answers = tables.indices(results), table_of(results)
+    indices = tables.indices(results)
+    answers = table_of(results)
     if indices is None:
         return []
     names = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]

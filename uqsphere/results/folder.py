@@ -96,7 +96,8 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     Raises AccessError where the system refuses (a full disk, no permission); the files before are
     then unchanged.
     """
-    before, part = _sums(folder), None
+    before = _sums(folder)
+    part = None
     sums = dict(before)
     if RESULTS in files:
         sums = {name: digest for name, digest in before.items() if name in HISTORY}

@@ -42,7 +42,8 @@ class Run:
     live: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
-        study, accuracy = self.results.study, self.results.accuracy
+        study = self.results.study
+        accuracy = self.results.accuracy
         return (
             f"<Run {study.title!r}: {len(self.results.answers)} answers of "
             f"{accuracy.runs:,} model runs>"
@@ -154,7 +155,8 @@ class Run:
         text = (self.folder / "study.toml").read_text(encoding="utf-8")
         overrides = self.results.study.overrides
         study = load_study(self.folder / "files" / "study.toml", overrides, text=text)
-        rows, names = self.samples.head(MOST_FITTED), list(study.random)
+        rows = self.samples.head(MOST_FITTED)
+        names = list(study.random)
         if quantity not in rows or not names or not {*names} <= {*rows}:
             return None
         y = rows[quantity].to_numpy(dtype=float)
