@@ -9,7 +9,6 @@ elastically.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -71,8 +70,9 @@ def particle_energies(
         weight = np.asarray(rig == "drop_weight")
         for rows, falling in ((positive & weight, True), (positive & ~weight, False)):
             if rows.any():
-                contact = Contact.of(asked, want.partner, falling)
-                shares[rows], told = contact.shares(energy[rows], diameter[rows])
+                shares[rows], told = offered_shares(
+                    asked, want.partner, falling, energy[rows], diameter[rows]
+                )
                 notes += told
     return energy * shares, notes
 
@@ -103,70 +103,51 @@ def _moduli(asked: ComminutionDocument, table: Table, count: int, notes: list[st
     return np.full(count, 1.0 / compliance)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Contact:
-    """A particle and what it hits, or is hit by.
+def offered_shares(
+    asked: ComminutionDocument, partner: Elastic, falling: bool, energy: Array, diameter: Array
+) -> tuple[Array, list[str]]:
+    """Shares (n,) of offered energies [J/kg] that particles of diameters [m] take, and notes.
 
-    falling : whether a weight falls on it on an anvil, both of the partner's material; else it hits
-        a thick target.
-    law : of the contacts, None for that of a study.
+    falling : whether a weight falls on the particle on an anvil, both of the partner's material;
+        else it hits a thick target.
+
+    Rows that the impact model cannot compute have the share of elastic contacts.
     """
+    import uqsphere
 
-    particle: Elastic
-    partner: Elastic
-    falling: bool
-    law: str | None
-
-    @classmethod
-    def of(cls, asked: ComminutionDocument, partner: Elastic, falling: bool) -> Contact:
-        """The contact of the particles of an input file."""
-        return cls(particle=asked.material, partner=partner, falling=falling, law=asked.contact_law)
-
-    def shares(self, energy: Array, diameter: Array) -> tuple[Array, list[str]]:
-        """Shares (n,) of offered energies [J/kg] that particles of diameters [m] take, and notes.
-
-        Rows that the impact model cannot compute have the share of elastic contacts.
-        """
-        import uqsphere
-
-        elastic = laws.particle_share(stiffness(self.particle), stiffness(self.partner))
-        if self.particle.density is None or self.partner.density is None:
-            return np.full(len(energy), elastic), []
-        tables, rows = self._scene(energy, diameter)
-        quantities = ("specific_energy_sphere", "specific_impact_energy")
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                answers = uqsphere.evaluate(uqsphere.Study(**tables), rows, quantities=quantities)
-            except UqsphereError as error:
-                note = f"the shares of the energy are those of elastic contacts: {error}"
-                return np.full(len(energy), elastic), [note]
-        notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
-        taken, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
-        share = taken / whole
-        return np.where(np.isfinite(share), share, elastic), notes
-
-    def _scene(self, energy: Array, diameter: Array) -> tuple[dict[str, Any], dict[str, Array]]:
-        """The tables of a study, and its rows."""
-        mass = laws.mass_of(diameter, self.particle.density or 0.0)
-        sphere, other = _table(self.particle, "sphere"), _table(self.partner, "plates", "bars")
-        sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
-        tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
-        if self.law is not None:
-            tables["contact"] = {"law": self.law}
-        rows = {"sphere.radius": 0.5 * diameter}
-        if self.falling:
-            weight = _HEAVY * float(mass.max())
-            hammer = {"mass": f"{weight!r} kg", "drop_height": "1 m", "face_radius": "flat"}
-            tables["rig"] = {"kind": "drop_weight"}
-            tables["hammer"] = {**hammer, **other}
-            tables["anvil"] = {"kind": "thick", **other}
-            rows["hammer.drop_height"] = energy * mass / (weight * _GRAVITY)
-        else:
-            tables["rig"] = {"kind": "impact", "speed": "1 m/s"}
-            tables["target"] = {"kind": "thick", **other}
-            rows["rig.speed"] = np.sqrt(2.0 * energy)
-        return tables, rows
+    particle = asked.material
+    elastic = laws.particle_share(stiffness(particle), stiffness(partner))
+    if particle.density is None or partner.density is None:
+        return np.full(len(energy), elastic), []
+    sphere, other = _table(particle, "sphere"), _table(partner, "plates", "bars")
+    sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
+    tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
+    if asked.contact_law is not None:
+        tables["contact"] = {"law": asked.contact_law}
+    rows = {"sphere.radius": 0.5 * diameter}
+    if falling:
+        mass = laws.mass_of(diameter, particle.density)
+        weight = _HEAVY * float(mass.max())
+        hammer = {"mass": f"{weight!r} kg", "drop_height": "1 m", "face_radius": "flat"}
+        tables |= {"rig": {"kind": "drop_weight"}, "hammer": {**hammer, **other}}
+        tables["anvil"] = {"kind": "thick", **other}
+        rows["hammer.drop_height"] = energy * mass / (weight * _GRAVITY)
+    else:
+        tables["rig"] = {"kind": "impact", "speed": "1 m/s"}
+        tables["target"] = {"kind": "thick", **other}
+        rows["rig.speed"] = np.sqrt(2.0 * energy)
+    quantities = ("specific_energy_sphere", "specific_impact_energy")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            answers = uqsphere.evaluate(uqsphere.Study(**tables), rows, quantities=quantities)
+        except UqsphereError as error:
+            note = f"the shares of the energy are those of elastic contacts: {error}"
+            return np.full(len(energy), elastic), [note]
+    notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
+    taken, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
+    share = taken / whole
+    return np.where(np.isfinite(share), share, elastic), notes
 
 
 def _table(body: Elastic, *kinds: str) -> dict[str, Any]:

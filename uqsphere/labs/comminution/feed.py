@@ -25,7 +25,7 @@ from uqsphere.labs.comminution.document import (
     ProductTable,
     SizesTable,
 )
-from uqsphere.labs.comminution.energies import Contact
+from uqsphere.labs.comminution.energies import offered_shares
 from uqsphere.labs.comminution.fit import SYNTHETIC, UNTESTED, Posterior, quantiles
 from uqsphere.tables import Table, read_table
 
@@ -226,7 +226,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     sizes, mass, edges = classes.sizes, classes.mass, classes.edges
     energy, share, notes = offered(feed, sizes, density), np.ones(len(sizes)), list[str]()
     if feed.impact_surface is not None:
-        share, notes = Contact.of(asked, feed.impact_surface, False).shares(energy, sizes)
+        share, notes = offered_shares(asked, feed.impact_surface, False, energy, sizes)
     cumulative = broken_by_blow(posterior, energy * share, sizes, feed.blows)
     if feed.undersize == "stays":
         cumulative[:, -1] = 0.0

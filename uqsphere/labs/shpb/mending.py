@@ -35,15 +35,6 @@ def rest_of(values: Array) -> float:
 # --- spikes, clipping -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Spike:
-    """First and last sample of a spike, and its size in strain."""
-
-    first: int
-    last: int
-    size: float
-
-
 def without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
     """A gauge whose spikes are replaced by lines and whose clipped samples are marked unknown."""
     strain = _without_spikes(trace, step, changes)
@@ -56,25 +47,24 @@ def _without_spikes(trace: Trace, step: float, changes: Changes) -> Array:
     longest = min(max(5, math.ceil(SHORTEST / step)), 40)
     if len(values) < 2 * (4 * longest + 1):
         return values
-    removed: list[_Spike] = []
+    removed = list[tuple[int, int, float]]()
     for _ in range(3):  # a large spike hides smaller ones
         spikes = _spikes(values, longest)
-        for spike in spikes:
-            inside = np.arange(spike.first, spike.last + 1)
-            ends = [spike.first - 1, spike.last + 1]
+        for first, last, _ in spikes:
+            inside, ends = np.arange(first, last + 1), [first - 1, last + 1]
             values[inside] = np.interp(inside, ends, values[ends])
         removed += spikes
         if not spikes:
             break
     if removed:
-        samples = sum(spike.last - spike.first + 1 for spike in removed)
-        worst = max(removed, key=lambda spike: abs(spike.size))
+        samples = sum(last - first + 1 for first, last, _ in removed)
+        first, _, size = max(removed, key=lambda spike: abs(spike[2]))
         changes.add(
             "spikes",
             trace.name,
             f"{_counted(len(removed), 'spike')} ({_counted(samples, 'sample')}) removed, the "
-            f"largest {worst.size * 1e6:.4g} microstrain at sample {worst.first}",
-            worst.size,
+            f"largest {size * 1e6:.4g} microstrain at sample {first}",
+            size,
         )
     return values
 
@@ -83,8 +73,9 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _spikes(values: Array, longest: int) -> list[_Spike]:
-    """The spikes of a signal: excursions of few samples from its running median."""
+def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
+    """The spikes of a signal, excursions of few samples from its running median: first and last
+    sample, and size in strain."""
     width = 4 * longest + 1
     middle = median_filter(values, width, mode="nearest")
     left = values - middle
@@ -109,7 +100,7 @@ def _spikes(values: Array, longest: int) -> list[_Spike]:
             continue
         jumps = np.diff(values[first - 1 : last + 2]) / size
         if min(jumps.max(), -jumps.min()) > 0.4:
-            spikes.append(_Spike(first=first, last=last, size=size))
+            spikes.append((first, last, size))
     return spikes
 
 

@@ -20,8 +20,7 @@ from uqsphere.quantities import display_unit, format_probability, format_value, 
 from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
-    from uqsphere.study import Limit, Study
-    from uqsphere.uq.curve import Fragility
+    from uqsphere.study import Study
 
 #: numbers of the rigs that are varied, in order of preference, if the file does not name one
 _FREE: Final = (
@@ -74,7 +73,15 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
-    limits = _limits(asked, study)
+    limits = tuple(
+        limit
+        for limit in study.limits
+        if limit.fracture is not False and (not asked.limits or limit.name in asked.limits)
+    )
+    if not limits:
+        raise UsageError(
+            "no limit of the study means fracture: a plan needs a strength, [limits.NAME]"
+        )
     free, low, high = _range(asked, study)
     quantities = tuple(dict.fromkeys(["P_max", *(limit.quantity for limit in limits)]))
     planned = replace(
@@ -86,6 +93,12 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         ),
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
+    reached: dict[str, list[dict[str, Any]]] = {}
+    for name, curve in curves.limits.items():
+        reached[name] = []
+        for share, at in curve.values.items():
+            value = None if at.value is None else (at.value, at.low, at.high)
+            reached[name].append({"share": share, "value": value})
     notes = []
     if len(limits) > 1:
         notes.append("each failure mode by itself; the share that breaks by any of them is larger")
@@ -100,37 +113,13 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         "unit": lookup(free).unit,
         "values": curves.values.tolist(),
         "force": np.nanquantile(curves.outputs["P_max"], [0.05, 0.5, 0.95], axis=1).T.tolist(),
-        "shares": {name: _shares(curve) for name, curve in curves.limits.items()},
-        "reached": {name: _reached(curve) for name, curve in curves.limits.items()},
+        "shares": {
+            name: [[*row[1:]] for row in curve.curve] for name, curve in curves.limits.items()
+        },
+        "reached": reached,
         "failed": curves.failed.tolist(),
         "notes": notes,
     }
-
-
-def _limits(asked: PlanDocument, study: Study) -> tuple[Limit, ...]:
-    """The limits that count; UsageError without one."""
-    limits = [limit for limit in study.limits if limit.fracture is not False]
-    if asked.limits:
-        limits = [limit for limit in limits if limit.name in asked.limits]
-    if not limits:
-        raise UsageError(
-            "no limit of the study means fracture: a plan needs a strength, [limits.NAME]"
-        )
-    return tuple(limits)
-
-
-def _shares(curve: Fragility) -> list[list[float]]:
-    """Value, low and high of the share at each value of the free number."""
-    return [[share, low, high] for _, share, low, high in curve.curve]
-
-
-def _reached(curve: Fragility) -> list[dict[str, Any]]:
-    """The free number at each share."""
-    reached = []
-    for share, at in curve.values.items():
-        value = None if at.value is None else (at.value, at.low, at.high)
-        reached.append({"share": share, "value": value})
-    return reached
 
 
 def plan_text(plan: dict[str, Any]) -> str:
