@@ -132,7 +132,7 @@ def _feed_files(answer: dict[str, Any]) -> dict[str, str]:
 
 def _feed_text(content: dict[str, Any]) -> str:
     shown = {
-        "energy [J/kg]": ("energy taken up by the particles", 1.0 / 3600.0, "kWh/t"),
+        "energy [J/kg]": ("energy absorbed by the particles", 1.0 / 3600.0, "kWh/t"),
         "P80 [m]": ("P80", 1e3, "mm"),
         "P50 [m]": ("P50", 1e3, "mm"),
         **{name: (name, 100.0, "%") for name in ("broken", "never broken", "t10", "fines")},
@@ -148,7 +148,7 @@ def _feed_text(content: dict[str, Any]) -> str:
             f"{reach}; sd {100 * lot['epistemic_sd']:.2g} % from the tests, "
             f"{100 * lot['lot_sd']:.2g} % from the lot"
         )
-        rows.append((f"broken of a lot of {lot['mass']:.4g} kg", value, spread))
+        rows.append((f"broken in a lot of {lot['mass']:.4g} kg", value, spread))
     classes = [("size", "mass", "broken", "95 %", "")]
     for row in content["classes"]:
         mark = "extrapolated" if row["extrapolated"] else ""

@@ -61,7 +61,7 @@ class TestsTable(Section):
     rig : what the rows were tested in; rig_column : the column that gives it.
     specific_energy, energy, speed, force : exactly one; the unit stands in the heading or in
         `unit`.
-    energy_is : `sphere` taken up by the particle, `contact` by both bodies of the contacts, `input`
+    energy_is : `sphere` absorbed by the particle, `contact` by both bodies of the contacts, `input`
         offered.
     particles, broken : for rows that stand for several particles.
     specimen : rows of one name are blows on one particle.

@@ -1,4 +1,4 @@
-"""The energy that a particle itself takes up in a test: its share of what is offered or stored.
+"""The energy that a particle itself absorbs in a test: its share of what is offered or stored.
 
 A blow of a weight, a throw or a fall offers an energy, of which the particle takes the share that
 the impact model of a study gives it (`uqsphere.evaluate`): what a fit calls the fracture energy is

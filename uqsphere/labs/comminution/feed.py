@@ -174,7 +174,7 @@ class _Struck:
 
     cumulative (D, K, n + 1) : shares broken; struck, broke, whole (D, K) : mass over all blows,
     struck once for every blow, broken, and left whole.
-    offered, taken (K,) : energy of a blow per mass [J/kg], offered and taken up by a particle.
+    offered, taken (K,) : energy of a blow per mass [J/kg], offered and absorbed by a particle.
     sieves (S,) : [m]; passing (D, S), before (S,) : shares of product and feed that pass them.
     fineness (K,) : t10; untested (K,) : whether a class is outside the tested sizes.
     """
@@ -404,7 +404,7 @@ def _warnings(
     fitted = any("gamma" in model.names for model in posterior.models)
     if feed.blows > 1 and not fitted and asked.tests.gamma == "fit":
         warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
-    warnings.append("energies are those taken up by the particles; the machine needs more")
+    warnings.append("energies are those absorbed by the particles; the machine uses more")
     return warnings
 
 

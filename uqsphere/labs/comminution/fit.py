@@ -501,7 +501,7 @@ def _parameters(posterior: Posterior) -> tuple[dict[str, Any], list[str]]:
         sd = float(np.nanstd(np.log(values)))
         parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
         if name in priors and not flat and sd > 0.7 * prior_sd:
-            notes.append(f"the tests do not determine {name}: its prior decides it")
+            notes.append(f"the tests do not determine {name}: its posterior follows the prior")
     return parameters, notes
 
 
@@ -517,7 +517,7 @@ def _about_laws(about: Mapping[str, Any], number: float) -> list[str]:
             )
         elif number < FEW:
             notes.append(
-                f"fewer than {FEW} tests cannot choose between lognormal and Weibull: both are "
+                f"fewer than {FEW} tests cannot distinguish lognormal from Weibull: both are "
                 "averaged"
             )
     notes += [

@@ -1,6 +1,6 @@
 """Laws of the fracture energy of a particle: scatter, size, repeated blows, force, product.
 
-Every function is elementwise on arrays.  The energy e [J/kg] is what the particle itself takes up
+Every function is elementwise on arrays.  The energy e [J/kg] is what the particle itself absorbs
 per mass, d [m] the diameter of the sphere of its volume.
 
     (L1) lognormal  P(e) = Phi(ln(e*/E50)/sigma),  e* = e/(1 - e/E_max),  E_max = r E50

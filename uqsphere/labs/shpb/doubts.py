@@ -18,7 +18,7 @@ from uqsphere.labs.shpb.signals import Changes
 
 #: difference between two gauges of a bar over the wave that is a gross fault
 _GROSS: Final = 0.25
-#: relative width of an interval beyond which a number is hardly known; difference of the faces that
+#: relative width of an interval beyond which a number is poorly determined; difference of the faces that
 #: is doubted even where their intervals overlap
 _WIDE, _APART = 0.3, 0.2
 #: striker speeds [m/s] of real tests; relative difference from the given speed that is a fault
@@ -59,7 +59,7 @@ def check_striker(
     """Compare the incident wave with the striker speed [m/s], given or possible (in place)."""
     speed = 2.0 * wave_speed * strain
     text = (
-        f"an incident wave of {strain * 1e6:.4g} microstrain is that of a striker of "
+        f"an incident wave of {strain * 1e6:.4g} microstrain corresponds to a striker speed of "
         f"{speed:.3g} m/s"
     )
     if measured is None:
@@ -144,9 +144,7 @@ def check_impulse(
                 return mass
     if abs(plain) <= allowed:
         return None
-    text = (
-        f"A gives {1.0 + plain:.3g} times the impulse of B: a gain, a zero or an arrival is wrong"
-    )
+    text = f"the impulse at A is {1.0 + plain:.3g} times that at B: check gains, zeros and arrivals"
     for face, peak in [*peaks.items()]:
         factors = [1.0 + gain for gain in gains]
         if face != "B":
@@ -199,9 +197,9 @@ def check_specimen(
             peaks.doubt([face], text, 2.0 * pressed)
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
-            peaks.doubt([face], f"hardly known: its 95 % interval is ±{half:.0%}")
+            peaks.doubt([face], f"poorly determined: its 95 % interval is ±{half:.0%}")
         if strongest is not None and peak.low > strongest:
-            text = f"the specimen carries at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
+            text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
             peaks.doubt([face], text, strongest)
     if "A" not in before:
         return ""
@@ -223,8 +221,8 @@ def check_specimen(
         )
     if uncommon:
         text = (
-            f"the faces reach their largest forces {abs(a.time - b.time) * 1e6:.4g} us apart: "
-            "they have no common peak"
+            f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean has "
+            "no common peak"
         )
         peaks.doubt(["mean"], text, a.high, b.high)
     return ""

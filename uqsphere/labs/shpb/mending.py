@@ -248,7 +248,7 @@ def _rest_at_end(name: str, values: Array, wave: Wave) -> Array:
     last = values[-max(2 * _BASELINE, len(values) // 20) :]
     if np.ptp(last) > 0.1 * wave.peak:
         raise UsageError(
-            f"{name}: has no rest before or behind its wave. Was the wave cut out "
+            f"{name}: there is no rest before or after its wave. Was the wave cut out "
             "(record.aligned = true)?"
         )
     if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:

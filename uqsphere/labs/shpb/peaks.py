@@ -107,15 +107,15 @@ def largest_force(course: Force) -> Peak:
     single = float(force.max())
     if single > top.value + 5.0 * noise + 0.05 * top.value:
         doubts.append(
-            f"isolated samples reach {single * 1e-3:.4g} kN, their neighbours do not (spike?)"
+            f"isolated samples reach {single * 1e-3:.4g} kN but their neighbours do not (spike?)"
         )
         high = max(high, single)
     if count < _FEW_ON_TOP:
-        doubts.append(f"its top has {count} samples: the record is too slow for it")
+        doubts.append(f"its top has only {count} samples: the sampling rate is too slow")
         high = max(high, single)
     last = float(medians[-width:].mean())
     if highest >= len(force) - max(3, width // 2) or last > _FALLEN * top.value:
-        doubts.append("the force is largest where the record ends: it is at least this")
+        doubts.append("the force is largest where the record ends: the true peak is at least this")
         high = math.inf
     return Peak(
         value=top.value,
