@@ -185,7 +185,7 @@ def late(name: str, samples: int) -> Any:
     return lambda f: f.assign(**{name: np.roll(f[name], samples)})
 
 
-#: what happens to a record or is said of it: frame, keys, and words of the doubt or refusal; empty
+#: what happens to a record or is text of it: frame, keys, and words of the doubt or refusal; empty
 #: where it is mended
 FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "sign of one bar": (scaled(INC, -1.0), {}, ""),
@@ -276,15 +276,15 @@ def test_no_fault_is_wrong_and_silent(name: str, tmp_path: Path) -> None:
     try:
         test = read(tmp_path, frame if change is None else change(frame), **keys)
     except UsageError as error:
-        said, peaks = str(error), []
+        text, peaks = str(error), []
     else:
         peaks = list(test.peaks.values())
-        said = " ".join((*test.withheld, *(doubt for peak in peaks for doubt in peak.doubts)))
-    assert re.search(words, said)
+        text = " ".join((*test.withheld, *(doubt for peak in peaks for doubt in peak.doubts)))
+    assert re.search(words, text)
     assert bool(words) == (not peaks or any(peak.doubts for peak in peaks))
     off = [abs(peak.value / PEAK - 1.0) for peak in peaks]
     assert all(peak.doubts or one < 0.06 for peak, one in zip(peaks, off, strict=True))
-    if "unit" not in said and "a striker" not in said:
+    if "unit" not in text and "a striker" not in text:
         assert not peaks or min(off) < 0.06 or any(peak.low <= PEAK <= peak.high for peak in peaks)
 
 
@@ -381,9 +381,9 @@ def test_units_of_headings(heading: str, factor: float, tmp_path: Path) -> None:
     frame[["I/με", "T/µε"]] *= 1e6
     test = read(tmp_path, frame)
     check_sound(test)
-    said = " ".join(change.text for change in test.changes)
-    assert "is in microstrain" in said
-    assert f"is in {heading.rstrip(')')[-2:].strip(' (')}" in said
+    text = " ".join(change.text for change in test.changes)
+    assert "is in microstrain" in text
+    assert f"is in {heading.rstrip(')')[-2:].strip(' (')}" in text
 
 
 def test_a_unit_that_is_taken_is_printed_and_a_time_in_another_is_refused(tmp_path: Path) -> None:
@@ -444,7 +444,7 @@ def test_volts_of_a_bridge(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("polarity", "sign"), [("tension", 1.0), ("compression", -1.0)])
 def test_a_polarity_that_is_given_is_taken(polarity: str, sign: float, tmp_path: Path) -> None:
-    """The sign of compression in the file is what it is said to be, and a wave that then pulls is
+    """The sign of compression in the file is what it is text to be, and a wave that then pulls is
     refused.
     """
     frame = waves() * [1.0, sign, sign]

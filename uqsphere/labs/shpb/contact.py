@@ -216,8 +216,8 @@ def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> Co
     if undetermined or depth < 1.5:
         reached = float(pressure_at_force(highest, law.modulus, radius))
         raise UsageError(
-            f"the record is hardly beyond Hertz; the Hertz pressure reaches {reached / 1e9:.3g} GPa: "
-            "press harder"
+            f"the record is hardly beyond Hertz (pressure up to {reached / 1e9:.3g} GPa): press "
+            "harder"
         )
     notes = []
     if hardness.high > _OPEN * hardness.low:

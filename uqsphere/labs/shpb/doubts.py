@@ -18,8 +18,8 @@ from uqsphere.labs.shpb.signals import Changes
 
 #: difference between two gauges of a bar over the wave that is a gross fault
 _GROSS: Final = 0.25
-#: relative width of an interval beyond which a number is poorly determined; difference of the faces that
-#: is doubted even where their intervals overlap
+#: relative width of an interval beyond which a number is poorly determined; difference of the
+#: faces that is doubted even where their intervals overlap
 _WIDE, _APART = 0.3, 0.2
 #: striker speeds [m/s] of real tests; relative difference from the given speed that is a fault
 _STRUCK, _SPEED_ERROR = (0.1, 100.0), 0.1
@@ -59,7 +59,7 @@ def check_striker(
     """Compare the incident wave with the striker speed [m/s], given or possible (in place)."""
     speed = 2.0 * wave_speed * strain
     text = (
-        f"an incident wave of {strain * 1e6:.4g} microstrain corresponds to a striker speed of "
+        f"an incident wave of {strain * 1e6:.4g} microstrain corresponds to a striker of "
         f"{speed:.3g} m/s"
     )
     if measured is None:
@@ -144,7 +144,7 @@ def check_impulse(
                 return mass
     if abs(plain) <= allowed:
         return None
-    text = f"the impulse at A is {1.0 + plain:.3g} times that at B: check gains, zeros and arrivals"
+    text = f"A has {1.0 + plain:.3g} times the impulse of B: check gains, zeros and arrivals"
     for face, peak in [*peaks.items()]:
         factors = [1.0 + gain for gain in gains]
         if face != "B":
