@@ -470,7 +470,9 @@ class Table:
             alone = len(columns) == 1 and k >= most - 2 and fine
             least = 1 if apart or alone else max(2, len(columns) - 1)
             for name, total in sums.items():
-                alike = (np.abs(values[:, k] - total) <= 0.51 * step) & (total != 0.0)
+                alike = (
+                    (np.abs(values[:, k] - total) <= 0.51 * step) & (total != 0.0) & (step <= sd)
+                )
                 if alike.sum() >= least:
                     self.notes.append(
                         f"{self.name}: line {self.lines[k]} is the {name} of the rows above; if it "
