@@ -74,46 +74,38 @@ class Cache:
             for row in numbers
         ]
 
-    def _checksum(self, key: bytes, answer: bytes) -> bytes:
-        return hashlib.blake2b(key + answer, key=self._about, digest_size=_CHECKSUM).digest()
-
-    def _answer(self, key: bytes, record: object) -> bytes | None:
-        """The answer that a record holds; None where it is not as it was written."""
-        if not isinstance(record, bytes) or len(record) != 8 * self._outputs + _CHECKSUM:
-            return None
-        answer, checksum = record[:-_CHECKSUM], record[-_CHECKSUM:]
-        if checksum != self._checksum(key, answer):
-            return None
-        return answer
+    def _record(self, key: bytes, answer: bytes) -> bytes:
+        """An answer with its checksum."""
+        return (
+            answer + hashlib.blake2b(key + answer, key=self._about, digest_size=_CHECKSUM).digest()
+        )
 
     def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,
         (n,).
         """
         answers: list[bytes] = []
-        stored = np.zeros(len(rows), dtype=bool)
+        stored, size = np.zeros(len(rows), dtype=bool), 8 * self._outputs
         query = "SELECT answer FROM answers WHERE key = ?"
         with self._access():
             if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():
                 for place, key in enumerate(self._keys(rows)):
-                    record = self._database.execute(query, (key,)).fetchone()
-                    if record is None:
-                        continue
-                    answer = self._answer(key, record[0])
-                    if answer is None:
-                        self.damaged += 1
-                        continue
-                    answers.append(answer)
-                    stored[place] = True
+                    for (record,) in self._database.execute(query, (key,)):
+                        answer = record[:size] if isinstance(record, bytes) else b""
+                        if len(answer) < size or record != self._record(key, answer):
+                            self.damaged += 1
+                            continue
+                        answers.append(answer)
+                        stored[place] = True
         return np.frombuffer(b"".join(answers), dtype="<f8").reshape(-1, self._outputs), stored
 
     def write(self, rows: Array, answers: Array) -> None:
         """Store answers (n, outputs) to rows (n, inputs)."""
-        records = []
         values = np.asarray(answers, dtype="<f8")
-        for key, row in zip(self._keys(rows), values, strict=True):
-            answer = row.tobytes()
-            records.append((key, answer + self._checksum(key, answer)))
+        records = [
+            (key, self._record(key, row.tobytes()))
+            for key, row in zip(self._keys(rows), values, strict=True)
+        ]
         with self._access(), self._database:
             self._database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", records)
 

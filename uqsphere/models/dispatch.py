@@ -44,10 +44,10 @@ class Calls:
     """
 
     def __init__(
-        self, model: Model, given: Sequence[int], rows: Array, cache: Cache | None
+        self, model: Model, columns: Sequence[int], rows: Array, cache: Cache | None
     ) -> None:
-        """given : places of the columns of `rows` (n, d) among the inputs of the model."""
-        self._model, self._given, self._rows, self._cache = model, given, rows, cache
+        """columns : places of the columns of `rows` (n, d) among the inputs of the model."""
+        self._model, self._columns, self._rows, self._cache = model, columns, rows, cache
         self.together: Places = np.arange(0)
         total, outputs = len(rows), len(model.outputs)
         self._answers = np.full((total, outputs), np.nan)
@@ -161,7 +161,7 @@ class Calls:
             raise ModelError(f"{failure} {self._where(row)}") from failure
         model.evaluations += 1
         self._failures[row] = failure
-        deaths = sum(isinstance(one, Died) for one in self._failures.values())
+        deaths = sum(isinstance(reason, Died) for reason in self._failures.values())
         if deaths >= _DEATHS and 2 * deaths > model.evaluations + model.reused:
             raise ModelError(
                 f"{failure} {self._where(row)}, in {deaths} rows, more than it answered"
@@ -184,7 +184,7 @@ class Calls:
     def _whole(self, places: Places) -> Array:
         """Rows with all inputs of the model."""
         block = np.tile(self._model.numbers, (len(places), 1))
-        block[:, self._given] = self._rows[places]
+        block[:, self._columns] = self._rows[places]
         return block
 
     def _where(self, row: int) -> str:

@@ -40,24 +40,43 @@ def evaluate(
 ) -> pd.DataFrame:
     """Evaluate the impact model, or your own model, at n samples.
 
-    frame : a DataFrame, or a mapping of names to arrays (n,), Series or numbers: numbers of the
-        scene by their dotted paths, or inputs of the black box, in SI, in any order.  A DataFrame
-        needs every random input of the study; a mapping takes those it lacks at the study's mean.
-        Several Series are matched by their index.
-    quantities : names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or
-        outputs of the black box (default: those of the study).
-    tolerance : relative error of every quantity, 1e-12 to 1e-2 (default: the study's).
-    threads : number of threads; None for all processors.  No answer depends on it.
-    model : "FILE.py:FUNCTION" or function, the black box of a black-box study.
+    Parameters
+    ----------
+    study : Study
+        What is evaluated.
+    frame : DataFrame or mapping
+        Names to arrays (n,), Series or numbers: numbers of the scene by their dotted paths, or
+        inputs of the black box, in SI, in any order.  A DataFrame needs every random input of the
+        study; a mapping takes omitted ones at the study's mean.  Several Series are matched by
+        their index.
+    quantities : str or sequence of str, optional
+        Names of `uqsphere.quantities.OUTPUTS` and of demands of the study's limits, or outputs of
+        the black box (default: those of the study).
+    tolerance : float, optional
+        Relative error of every quantity, 1e-12 to 1e-2 (default: the study's).
+    threads : int or None
+        Number of threads; None for all processors.  Results do not depend on it.
+    model : str or callable, optional
+        "FILE.py:FUNCTION" or a function, the black box of a black-box study.
 
-    Returns a DataFrame with the index of `frame`: a column for each quantity (SI, NaN where a row
-    has no answer) and `censored`, whether any of them is a lower bound because the record ended
-    first.
+    Returns
+    -------
+    DataFrame
+        With the index of `frame`: a column for each quantity [SI], NaN where a row has no answer,
+        and `censored`, whether any of them is a lower bound because the evaluation window ended.
 
-    Raises UsageError for an unknown, missing or repeated name, a column that is not numeric, an
-    unknown quantity, a wrong tolerance; ModelError when the model raises or returns something of
-    the wrong form.  Warns of a number far outside its usual range, of rows without an answer, and
-    of samples outside the range in which the impact model is valid.
+    Raises
+    ------
+    UsageError
+        An unknown, missing or repeated name, a column that is not numeric, or a wrong tolerance.
+    ModelError
+        The model raised, or returned something of the wrong form.
+
+    Warns
+    -----
+    UserWarning
+        A value far outside its usual range, rows without an answer, and samples outside the
+        validity range of the impact model (`uqsphere.mechanics.validity`).
     """
     import pandas as pd
 

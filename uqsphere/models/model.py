@@ -33,8 +33,6 @@ _WORTH: Final = 2.0
 _QUICK: Final = 1e-4
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
-#: what the note on the cache begins with
-_DAMAGED: Final = "damaged records"
 
 
 @dataclass(eq=False)
@@ -51,7 +49,6 @@ class Model:
     stop : checked between two calls of the model; once it is true, `Interrupted` is raised.
     progress : called with the number of rows that are done and their total.
     evaluations, reused : rows that were evaluated, and that came from the cache.
-    notes : what a user should know about the answers.
     inputs, outputs : names, as the black box is called with them and answers them.
     numbers : values of the inputs, (d,), where no row replaces them.
     workers : where the black box is called.
@@ -70,7 +67,6 @@ class Model:
     progress: Callable[[int, int], None] | None = None
     evaluations: int = field(default=0, init=False)
     reused: int = field(default=0, init=False)
-    notes: list[str] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         from uqsphere.mechanics.integrator.solve import thread_count
@@ -97,6 +93,7 @@ class Model:
         self.calls, self._seconds, self._rows = 0, 0.0, 0
         self._repeated = self._compared = False
         self._cache: Cache | None = None
+        self._notes: list[str] = []
         means = study.at_means()
         if box is None:
             tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
@@ -167,14 +164,7 @@ class Model:
         self.check_names(names, columns)
         if not self.study.black_box:
             return self._evaluate_scene(names, rows, columns)
-        cache, damaged = self._cache, self._damaged
-        answers, together = self._evaluate_box(names, rows, columns, cache)
-        if self._damaged > damaged:
-            self.notes = [note for note in self.notes if not note.startswith(_DAMAGED)]
-            self.notes.append(
-                f"{_DAMAGED} in {cache and as_text(cache.path.name)}: {self._damaged} stored "
-                "answers did not match their checksums and were computed again"
-            )
+        answers, together = self._evaluate_box(names, rows, columns, self._cache)
         good = np.flatnonzero(answers.good)
         if together.size > 1 and not self._compared:
             self._compared = self._repeated = True
@@ -191,8 +181,15 @@ class Model:
         return answers
 
     @property
-    def _damaged(self) -> int:
-        return 0 if self._cache is None else self._cache.damaged
+    def notes(self) -> list[str]:
+        """What a user should know about the answers."""
+        if self._cache is None or not self._cache.damaged:
+            return self._notes
+        return [
+            *self._notes,
+            f"damaged records in {as_text(self._cache.path.name)}: {self._cache.damaged} stored "
+            "answers did not match their checksums and were computed again",
+        ]
 
     def _differs_by_itself(
         self, names: Sequence[str], row: Array, answer: Array, columns: Sequence[str]
@@ -207,7 +204,7 @@ class Model:
         if not repeated.good[0] or not differs.any():
             return False
         j = int(np.argmax(differs))
-        self.notes.append(
+        self._notes.append(
             f"the model gave two answers to the same row ({answer[j]:.6g} and {alone[j]:.6g} as "
             f"{columns[j]!r} {where_of(names, row[0])}): it is not deterministic, or the answer to "
             "a row depends on the other rows of the call, or a file that it reads or imports has "

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from uqsphere.arrays import Array
 from uqsphere.errors import (
@@ -93,13 +93,14 @@ class _Process:
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the run
         )
-        self._started = False
-        self._packed = packed
-        self.late = False
+        self._requests: Any = self._process.stdin
+        self._replies: Any = self._process.stdout
+        self._packed, self._started, self._late = packed, False, False
 
     def call(self, rows: Array, limit: float | None) -> Timed:
         """Answers to rows, within a limit [s]; raises as `result`."""
-        timer = None
+        timer = threading.Timer(limit or 0.0, self._expire)
+        timer.daemon = True
         try:
             if not self._started:
                 self._receive()
@@ -107,32 +108,26 @@ class _Process:
                 self._send(self._packed)
                 self._receive()  # the model is loaded, which its limit does not count
             if limit is not None:
-                timer = threading.Timer(limit, self._expire)
-                timer.daemon = True
                 timer.start()
             self._send(rows)
             reply = self._receive()
         except Exception as error:  # the end of a stream, or garbage in it
             raise self._ended(limit) from error
         finally:
-            if timer is not None:
-                timer.cancel()
+            timer.cancel()
         if isinstance(reply, BaseException):
             raise reply
-        assert isinstance(reply, tuple)
-        return reply
+        return cast(Timed, reply)
 
     def _send(self, message: object) -> None:
-        assert self._process.stdin is not None
-        pickle.dump(message, self._process.stdin)
-        self._process.stdin.flush()
+        pickle.dump(message, self._requests)
+        self._requests.flush()
 
     def _receive(self) -> object:
-        assert self._process.stdout is not None
-        return pickle.load(self._process.stdout)
+        return pickle.load(self._replies)
 
     def _expire(self) -> None:
-        self.late = True
+        self._late = True
         self.kill()
 
     def _ended(self, limit: float | None) -> NoAnswer | UsageError:
@@ -140,11 +135,17 @@ class _Process:
         code = self._process.wait()
         if not self._started:
             return UsageError(
-                f"a Python process for the model ended before it was called (exit code {code})"
+                f"the Python process of the model ended before the model was called (exit code "
+                f"{code})"
             )
-        if self.late:
+        if self._late:
             return NoAnswer(f"the model took longer than analysis.time_limit ({limit:g} s)")
         return Died(f"the model ended the process it ran in (exit code {code})")
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can be called again."""
+        return self._process.poll() is None
 
     def kill(self) -> None:
         """End the process, and what it has started."""
@@ -158,62 +159,9 @@ class _Process:
         """End the process, and wait for its end."""
         self.kill()
         self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            assert stream is not None
+        for stream in (self._requests, self._replies):
             with contextlib.suppress(OSError):  # what was left to be sent
                 stream.close()
-
-
-class _Pool:
-    """Some processes of this machine, each with a thread of this process that waits for it."""
-
-    def __init__(self, count: int, packed: bytes, limit: float | None) -> None:
-        self._packed, self._limit = packed, limit
-        self._threads = ThreadPoolExecutor(count)
-        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
-        self._all: set[_Process] = set()
-        self._lock = threading.Lock()
-        self._closed = False
-
-    def submit(self, rows: Array) -> Future[Timed]:
-        return self._threads.submit(self._call, rows)
-
-    def _call(self, rows: Array) -> Timed:
-        process = self._take()
-        try:
-            timed = process.call(rows, self._limit)
-        except ModelError:
-            self._idle.put(process)
-            raise
-        except BaseException:
-            with self._lock:
-                self._all.discard(process)
-            process.close()
-            raise
-        self._idle.put(process)
-        return timed
-
-    def _take(self) -> _Process:
-        try:
-            return self._idle.get_nowait()
-        except queue.Empty:
-            pass
-        with self._lock:
-            if self._closed:
-                raise NoAnswer("the run has ended")
-            process = _Process(self._packed)
-            self._all.add(process)
-        return process
-
-    def close(self) -> None:
-        with self._lock:
-            self._closed = True
-            for process in self._all:
-                process.kill()
-        self._threads.shutdown(wait=True, cancel_futures=True)
-        for process in self._all:
-            process.close()
-        self._all.clear()
 
 
 class Workers:
@@ -222,7 +170,8 @@ class Workers:
     executor : of the user, as those of `concurrent.futures`, or a `distributed.Client`; what it
         raises becomes ExecutorLost.
     limit : seconds that a call in processes of this machine may take.
-    count : those processes; one that dies, or exceeds the limit, is replaced.  0 for this process.
+    count : those processes, each with a thread of this process that waits for it; one that dies, or
+        exceeds the limit, is replaced.  0 for this process.
     """
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
@@ -232,9 +181,11 @@ class Workers:
             self._executor = executor.get_executor(pure=False)
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
             raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
-        self._task, self._packed, self.count = task, b"", 0
-        self._limit = limit
-        self._pool: _Pool | None = None
+        self._task, self._packed, self._limit, self.count = task, b"", limit, 0
+        self._threads: ThreadPoolExecutor | None = None
+        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        self._processes: set[_Process] = set()
+        self._lock = threading.Lock()
         if executor is not None:
             self._packed, self.count = pack(task), _MANY
 
@@ -259,9 +210,9 @@ class Workers:
             except Exception as error:
                 raise _lost(error) from error
         if self.count:
-            if self._pool is None:
-                self._pool = _Pool(self.count, self._packed, self._limit)
-            return self._pool.submit(rows)
+            if self._threads is None:
+                self._threads = ThreadPoolExecutor(self.count)
+            return self._threads.submit(self._call, rows)
         future: Future[Timed] = Future()
         try:
             future.set_result(answer(self._task, rows))
@@ -269,8 +220,35 @@ class Workers:
             future.set_exception(error)
         return future
 
+    def _call(self, rows: Array) -> Timed:
+        """Answers of a process that is idle, or new."""
+        try:
+            process = self._idle.get_nowait()
+        except queue.Empty:
+            with self._lock:
+                if self._threads is None:
+                    raise NoAnswer("the run has ended") from None
+                process = _Process(self._packed)
+                self._processes.add(process)
+        try:
+            return process.call(rows, self._limit)
+        finally:
+            if process.is_alive:
+                self._idle.put(process)
+            else:
+                with self._lock:
+                    self._processes.discard(process)
+                process.close()
+
     def close(self) -> None:
         """End the processes of this machine, whatever they do."""
-        if self._pool is not None:
-            self._pool.close()
-            self._pool = None
+        with self._lock:
+            threads, self._threads = self._threads, None
+            for process in self._processes:
+                process.kill()
+        if threads is not None:
+            threads.shutdown(wait=True, cancel_futures=True)
+        for process in self._processes:
+            process.close()
+        self._processes.clear()
+        self._idle = queue.SimpleQueue()

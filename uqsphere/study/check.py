@@ -71,7 +71,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     outputs: tuple[str, ...] = ()
     gauges = document.gauges
     if draft.box:
-        usual, outputs = draft.known, document.outputs.names
+        usual, outputs = draft.quantities, document.outputs.names
     elif RIGS[draft.rig].by_press:
         usual = ("p_max",)
     if rod.gauge is not None:
@@ -133,7 +133,7 @@ def tables(draft: Draft) -> Faults:
         return
     draft.rig, law = draft.document.rig.kind, draft.document.contact.law
     draft.law_given = law is not None
-    draft.known = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
+    draft.quantities = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
     for table in [name for name in draft.data if name in SCENE]:
         for key in draft.data[table]:
             number = getattr(getattr(draft.document, table), key)
@@ -199,7 +199,7 @@ def _rig(draft: Draft) -> Faults:
 
 def _box(draft: Draft) -> Faults:
     """A black box has inputs and outputs, and no table of a scene."""
-    inputs, names = draft.document.inputs, draft.known
+    inputs, names = draft.document.inputs, draft.quantities
     scene = [name for name in (*SCENE, "model", "gauges") if name in draft.data]
     for name in scene:
         yield Fault(
@@ -557,35 +557,29 @@ def _slips(draft: Draft) -> Faults:
 def _analysis(draft: Draft) -> Faults:
     """Quantities that the model has."""
     for index, name in enumerate(draft.document.analysis.quantities):
-        if name not in draft.known:
-            yield Fault(unknown("quantity", name, draft.known), "analysis", "quantities", index)
+        if name not in draft.quantities:
+            yield Fault(
+                unknown("quantity", name, draft.quantities), "analysis", "quantities", index
+            )
 
 
 def _dependence(draft: Draft) -> Faults:
-    """The names of each dependence, then all together."""
-    ties = [Dependence(**dict(table)) for table in draft.document.dependence]
-    random = {
-        name: number.value
-        for name, number in draft.numbers.items()
-        if isinstance(number.value, Law)
-    }
-    for index, tie in enumerate(ties):
-        with within("dependence", index):
-            for at, name in enumerate(tie.of):
-                if name in random:
-                    continue
+    """The names of each dependence, and each with those before it."""
+    ties: list[Dependence] = []
+    random = {k: n.value for k, n in draft.numbers.items() if isinstance(n.value, Law)}
+    for index, table in enumerate(draft.document.dependence):
+        for at, name in enumerate(table.of):
+            if name not in random:
                 message = unknown("random input", name, random)
                 if name in draft.numbers:
-                    message = (
-                        f"{shown(name)} is a fixed number. Give it a distribution, or remove it"
-                    )
-                raise Fault(message, "of", at)
-    for index, tie in enumerate(ties):
+                    message = f"{shown(name)} is a fixed number. Make it random, or remove it here"
+                raise Fault(message, "dependence", index, "of", at)
+        ties.append(Dependence(**dict(table)))
         try:
-            make_joint(list(random), list(random.values()), ties[: index + 1])
+            make_joint(list(random), list(random.values()), ties)
         except LawError as error:
             key = error.key
-            if key == "spearman" and tie.spearman is None:
+            if key == "spearman" and table.spearman is None:
                 key = "kendall"
             raise Fault(error.message, "dependence", index, key) from None
     yield from ()

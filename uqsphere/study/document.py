@@ -493,7 +493,7 @@ class Draft:
     data : the tables as the file has them; document: the same, validated.
     box, rig, plastic : whether it is a black box, what loads the sphere, whether contacts can
         yield.
-    known : the quantities that can be asked for.
+    quantities : names that can be requested.
     numbers : by dotted path (black box: bare name) in the order of the file, strengths and model
         factors last.
     scene : the one row at its means.
@@ -506,7 +506,7 @@ class Draft:
     rig: str = DEFAULT_RIG
     plastic: bool = False
     law_given: bool = False
-    known: tuple[str, ...] = ()
+    quantities: tuple[str, ...] = ()
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)

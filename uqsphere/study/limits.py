@@ -107,8 +107,8 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
 def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     """A limit without its strength; raises Fault."""
     quantity, criterion = table.quantity, table.criterion
-    if quantity is not None and quantity not in draft.known:
-        raise Fault(unknown("quantity", quantity, draft.known), "quantity")
+    if quantity is not None and quantity not in draft.quantities:
+        raise Fault(unknown("quantity", quantity, draft.quantities), "quantity")
     if criterion is not None and draft.box:
         raise Fault(
             "a criterion needs the impact model. Set quantity to an output of the black box",

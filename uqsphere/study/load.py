@@ -19,19 +19,36 @@ def load_study(
     *,
     text: str | None = None,
 ) -> Study:
-    """The study of a TOML file, of such a text, or of the same tables as a dict, validated.
+    """Read and validate a study: a TOML file, its text, or its tables as a mapping.
 
-    path : the file; nothing outside its folder is read.  With a `text` what it is called, and where
-    its data lie.  A mapping holds the tables themselves: ``{"inputs": {"x": {"dist": "normal",
-    "mean": 0, "sd": 1}}, ...}``.
-    overrides : ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, put in place before
-        anything is checked.
-    text : the content of a study file, in place of reading one.
+    Parameters
+    ----------
+    path : path-like or mapping
+        The file; no file outside its folder is read.  With `text`, the name and the folder that
+        messages and data files refer to.  A mapping holds the tables themselves:
+        ``{"inputs": {"x": {"dist": "normal", "mean": 0, "sd": 1}}, ...}``.
+    overrides : sequence of str
+        ``PATH=VALUE`` each, such as ``striker.speed.mean=0.6 m/s``, applied before validation.
+    text : str, optional
+        Content of a study file, instead of reading one.
 
-    Raises StudyError with every fault of the first of `STAGES` that has one, each with its line;
-    AccessError where the file is missing or cannot be read; UsageError for an override that is
-    none, and a value that no study file can hold.
+    Returns
+    -------
+    Study
+        The study in SI units, with defaults and library values filled in.
 
+    Raises
+    ------
+    StudyError
+        Lists every error of the first stage of `uqsphere.study.check.STAGES` that has one, each
+        with its line.
+    AccessError
+        The file is missing or cannot be read.
+    UsageError
+        An override cannot be applied, or a value cannot be written to a study file.
+
+    Examples
+    --------
     >>> inputs = {"x": {"dist": "normal", "mean": 0.0, "sd": 1.0}}
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
     <Study 'Two tables': 1 random input, black box>

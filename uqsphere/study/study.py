@@ -97,27 +97,45 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class Study:
-    """A validated study: `Study(title=..., inputs=..., outputs=..., limits=..., margins=...,
-    analysis=...)`.
+    """A validated study in SI units; files are read by `load_study`.
 
-    The arguments are the tables of a study file as mappings, with laws of this package, of
-    scipy.stats or chaospy where a number scatters, and `outputs` a name or several; they make the
-    same document, which `text` has.  A file is read by `load_study`.
+    Parameters
+    ----------
+    title, seed : str, int
+        As in a study file.
+    inputs, outputs, limits, margins, analysis, ... : mapping
+        The other tables of a study file, with distributions of this package, of scipy.stats or
+        chaospy where a number is random; `outputs` may be a name or a list of names.
 
+    Raises
+    ------
+    StudyError
+        Lists every error that was found.
+
+    Attributes
+    ----------
+    fixed, random : mapping
+        Every number by its dotted path (black box: bare name) in the order of the file, defaults
+        included; a bar end is its velocity reflection coefficient.  Numbers that a scene does not
+        have (lengths of infinite bars) are absent.
+    record : MeasuredPulse or None
+        The pulse of a measured record, from which `striker.speed` follows.
+    text : str
+        The study as a file.
+    made_up : tuple of str
+        Random numbers from synthetic data.
+    caveats : tuple
+        Code, key and text of warnings that prevent a verdict.
+    overrides : tuple of str
+        Values set from outside the file, as PATH=VALUE; the other attributes include them.
+
+    Examples
+    --------
     >>> from scipy import stats
     >>> high = {"quantity": "y", "strength": 5.0, "aim": "survive"}
     >>> Study(inputs={"load": stats.norm(3.0, 0.5)}, outputs="y", limits={"high": high},
     ...       analysis={"budget": {"evaluations": 1000}}, title="A beam")
     <Study 'A beam': 1 random input, limits high, black box>
-
-    fixed, random : every number by dotted path (black box: bare name), SI, defaults included, in
-    the order of the file; a bar end is its velocity reflection coefficient.  What a scene does not
-    have (lengths of infinite bars, say) is absent.
-    record : the pulse of a measured record, from which `striker.speed` then follows.
-    made_up : the random numbers whose observations the file calls synthetic.
-    caveats : code, key and text of warnings by which no verdict is established.
-    overrides : what was set from outside the file, as PATH=VALUE; its effect is in the other
-        attributes.
     """
 
     title: str

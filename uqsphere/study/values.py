@@ -436,17 +436,23 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     return Number(value=law, synthetic=table.synthetic)
 
 
+#: columns of draws and their dimensions; an empty one is that of the strength
+_DRAWN: Final = {
+    "least": "",
+    "scale": "",
+    "shape": "number",
+    "bound": "number",
+    "tests": "number",
+    "size_exponent": "number",
+    "diameter": "length",
+    "smallest": "length",
+    "largest": "length",
+}
+
+
 def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
-    kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, []
-    dimensions = {
-        "least": quantity.dimension,
-        "scale": quantity.dimension,
-        **dict.fromkeys(("shape", "bound", "tests"), "number"),
-        "diameter": "length",
-        "size_exponent": "number",
-        **dict.fromkeys(("smallest", "largest"), "length"),
-    }
+    kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, {}
     with opened(name, draft, "draws", table.decimal, table.sheet) as cells:
         words = cells.texts("distribution", "draws")
         cells.refuse(
@@ -454,32 +460,30 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
             f"distribution must be {one_of(kinds)}",
             np.array([w not in kinds for w in words]),
         )
-        for key, dimension in dimensions.items():
-            column, unit = np.zeros(len(cells)), None
-            if dimension == quantity.dimension:
-                unit = table.unit
+        for key, its_dimension in _DRAWN.items():
+            dimension = its_dimension or quantity.dimension
             bare = [unit_in_heading(heading, dimension)[0] for heading in cells.headings]
+            columns[key] = np.zeros(len(cells))
             if key in ("scale", "shape", *bare):
-                column = cells.numbers(key, dimension, unit, key="draws")
-            columns.append(column)
-        least, scale, shape, bound, tests, size, exponent, smallest, largest = columns
-        wrong = ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0))
+                unit = None if its_dimension else table.unit
+                columns[key] = cells.numbers(key, dimension, unit, key="draws")
+        least, scale, shape, bound = (columns[k] for k in ("least", "scale", "shape", "bound"))
         cells.refuse(
             "draws",
             "scale and shape must be above 0, least at least 0, bound at least 0 and below 1",
-            wrong,
+            ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0)),
         )
     draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
-    tested, ends = None, (float(smallest[0]), float(largest[0]))
-    if size[0] > 0.0:
+    tested, first = None, {key: float(column[0]) for key, column in columns.items()}
+    if first["diameter"] > 0.0:
+        sizes = first["smallest"], first["largest"]
         tested = Tested(
-            diameter=float(size[0]),
-            exponent=float(exponent.mean()),
-            diameters=ends if 0.0 < ends[0] <= ends[1] else (),
+            diameter=first["diameter"],
+            exponent=float(columns["size_exponent"].mean()),
+            diameters=sizes if 0.0 < sizes[0] <= sizes[1] else (),
         )
-    return Number(
-        value=law_of_draws(draws.tolist(), int(tests[0])), synthetic=table.synthetic, tested=tested
-    )
+    law = law_of_draws(draws.tolist(), int(first["tests"]))
+    return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
 def observations(
