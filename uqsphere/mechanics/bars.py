@@ -82,11 +82,16 @@ def _speeds(nu: float) -> tuple[float, float]:
     return math.sqrt((1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))), math.sqrt(0.5 / (1.0 + nu))
 
 
-def _equation(wave_number: Array, speed: Array, nu: float) -> Array:
-    """Left side of the frequency equation."""
+def _squares(wave_number: Array, speed: Array, nu: float) -> tuple[Array, Array, Array]:
+    """k², p² and q²."""
     dilatation, shear = _speeds(nu)
     k2 = np.square(wave_number)
-    p2, q2 = k2 * (np.square(speed / dilatation) - 1.0), k2 * (np.square(speed / shear) - 1.0)
+    return k2, k2 * (np.square(speed / dilatation) - 1.0), k2 * (np.square(speed / shear) - 1.0)
+
+
+def _equation(wave_number: Array, speed: Array, nu: float) -> Array:
+    """Left side of the frequency equation."""
+    k2, p2, q2 = _squares(wave_number, speed, nu)
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
     return np.asarray(
         2.0 * p2 * (q2 + k2) * one_p * one_q
@@ -136,11 +141,8 @@ def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Arra
     M_1: mean axial strain of the section over the surface strain.  M_2: mean axial stress over E
     times the mean strain.  (n,) each, at wave numbers times radius and phase speeds over c0.
     """
-    dilatation, shear = _speeds(nu)
     k = np.asarray(wave_number, dtype=float)
-    k2 = np.square(k)
-    p2 = k2 * (np.square(np.asarray(speed) / dilatation) - 1.0)
-    q2 = k2 * (np.square(np.asarray(speed) / shear) - 1.0)
+    k2, p2, q2 = _squares(k, np.asarray(speed), nu)
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
     # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth
     # exp(|p| + |q|)

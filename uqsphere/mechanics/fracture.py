@@ -275,9 +275,9 @@ def _cross(
     _, high = bisect(below, high - 1.0 / ORDER, high, _HALVINGS)
     drive, energy = moment(high)
     step = at // ORDER
-    begin = np.array([c.start[k] for c, k in zip(courses, step, strict=True)])
-    length = np.array([c.length[k] for c, k in zip(courses, step, strict=True)])
-    before = np.array([c.force[k - 1] if k else 0.0 for c, k in zip(courses, at, strict=True)])
+    begin = _picked([c.start for c in courses], step)
+    length = _picked([c.length for c in courses], step)
+    before = np.where(at > 0, _picked([c.force for c in courses], at - 1), 0.0)
     push = drive**power
     largest = np.maximum(before**power, push.max(axis=1))
     with np.errstate(invalid="ignore"):
@@ -290,6 +290,11 @@ def _cross(
             imbalance,
         ]
     )
+
+
+def _picked(columns: Sequence[Array], at: Places) -> Array:
+    """Entry `at` (n,) of each of n columns."""
+    return np.stack([column[k] for column, k in zip(columns, at, strict=True)])
 
 
 def _tops(courses: Sequence[_Course], path: LoadingPath, first_echo: Array) -> Array:
@@ -308,7 +313,7 @@ def _moment(
 ) -> Callable[[Array], tuple[Array, Array]]:
     """Function of fractions (n,) of the steps of nodes `at`: drives (n, 2), energies (n,)."""
     step = at // ORDER
-    states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
+    states = _picked([c.states for c in courses], step)
     if courses[0].forces is None:
 
         def of_hertz(share: Array) -> tuple[Array, Array]:
@@ -316,17 +321,9 @@ def _moment(
             return approach, _stored(approach)
 
         return of_hertz
-    forces = np.stack(
-        [c.forces[k] for c, k in zip(courses, step, strict=True) if c.forces is not None]
-    )
-    none = np.zeros(2)
-    deepest = np.stack(
-        [
-            c.deepest[k - 1] if k else none
-            for c, k in zip(courses, at, strict=True)
-            if c.deepest is not None
-        ]
-    )
+    forces = _picked([c.forces for c in courses if c.forces is not None], step)
+    before = _picked([c.deepest for c in courses if c.deepest is not None], at - 1)
+    deepest = np.where(at[:, None] > 0, before, 0.0)
 
     def of_laws(share: Array) -> tuple[Array, Array]:
         approach, push = _values(states, share), _values(forces, share)

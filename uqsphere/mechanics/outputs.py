@@ -42,6 +42,11 @@ _SCALES: Final = (
 )
 
 
+def _hertz_pressure(columns: Mapping[str, Values], force: Values) -> Values:
+    """p_0 of the contact that gives the scale factors, at a force [N]."""
+    return contact.pressure_at_force(force, columns["modulus"], columns["effective_radius"])
+
+
 def _of_criterion(entry: Criterion) -> Quantity:
     return Quantity(
         name=str(entry.quantity),
@@ -71,9 +76,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             meaning="peak contact pressure: the larger of both contacts",
             place="contact",
             needs=("P_max", "modulus", "effective_radius"),
-            formula=lambda c: contact.pressure_at_force(
-                c["P_max"], c["modulus"], c["effective_radius"]
-            ),
+            formula=lambda c: _hertz_pressure(c, c["P_max"]),
         ),
         Quantity(
             name="P_max",
@@ -96,9 +99,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             meaning="elastic-equivalent pressure: p_0 by Hertz at P_max; may exceed the hardness",
             place="contact",
             needs=("P_max", "modulus", "effective_radius"),
-            formula=lambda c: contact.pressure_at_force(
-                c["P_max"], c["modulus"], c["effective_radius"]
-            ),
+            formula=lambda c: _hertz_pressure(c, c["P_max"]),
         ),
         Quantity(
             name="alpha_max",
@@ -208,9 +209,7 @@ OUTPUTS: Final[dict[str, Quantity]] = {
             early=True,
             place="contact",
             needs=("force", "x_first", "modulus", "effective_radius"),
-            formula=lambda c: contact.pressure_at_force(
-                c["force"] * c["x_first"] ** c["power"], c["modulus"], c["effective_radius"]
-            ),
+            formula=lambda c: _hertz_pressure(c, c["force"] * c["x_first"] ** c["power"]),
         ),
         Quantity(
             name="force_imbalance",
@@ -378,21 +377,20 @@ def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Co
     return {**{name: column[rows] for name, column in scene.columns.items()}, **scales}
 
 
-def _roots(name: str, demands: Demands) -> set[str]:
-    """What a quantity is computed from: names of `SCALED`, and inputs that may be absent."""
-    if name in demands:
-        key, parameters = demands[name]
-        needs = CRITERIA[key].needs_with(parameters)
-    elif name in OUTPUTS:
-        needs = OUTPUTS[name].needs
-    else:
-        return {name}
-    return set().union(*(_roots(need, demands) for need in needs))
-
-
-def roots_of(quantities: Iterable[str], demands: Demands) -> set[str]:
-    """What quantities and demands are computed from: see `_roots`."""
-    return set().union(*(_roots(name, demands) for name in quantities))
+def _roots(names: Iterable[str], demands: Demands) -> set[str]:
+    """What quantities and demands are computed from: names of `SCALED`, and inputs that may be
+    absent.
+    """
+    roots = set()
+    for name in names:
+        if name in demands:
+            key, parameters = demands[name]
+            roots |= _roots(CRITERIA[key].needs_with(parameters), demands)
+        elif name in OUTPUTS:
+            roots |= _roots(OUTPUTS[name].needs, demands)
+        else:
+            roots.add(name)
+    return roots
 
 
 def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
@@ -403,7 +401,7 @@ def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyTy
     wanted = 0
     if quantities is None:
         quantities = OUTPUTS.keys()
-    for name in roots_of(quantities, demands) & SCALED.keys():
+    for name in _roots(quantities, demands) & SCALED.keys():
         wanted |= SCALED[name][1]
     return wanted
 
@@ -708,7 +706,7 @@ _LACKING: Final[tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...]
 
 def absent_in(scene: Scene, quantity: str) -> str:
     """Why a scene does not have a quantity of interest, in words; empty if it has it."""
-    roots = _roots(quantity, scene.demands)
+    roots = _roots([quantity], scene.demands)
     missing = sorted({name for name in roots if "." in name} - scene.columns.keys())
     if missing:
         return f"{quantity} needs {' and '.join(missing)}; add them to the study"

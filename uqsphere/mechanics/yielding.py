@@ -236,23 +236,25 @@ class Face:
 
     def force(self, depth: Array) -> Array:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(_FIRST_LOADING.force(depth, self.softening))
+        return self._on_first_loading(_FIRST_LOADING.force, depth)
 
     def slope(self, depth: Array) -> Array:
         """dL/dz on first loading, (C4)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(_FIRST_LOADING.slope(depth, self.softening))
+        return self._on_first_loading(_FIRST_LOADING.slope, depth)
 
     def area(self, depth: Array) -> Array:
         """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(_FIRST_LOADING.area(depth, self.softening, self.pile_up))
+        return self._on_first_loading(_FIRST_LOADING.area, depth, self.pile_up)
 
     def work(self, depth: Array) -> Array:
         """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
+        return self._on_first_loading(_FIRST_LOADING.work, depth)
+
+    def _on_first_loading(
+        self, formula: Callable[..., Any], depth: Array, *pile_up: Array
+    ) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(_FIRST_LOADING.work(depth, self.softening))
+            return np.asarray(formula(depth, self.softening, *pile_up))
 
     def depth_at(self, force: Array) -> Array:
         """z at which first loading reaches the force P [N]."""
