@@ -9,6 +9,7 @@ the formula; the demand is computed there too, since a missing number would coun
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -114,27 +115,6 @@ class Criterion:
         return self.needs
 
 
-class _ContactColumns(Mapping[str, Values]):
-    """Columns of one contact, and those of the row."""
-
-    def __init__(self, own: ColumnMap, row: ColumnMap) -> None:
-        self._own, self._row = own, row
-
-    def __getitem__(self, name: str) -> Values:
-        if name in self._own:
-            return self._own[name]
-        return self._row[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._own or name in self._row
-
-    def __iter__(self) -> Iterator[str]:
-        return iter({**self._own, **self._row})
-
-    def __len__(self) -> int:
-        return len({*self._own, *self._row})
-
-
 def demand(
     criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
 ) -> Array:
@@ -165,8 +145,8 @@ def demand(
             )
     contacts: list[ColumnMap] = [columns]
     if "sides" in columns:
-        # contacts that differ: each with the force at the other one
-        contacts = [_ContactColumns(side, columns) for side in columns["sides"]]
+        # contacts that differ, each with the force at the other one; the rest is that of the row
+        contacts = [ChainMap(side, columns) for side in columns["sides"]]  # type: ignore[arg-type]
     demands = [
         np.atleast_1d(np.asarray(criterion.formula_of(contact_columns, parameters), dtype=float))
         for contact_columns in contacts

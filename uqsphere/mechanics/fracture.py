@@ -125,27 +125,21 @@ def _course(motion: Motion) -> _Course:
     cut = (length / motion.length[inside])[:, None, None] ** np.arange(states.shape[2])
     approach = _nodes(states * cut)
     times = (start[:, None] + length[:, None] * _SHARES).ravel()
-    if motion.forces is None:
-        return _Course(
-            start=start,
-            length=length,
-            states=states * cut,
-            times=times,
-            force=np.maximum.accumulate(approach.max(axis=1)),
-            energy=np.maximum.accumulate(_stored(approach)),
-        )
-    forces = motion.forces[inside] * cut
-    push, deepest = _nodes(forces), np.maximum.accumulate(approach, axis=0)
-    held = _stored_by_law(motion.scene, np.array([motion.row]), push, approach, deepest)
+    forces, deepest = None, None
+    drive, energy = approach, _stored(approach)
+    if motion.forces is not None:
+        forces, deepest = motion.forces[inside] * cut, np.maximum.accumulate(approach, axis=0)
+        drive = _nodes(forces)
+        energy = _stored_by_law(motion.scene, np.array([motion.row]), drive, approach, deepest)
     return _Course(
         start=start,
         length=length,
         states=states * cut,
         times=times,
+        force=np.maximum.accumulate(drive.max(axis=1)),
+        energy=np.maximum.accumulate(energy),
         forces=forces,
         deepest=deepest,
-        force=np.maximum.accumulate(push.max(axis=1)),
-        energy=np.maximum.accumulate(held),
     )
 
 
