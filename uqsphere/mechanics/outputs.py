@@ -21,7 +21,7 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import wave_loss
-from uqsphere.mechanics.scene import Partner, Scales, Scene, answered
+from uqsphere.mechanics.scene import Partner, Scene, answered
 from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
@@ -482,74 +482,24 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, ColumnSource]:
 
 #: columns of a row that are the largest over its contacts, each separately
 _LARGEST: Final = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
-#: force at the other contact when one is at its peak
-_OPPOSITE: Final = {"a": "force_b_at_a", "b": "force_a_at_b"}
+#: force at the other contact when A, or B, is at its peak
+_OPPOSITE: Final = ("force_b_at_a", "force_a_at_b")
 
 
 def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
     """Columns of contacts that differ or yield: of each contact ("sides"), and of the row."""
     if scene.by_wave and scene.struck.face is None:
         return {}
-    poles = {name: pole for pole, name in enumerate("ab") if scene.partners[pole] is not None}
-    sides = [_face(scene, name, tracked) for name in poles]
-    columns: dict[str, ColumnSource] = {"sides": sides}
-    columns |= {column: partial(_largest, sides, column) for column in _LARGEST}
+    force, unit = scene.scales.force, scene.scales.force * scene.scales.approach
+    poles = [pole for pole, partner in enumerate(scene.partners) if partner is not None]
+    sides = [_face(scene, pole, tracked) for pole in poles]
+
+    def largest(column: str, of: Sequence[Columns] = sides) -> Array:
+        return np.asarray(np.maximum.reduce([side[column] for side in of]))
 
     def first_peak() -> Array:
-        at_first = [
-            Columns(_side(scene, pole, tracked[f"x_first_{name}"])) for name, pole in poles.items()
-        ]
-        return _largest(at_first, "p_max")
-
-    if "x_first_a" in tracked or "x_first_b" in tracked:
-        columns["first_peak"] = first_peak
-    return columns | _of_forces(scene, tracked, sides) | _energies(scene, tracked, sides)
-
-
-def _face(scene: Scene, name: str, tracked: Mapping[str, Array]) -> Columns:
-    """The columns of one contact.
-
-    The stress inside the sphere depends on the force at the other contact as well: `balance` is
-    that force over the contact's own, at its peak.
-    """
-    side = _side(scene, "ab".index(name), tracked[f"x_{name}"])
-    if not scene.by_wave:
-        other: Values = 0.0
-        if len(scene.there) == 2:
-            other = scene.scales.force * tracked[_OPPOSITE[name]]
-        pressed = Columns(side)["P_max"]
-        side["balance"] = np.where(pressed > 0.0, other / pressed, 0.0)
-    return Columns(side)
-
-
-def _of_forces(
-    scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
-) -> dict[str, ColumnSource]:
-    """Mean force and imbalance of both contacts; a single contact loads the centre by half."""
-    force = scene.scales.force
-    columns: dict[str, ColumnSource] = {}
-    if len(sides) == 1:
-        columns["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
-        columns["force_at_centre"] = columns["mean_force_max"]
-        return columns
-    if "difference" in tracked:
-        columns["force_imbalance"] = lambda: (
-            force * tracked["difference"] / _largest(sides, "P_max")
-        )
-    if not scene.by_wave:
-        columns["force_at_centre"] = lambda: force * tracked["mean_force"]
-    return columns
-
-
-def _largest(sides: Sequence[Columns], column: str) -> Array:
-    return np.asarray(np.maximum.reduce([side[column] for side in sides]))
-
-
-def _energies(
-    scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]
-) -> dict[str, ColumnSource]:
-    """Elastic energy and plastic work of both contacts, and the sphere's part of them."""
-    unit = scene.scales.force * scene.scales.approach
+        firsts = [Columns(_side(scene, pole, tracked[f"x_first_{'ab'[pole]}"])) for pole in poles]
+        return largest("p_max", firsts)
 
     def energy() -> Values:
         if "stored" in tracked:
@@ -557,33 +507,56 @@ def _energies(
         # under slow loading both contacts reach their peak together
         return sum(side["stored"] for side in sides)
 
-    return {
+    def energy_of_sphere() -> Values:
+        """chi of the energy in each contact, and plastic work where the sphere itself yields."""
+        contacts = list(zip(scene.there, sides, strict=True))
+        if len(sides) == 1 or scene.by_wave:
+            elastic = scene.struck.share * energy()
+        elif "stored_sphere" in tracked:
+            elastic = unit * tracked["stored_sphere"]
+        else:
+            elastic = sum(partner.share * side["stored"] for partner, side in contacts)
+        if all(partner.face is None for partner in scene.there):
+            return elastic
+        return elastic + sum(
+            np.where(partner.takes > 0.0, partner.takes * side["dissipated"], 0.0)
+            for partner, side in contacts
+        )
+
+    columns: dict[str, ColumnSource] = {
+        "sides": sides,
+        **{column: partial(largest, column) for column in _LARGEST},
         "energy": energy,
-        "energy_sphere": lambda: _energy_of_sphere(scene, tracked, sides, energy),
+        "energy_sphere": energy_of_sphere,
         "dissipated": lambda: sum(side["dissipated"] for side in sides),
     }
+    if "x_first_a" in tracked or "x_first_b" in tracked:
+        columns["first_peak"] = first_peak
+    if len(sides) == 1:
+        # a single contact loads the centre by half
+        names = ("mean_force_max", "force_at_centre")
+        return columns | dict.fromkeys(names, lambda: 0.5 * sides[0]["P_max"])
+    if "difference" in tracked:
+        columns["force_imbalance"] = lambda: force * tracked["difference"] / largest("P_max")
+    if not scene.by_wave:
+        columns["force_at_centre"] = lambda: force * tracked["mean_force"]
+    return columns
 
 
-def _energy_of_sphere(
-    scene: Scene,
-    tracked: Mapping[str, Array],
-    sides: Sequence[Columns],
-    energy: Callable[[], Values],
-) -> Values:
-    """chi of the energy in each contact, and the plastic work where the sphere itself yields."""
-    faces = list(zip(scene.there, sides, strict=True))
-    if len(sides) == 1 or scene.by_wave:
-        elastic = scene.struck.share * energy()
-    elif "stored_sphere" not in tracked:
-        elastic = sum(partner.share * side["stored"] for partner, side in faces)
-    else:
-        elastic = scene.scales.force * scene.scales.approach * tracked["stored_sphere"]
-    if all(partner.face is None for partner in scene.there):
-        return elastic
-    return elastic + sum(
-        np.where(partner.takes > 0.0, partner.takes * side["dissipated"], 0.0)
-        for partner, side in faces
-    )
+def _face(scene: Scene, pole: int, tracked: Mapping[str, Array]) -> Columns:
+    """The columns of one contact.
+
+    The stress inside the sphere depends on the force at the other contact as well: `balance` is
+    that force over the contact's own, at its peak.
+    """
+    side = _side(scene, pole, tracked[f"x_{'ab'[pole]}"])
+    if not scene.by_wave:
+        other: Values = 0.0
+        if len(scene.there) == 2:
+            other = scene.scales.force * tracked[_OPPOSITE[pole]]
+        pressed = Columns(side)["P_max"]
+        side["balance"] = np.where(pressed > 0.0, other / pressed, 0.0)
+    return Columns(side)
 
 
 def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
@@ -591,30 +564,30 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSo
     if not scene.setup.by_impact:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
-    # P_c alpha_c = m V_c², (R5)
-    impact_energy = partial(_half, scales)
-    columns: dict[str, ColumnSource] = {"offered": impact_energy}
     radiated = _radiated_fraction(scene, tracked)
-    if "end_speed" in tracked and behind is None:
-        back, parting = -tracked["end_speed"], tracked["end_speed_b"] - tracked["end_speed"]
-        if radiated is not None:
-            parting = np.sqrt(np.maximum(np.square(parting) - radiated, 0.0))
-            back = parting
-        columns |= {"leaving": back, "parting_speed": parting}
-    elif "end_speed_a" in tracked:
-        columns |= dict.fromkeys(("leaving", "parting_speed"), -tracked["end_speed_a"])
+
+    def impact_energy() -> Values:
+        # P_c alpha_c = m V_c², (R5)
+        return 0.5 * scales.force * scales.approach
 
     def carried() -> Values:
         if radiated is not None:
             return radiated * impact_energy()
         total = np.zeros(len(scene))
-        for partner, name in ((behind, "a"), (ahead, "b")):
-            if partner is not None and _carrying([partner]) and f"carried_{name}" in tracked:
-                unit = scales.force**2 * scales.time / partner.impedance
-                total = total + unit * tracked[f"carried_{name}"]
+        for partner, name in ((behind, "carried_a"), (ahead, "carried_b")):
+            if partner is not None and _carrying([partner]) and name in tracked:
+                total = total + scales.force**2 * scales.time / partner.impedance * tracked[name]
         return total
 
-    return columns | {"carried_off": carried}
+    columns: dict[str, ColumnSource] = {"offered": impact_energy, "carried_off": carried}
+    if "end_speed" in tracked and behind is None:
+        back, parting = -tracked["end_speed"], tracked["end_speed_b"] - tracked["end_speed"]
+        if radiated is not None:
+            back = parting = np.sqrt(np.maximum(np.square(parting) - radiated, 0.0))
+        return columns | {"leaving": back, "parting_speed": parting}
+    if "end_speed_a" in tracked:
+        return columns | dict.fromkeys(("leaving", "parting_speed"), -tracked["end_speed_a"])
+    return columns
 
 
 def loss_to_waves(scene: Scene) -> Array | None:
@@ -648,11 +621,6 @@ def _radiated_fraction(scene: Scene, tracked: Mapping[str, Array]) -> Array | No
 def _carrying(partners: Iterable[Partner]) -> bool:
     """Whether a counter-body radiates waves by its impedance."""
     return any(partner.kind in ("bar", "plate") for partner in partners)
-
-
-def _half(scales: Scales) -> Array:
-    """Impact energy [J]."""
-    return 0.5 * scales.force * scales.approach
 
 
 #: columns that some scenes do not have: the columns, which scenes, and why
