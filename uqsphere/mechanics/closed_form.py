@@ -173,15 +173,6 @@ def solve_closed(
             f"pulse, not {fidelity!r}, infinite = {scene.infinite} and a {scene.shape} pulse"
         )
     good = scene.status == 0
-    tracked = {
-        name: np.where(good, column, np.nan) for name, column in scaled_answers(scene).items()
-    }
-    return _answers(scene, tracked, quantities)
-
-
-def scaled_answers(scene: Scene) -> dict[str, Array]:
-    """Scaled results of the massless sphere for `outputs.answers_from`, (n,) each."""
-    good = scene.status == 0
     with np.errstate(all="ignore"):
         theta = np.where(good, scene.scales.pulse_number, 1.0)
         horizon = np.where(good, scene.record_end / scene.scales.time, 1.0)
@@ -194,7 +185,7 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
     after = np.maximum(ended - theta, 0.0)
     remaining = np.where(ended > theta, relaxing_approach(peak, after), peak)
     remaining = np.where(np.isfinite(horizon), remaining, 0.0)
-    return {
+    tracked = {
         **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
         "difference": np.zeros_like(peak),
@@ -204,6 +195,8 @@ def scaled_answers(scene: Scene) -> dict[str, Array]:
         "duration": (loaded - remaining) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
     }
+    tracked = {name: np.where(good, column, np.nan) for name, column in tracked.items()}
+    return _answers(scene, tracked, quantities)
 
 
 def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
@@ -280,18 +273,18 @@ def closed_form_rows(scene: Scene) -> Flags:
 
     All rows under slow loading; impacts with one contact and no reflected wave during contact.
     """
-    kind = scene.setup.kind(1, scene.options)
-    bare = scene.setup.contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
-    behind, ahead = scene.partners
-    if scene.setup.by_press or bare:
-        return np.ones(len(scene), dtype=bool)
+    every, (behind, ahead) = np.ones(len(scene), dtype=bool), scene.partners
+    if scene.setup.by_press:
+        return every
     if behind is not None or ahead is None or scene.horizon is not None:
-        return np.zeros(len(scene), dtype=bool)
+        return ~every
+    if ahead.kind in ("thick", "mass"):
+        return every
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
-        return np.zeros(len(scene), dtype=bool)
-    if ahead.kind != "bar" or not np.any(ahead.reflection):
-        return np.ones(len(scene), dtype=bool)
+        return ~every
+    if not np.any(ahead.reflection):
+        return every
     with np.errstate(all="ignore"):
         duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)[0]["duration"]
         return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))

@@ -56,6 +56,17 @@ def _line(length: Array, left: Array, right: Array) -> Array:
     return np.stack([left + zero, (right - left) / safe, zero, zero], axis=1)
 
 
+def _pieces(breaks: list[Array], cubics: list[Array], valid: Flags) -> Pulse:
+    """The pulse of its breaks, (n,) each, and the cubics between them, (n, 4) each."""
+    # rounding may make a plateau of -1e-20 s if rise and fall fill the whole width
+    return Pulse(
+        breaks=np.maximum.accumulate(np.stack(breaks, axis=1), axis=1),
+        coefficients=np.stack(cubics, axis=1),
+        frequency=np.zeros(len(valid)),
+        valid=valid,
+    )
+
+
 def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     """Steps of a pulse from strikers with the impedance ratio Z_s/Z (n,), theory section 7.
 
@@ -97,12 +108,7 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
     plateau = duration - 0.5 * (rise + fall)
     roomy = (plateau >= -1e-12 * duration) & (duration - fall >= -1e-12 * duration)
     valid = complete & roomy & (rise >= 0.0) & (fall >= 0.0) & (duration > 0.0)
-    return Pulse(
-        breaks=np.maximum.accumulate(np.stack(breaks, axis=1), axis=1),
-        coefficients=np.stack(pieces, axis=1),
-        frequency=np.zeros_like(duration),
-        valid=valid,
-    )
+    return _pieces(breaks, pieces, valid)
 
 
 def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -110,12 +116,7 @@ def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
         abrupt = np.zeros_like(duration)
         return _stepped(duration, abrupt, abrupt, numbers["striker_ratio"])
     zero, one = np.zeros_like(duration), np.ones_like(duration)
-    return Pulse(
-        breaks=np.stack([zero, duration], axis=1),
-        coefficients=_line(duration, one, one)[:, None, :],
-        frequency=zero,
-        valid=duration > 0.0,
-    )
+    return _pieces([zero, duration], [_line(duration, one, one)], duration > 0.0)
 
 
 def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -128,12 +129,10 @@ def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
         return _stepped(duration, rise, fall, numbers["striker_ratio"])
     plateau = duration - 0.5 * (rise + fall)
     zero, one = np.zeros_like(duration), np.ones_like(duration)
-    breaks = np.stack([zero, rise, rise + plateau, rise + plateau + fall], axis=1)
+    breaks = [zero, rise, rise + plateau, rise + plateau + fall]
     pieces = [_line(rise, zero, one), _line(plateau, one, one), _line(fall, one, zero)]
-    # rounding may make a plateau of -1e-20 s if rise and fall fill the whole width
     valid = (rise >= 0.0) & (fall >= 0.0) & (plateau >= -1e-12 * duration) & (duration > 0.0)
-    breaks = np.maximum.accumulate(breaks, axis=1)
-    return Pulse(breaks=breaks, coefficients=np.stack(pieces, axis=1), frequency=zero, valid=valid)
+    return _pieces(breaks, pieces, valid)
 
 
 def _ramp(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -155,13 +154,12 @@ def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     high, low = numbers["level1"], numbers["level2"]
     valley = numbers.get("valley", DEFAULT_VALLEY * np.minimum(high, low))
     zero = np.zeros_like(duration)
-    middle = 0.5 * (first + second)
-    breaks = np.stack([zero, first, middle, second, duration], axis=1)
-    levels = np.stack([zero, high, valley, low, zero], axis=1)
-    lengths = np.diff(breaks, axis=1)
-    pieces = [_hermite(lengths[:, k], levels[:, k], levels[:, k + 1]) for k in range(4)]
-    valid = (lengths > 0.0).all(axis=1) & (levels >= 0.0).all(axis=1) & (high > 0.0)
-    return Pulse(breaks=breaks, coefficients=np.stack(pieces, axis=1), frequency=zero, valid=valid)
+    breaks = [zero, first, 0.5 * (first + second), second, duration]
+    levels = [zero, high, valley, low, zero]
+    lengths = np.diff(breaks, axis=0)
+    pieces = [_hermite(lengths[k], levels[k], levels[k + 1]) for k in range(4)]
+    valid = (lengths > 0.0).all(axis=0) & (np.stack(levels) >= 0.0).all(axis=0) & (high > 0.0)
+    return _pieces(breaks, pieces, valid)
 
 
 #: pulse shapes by name
