@@ -552,7 +552,7 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
     cells, below rows of one text; else the last row of texts, if all rows below it are numbers.
     """
     words = [not any(map(_is_numeric, row)) for row in rows]
-    cells = [[cell for cell in row if cell] for row in rows]
+    cells = [[*filter(None, row)] for row in rows]
     several = [len(texts) >= min(2, max(map(len, rows))) for texts in cells]
     for place, texts in enumerate(cells[:_PREAMBLE]):
         if words[place] and several[place] and any(map(_has_unit, texts)):
@@ -769,7 +769,7 @@ def _rows_of(sheet: Any) -> dict[int, list[str]]:
     """The cells of a sheet by the numbers of their rows, without empty rows."""
     sheet.reset_dimensions()  # what a file says of its size may be wrong
     rows = enumerate(sheet.iter_rows(values_only=True), 1)
-    return {k: [*map(_cell_text, row)] for k, row in rows if any(cell is not None for cell in row)}
+    return {k: [*map(_cell_text, row)] for k, row in rows if {*row} - {None}}
 
 
 def _cell_text(cell: object) -> str:

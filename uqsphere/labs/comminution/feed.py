@@ -150,7 +150,9 @@ def _as_shares(table: Table, column: str, passing: Array, notes: list[str]) -> A
     if not percent and largest > 1.0:
         percent = True
         notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
-    return passing * 0.01 if percent else passing
+    if percent:
+        return passing * 0.01
+    return passing
 
 
 # --- blows ----------------------------------------------------------------------------------------
@@ -366,9 +368,8 @@ def _numbers(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dic
         broke = np.maximum(blows.broke.sum(axis=1), 1e-300)
         numbers["t10"] = (blows.broke * blows.fineness).sum(axis=1) / broke
         rows = [*blows.passing, blows.before]
-        p80, p50 = (
-            np.exp([np.interp(share, row, log_sieves) for row in rows]) for share in (0.8, 0.5)
-        )
+        p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
+        p50 = np.exp([np.interp(0.5, row, log_sieves) for row in rows])
         numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50[:-1], "F80/P80": p80[-1] / p80[:-1]}
         if feed.fines is not None:
             size = math.log(feed.fines)

@@ -161,10 +161,12 @@ def _chosen(table: Table, want: TestsTable) -> Table:
 
 def _diameters(table: Table, want: TestsTable) -> Array:
     """Diameters (n,) [m]: a column, or the geometric mean of two sieves."""
-    names = [want.diameter or str(want.mesh_lower), want.diameter or str(want.mesh_upper)]
+    sieves = [want.diameter]
+    if want.diameter is None:
+        sieves = [want.mesh_lower, want.mesh_upper]
     unit = want.diameter_unit or None
-    sizes = [table.numbers(name, "length", unit, key="diameter") for name in dict.fromkeys(names)]
-    return np.asarray(np.sqrt(sizes[0] * sizes[1])) if len(sizes) > 1 else sizes[0]
+    sizes = [table.numbers(str(name), "length", unit, key="diameter") for name in sieves]
+    return np.asarray(np.sqrt(sizes[0] * sizes[-1]))
 
 
 def _odd_rows(rows: pd.DataFrame) -> list[str]:
@@ -214,7 +216,7 @@ def _specimens(rows: pd.DataFrame, names: list[str], file: str) -> Specimens:
     for row, blows in zip(every, series, strict=True):
         row[: len(blows)] = blows
     columns: dict[str, Any] = {
-        name: np.array([specimen[name] for specimen in specimens]) for name in specimens[0]
+        str(name): column.to_numpy() for name, column in pd.DataFrame(specimens).items()
     }
     return Specimens(blows=every, **columns)
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Final
@@ -159,7 +160,7 @@ def _clock(
     if guessed and interval > 0.0:
         changes.add("read", "", f"no time column: a sample every {interval * 1e6:.6g} us")
         return np.asarray(interval * np.arange(len(table)), dtype=float), -1
-    place = table.place(1 if asked.time is None else asked.time)
+    place = table.place(asked.time or 1)
     column = first[place]
     dimension, unit = column.unit(asked.time_unit)
     several = len(first) < 3 or len(files) > 1
@@ -260,9 +261,8 @@ def _by_role(
     asked = document.record
     roles = {role: getattr(asked, role) for role in ("incident", "reflected", "receiving")}
     if asked.incident and asked.receiving:
-        return {
-            role: [_pick(files, name) for name in names] for role, names in roles.items() if names
-        }
+        pick = partial(_pick, files)
+        return {role: [*map(pick, names)] for role, names in roles.items() if names}
     if asked.incident or asked.receiving:
         raise UsageError("record.incident and record.receiving are both required")
     signals = [

@@ -13,7 +13,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.labs.shpb.document import RecordDocument, SpecimenTable
-from uqsphere.labs.shpb.peaks import NORMAL, Peaks
+from uqsphere.labs.shpb.peaks import NORMAL, Peaks, stretch
 from uqsphere.labs.shpb.signals import Changes
 
 #: difference between two gauges of a bar over the wave that is a gross fault
@@ -122,11 +122,8 @@ def check_impulse(
     Returns the mass [kg] whose inertia explains the difference, None if none does.
     """
     largest = peaks["B"]
-    low = faces.force_b < 0.5 * largest.value
     at = int(np.searchsorted(faces.time, largest.time))
-    before, behind = np.flatnonzero(low[:at]), np.flatnonzero(low[at:])
-    first = int(before[-1]) + 1 if len(before) else 0
-    last = at + int(behind[0]) if len(behind) else len(low)
+    first, last = stretch(faces.force_b, 0.5 * largest.value, at)
     if last - first <= 2:
         return None
     force_a, force_b = faces.force_a[first:last], faces.force_b[first:last]

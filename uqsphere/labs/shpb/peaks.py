@@ -95,7 +95,7 @@ def largest_force(course: Force) -> Peak:
     force, noise = course.force, course.noise
     medians = median_filter(force, 5, mode="nearest")
     highest = int(np.argmax(medians))
-    first, behind = _stretch(medians, 0.8 * float(medians[highest]), highest)
+    first, behind = stretch(medians, 0.8 * float(medians[highest]), highest)
     count = behind - first
     width = min(max(5, 2 * (count // 6) + 1), len(force) - 1 + len(force) % 2)
     top = _flat_top(course, count, width)
@@ -126,12 +126,11 @@ def largest_force(course: Force) -> Peak:
     )
 
 
-def _stretch(values: Array, level: float, at: int) -> tuple[int, int]:
+def stretch(values: Array, level: float, at: int) -> tuple[int, int]:
     """First sample, and the sample behind the last, of the stretch around `at` above a level."""
     low = np.flatnonzero(values < level)
     before, behind = low[low < at], low[low > at]
-    first = int(before[-1]) + 1 if len(before) else 0
-    return first, int(behind[0]) if len(behind) else len(values)
+    return int(before.max(initial=-1)) + 1, int(behind.min(initial=len(values)))
 
 
 def _medians(force: Array) -> Array:
@@ -190,7 +189,7 @@ def _flat_top(course: Force, count: int, width: int) -> _Top | None:
     means = _means(course.force, samples)
     at = int(np.argmax(means))
     top = float(means[at])
-    first, behind = _stretch(means, top - max(5.0 * course.scatter(samples), _FLAT * top), at)
+    first, behind = stretch(means, top - max(5.0 * course.scatter(samples), _FLAT * top), at)
     inner = slice(first + samples // 2, behind - samples // 2)
     number = inner.stop - inner.start
     if number <= 0.5 * count or number < 5:

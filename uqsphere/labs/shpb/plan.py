@@ -114,7 +114,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         "values": curves.values.tolist(),
         "force": np.nanquantile(curves.outputs["P_max"], [0.05, 0.5, 0.95], axis=1).T.tolist(),
         "shares": {
-            name: [[*row[1:]] for row in curve.curve] for name, curve in curves.limits.items()
+            name: np.array(curve.curve)[:, 1:].tolist() for name, curve in curves.limits.items()
         },
         "reached": reached,
         "failed": curves.failed.tolist(),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -58,10 +59,8 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     changes, asked = Changes(), document.record
     traces = read_traces(document, folder, changes)
     step = traces.step
-    by_role = {
-        role: [without_faults(trace, step, changes) for trace in gauges]
-        for role, gauges in traces.by_role.items()
-    }
+    mend = partial(without_faults, step=step, changes=changes)
+    by_role = {role: [*map(mend, gauges)] for role, gauges in traces.by_role.items()}
     wave = _incident_wave(by_role["incident"], step)
     limits = _limits(document, wave, step)
     polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
@@ -121,7 +120,7 @@ def _limits(document: RecordDocument, wave: _Incident, step: float) -> dict[str,
     """
     bar, behind = document.incident_bar, document.receiving_bar
     limits = dict.fromkeys(("incident", "reflected", "receiving"), math.inf)
-    passage = math.inf if bar.length is None else bar.length / bar.wave_speed
+    passage = (bar.length or math.inf) / bar.wave_speed
     passes = wave.length * step / passage
     if passes > _PASSES:
         raise UsageError(

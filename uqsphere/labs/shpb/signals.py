@@ -133,8 +133,7 @@ def first_stay(values: Array, step: float, share: float, name: str) -> Stay:
     first, last = int(begins[chosen]), int(begins[chosen] + lengths[chosen]) - 1
     upward = math.copysign(1.0, smoothed[first]) * smoothed
     top = float(upward[first : last + 1].max())
-    low = np.flatnonzero(upward[:first] < 0.2 * share * top)
-    foot = int(low[-1]) if len(low) else 0
+    foot = int(np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0))
     return Stay(smoothed=smoothed, first=first, last=last, rising=first - foot)
 
 
@@ -154,12 +153,8 @@ def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
     upward = sign * smooth(values, width)
     level = max(0.01 * top, 4.0 * noise / math.sqrt(width))
     before = np.flatnonzero(upward[:half] < level)
-    behind = np.flatnonzero(upward[falling:] < max(0.02 * top, level))
-    foot, end = 0, len(values) - 1
-    if len(before):
-        foot = int(before[-1]) + 1
-    if len(behind):
-        end = falling + int(behind[0])
+    behind = falling + np.flatnonzero(upward[falling:] < max(0.02 * top, level))
+    foot, end = int(before.max(initial=-1)) + 1, int(behind.min(initial=len(values) - 1))
     return Wave(
         foot=foot,
         half=half,

@@ -248,7 +248,7 @@ def _known_samples(signal: Signal, first: int, most: float) -> int:
     count = int(min(len(signal.strain) - 3 - first, most))
     begin = max(first, 0)
     lost = np.flatnonzero(~signal.known[begin : begin + max(count, 0)])
-    return int(lost[0]) if len(lost) else count
+    return int(lost.min(initial=count))
 
 
 # --- waves at the faces ---------------------------------------------------------------------------
