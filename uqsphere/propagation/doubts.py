@@ -20,6 +20,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
+from uqsphere.propagation.evidence import REFUTED
 from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
 from uqsphere.propagation.line import Line, score
 from uqsphere.results import types
@@ -47,8 +48,6 @@ ASSUMED: Final[DoubtCode] = "assumed strength"
 
 #: strengths that tests allow
 LAWS: Final = 400
-#: tests refute a distribution, or a strength, that they are less probable than this by
-REFUTED: Final = 0.05
 #: ends of the 95 % range of what tests leave open
 ENDS: Final = (0.025, 0.975)
 
@@ -169,24 +168,17 @@ def alternatives(aim: Aim) -> list[Alternative]:
         law = strength_of(limit)
         if not isinstance(law, Law):
             continue
+        code, strengths = DISTRIBUTION, other_distributions(law)
         if is_fitted(law):
-            options += [
-                Alternative(code=TESTS, limit=limit, detail=name, laws=laws)
-                for name, laws in strengths_allowed(aim.design, limit).items()
-            ]
-        else:
-            options += [
-                Alternative(code=DISTRIBUTION, limit=limit, detail=name, laws=(other,))
-                for name, other in other_distributions(law).items()
-            ]
-        if _is_tied(aim.design, limit):
+            code, strengths = TESTS, strengths_allowed(aim.design, limit)
+        options += [
+            Alternative(code=code, limit=limit, detail=name, laws=laws)
+            for name, laws in strengths.items()
+        ]
+        tied = strength_name(limit.name)
+        if any(tied in tie.of for tie in aim.design.study.dependence):
             options.append(Alternative(code=TIE, limit=limit, tied=False))
     return options
-
-
-def _is_tied(design: Design, limit: Limit) -> bool:
-    name = strength_name(limit.name)
-    return any(name in tie.of for tie in design.study.dependence)
 
 
 def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]]:
@@ -221,7 +213,7 @@ def _other_fits(law: Law) -> Iterator[tuple[str, Law]]:
                 yield name, fitted_law(law.data, name, censored=law.censored)
 
 
-def other_distributions(law: Law) -> dict[str, Law]:
+def other_distributions(law: Law) -> dict[str, tuple[Law, ...]]:
     """The other usual distribution of a strength, with the same mean and standard deviation."""
     from scipy.optimize import brentq
     from scipy.special import gammaln
@@ -233,13 +225,13 @@ def other_distributions(law: Law) -> dict[str, Law]:
         return {}
     with suppress(ValueError):  # a scatter that no law has
         if law.family.name == "weibull":
-            return {"lognormal": make_law("lognormal", {"mean": mean, "cov": sd / mean})}
+            return {"lognormal": (make_law("lognormal", {"mean": mean, "cov": sd / mean}),)}
         # 1 + cov² = Gamma(1 + 2/m)/Gamma(1 + 1/m)²
         excess = math.log1p((sd / mean) ** 2)
         modulus = brentq(
             lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4
         )
-        return {"weibull": make_law("weibull", {"mean": mean, "modulus": modulus})}
+        return {"weibull": (make_law("weibull", {"mean": mean, "modulus": modulus}),)}
     return {}
 
 

@@ -23,7 +23,7 @@ from uqsphere.study import Study
 from uqsphere.study.values import Tested
 from uqsphere.uq import Law
 
-#: a strength that makes the tests less probable than this is refuted
+#: a strength, or a distribution, that makes the tests less probable than this is refuted
 REFUTED: Final = 0.05
 
 

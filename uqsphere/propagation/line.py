@@ -199,19 +199,16 @@ def evaluated_at(
     """
     margins = design.study.margins
     assert margins is not None
-    parts: list[Sample] = []
-    moving: list[Array] = []
+    parts, moving = list[Sample](), list[Array]()
     for value, count in counts.items():
-        start = 0
-        if value in before:
-            start = before[value].count
+        start = before[value].count if value in before else 0
         joint = moved(design.study, value).inputs().only(design.drawn.names)
         points = design.points(count - start, start, joint=joint)
         parts.append(points)
+        moves = np.full(points.scores.shape[:2], value)
         if margins.solve in points.names:
-            moving.append(points.input(margins.solve))
-        else:
-            moving.append(np.full(points.scores.shape[:2], value))
+            moves = points.input(margins.solve)
+        moving.append(moves)
     samples = dict(before)
     if parts:
         whole = Sample.at(

@@ -19,15 +19,8 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.doubts import (
-    COMPUTATION,
-    ENDS,
-    LAWS,
-    REFUTED,
-    others_survive,
-    tests_behind,
-)
-from uqsphere.propagation.evidence import demands_in_tests, least_factor, median
+from uqsphere.propagation.doubts import COMPUTATION, ENDS, LAWS, others_survive, tests_behind
+from uqsphere.propagation.evidence import REFUTED, demands_in_tests, least_factor, median
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, scaled_strength
 from uqsphere.propagation.line import score
 from uqsphere.results.types import TestsGain
@@ -174,7 +167,8 @@ class _Promise:
         borne = np.repeat(logs, leaving.astype(int), axis=1)
         raised = np.log(least_factor(mode.weak, np.exp(np.interp(borne, grid, demands))))
         raised += math.log(median(mode.weak) / median(middle))
-        return np.where(raised > _range_of(mode), math.inf, np.maximum(raised, 0.0))
+        # forces beyond what a mode can reach say nothing of it
+        return np.where(raised > _range_of(mode), math.inf, np.fmax(raised, 0.0))
 
 
 def _range_of(mode: AssumedMode) -> float:
@@ -194,7 +188,10 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     held = line.means(others * stands + 1.0 - stands).mean(axis=1)
     tables = []
     for mode in modes:
-        middle, nodes = mode.limit.strength, np.linspace(0.0, _range_of(mode), _STRENGTHS)
+        middle, nodes = (
+            mode.limit.strength,
+            np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS),
+        )
         assert isinstance(middle, Law)
         rows = []
         for node in nodes:
