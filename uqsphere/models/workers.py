@@ -206,7 +206,7 @@ class Workers:
         """
         if self._executor is not None:
             try:
-                return self._executor.submit(answer, self._packed, rows)  # type: ignore[no-any-return]
+                return cast(Future[Timed], self._executor.submit(answer, self._packed, rows))
             except Exception as error:
                 raise _lost(error) from error
         if self.count:

@@ -517,12 +517,15 @@ def _gauges(draft: Draft) -> Faults:
     ]
     if rod is not None:
         places.append((("rod", "gauge"), "rod", rod))
+    bars = {"rod"} & set(RIGS[draft.rig].tables)
+    if RIGS[draft.rig].by_wave:
+        bars = {"incident", "receiving"}
     for place, bar, position in places:
         path, name = f"bars.{bar}_length", f"{bar} bar"
         if bar == "rod":
             path, name = "rod.length", bar
         length = draft.mean(path)
-        if not (RIGS[draft.rig].by_wave if bar != "rod" else "rod" in RIGS[draft.rig].tables):
+        if bar not in bars:
             yield Fault(
                 f"the rig has no {name}. Gauges stand on the bars, or on the rod of a load_cell",
                 *place,

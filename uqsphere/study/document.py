@@ -107,8 +107,11 @@ def _several(least: int = 1, most: int = 200) -> Any:
     return Field(min_length=least, max_length=most, strict=False), AfterValidator(_unique)
 
 
-#: a value, with its unit where it has one, or a distribution
+Preset = Literal[*PRESETS]  # type: ignore[valid-type]
+Shape = Literal[*SHAPES, "measured"]  # type: ignore[valid-type]
+Criterion = Literal[*CRITERIA]  # type: ignore[valid-type]
 Aim = Literal["survive", "break"]
+#: a value, with its unit where it has one, or a distribution
 Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 _Part = Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -142,8 +145,8 @@ class Bars(Body):
 class PulseTable(TomlTable):
     """The incident pulse; each shape has keys of its own."""
 
-    preset: Literal[*PRESETS] | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")  # type: ignore[valid-type]
-    shape: Literal[*SHAPES, "measured"] = keyed("shape of the pulse", "rectangular")  # type: ignore[valid-type]
+    preset: Preset | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")
+    shape: Shape = keyed("shape of the pulse", "rectangular")
     file: str | None = keyed(
         "`measured`: file beside the study with columns of time and strain (compression positive)"
     )
@@ -233,7 +236,7 @@ class LimitTable(TomlTable):
     """A limit state: a demand (quantity or criterion) and its strength."""
 
     quantity: str | None = keyed("a quantity of `uqsphere list quantities`")
-    criterion: Literal[*CRITERIA] | None = keyed("alternative: one of `uqsphere list criteria`")  # type: ignore[valid-type]
+    criterion: Criterion | None = keyed("alternative: one of `uqsphere list criteria`")
     strength: Num = keyed("value, distribution, or a file with tests or draws", ...)
     strength_is: Literal["hertz", "pressure"] | None = keyed(
         'required if `plastic`: `"hertz"`, computed from a force by Hertz, or `"pressure"`, a true '
