@@ -264,8 +264,9 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     Tests of one size have a flat prior of the scatter, which makes the intervals exact.
     """
     want, sizes = asked.tests, tests.sizes
-    several = len(sizes) > 1
-    size = want.size if several else "class"
+    several, size = len(sizes) > 1, want.size
+    if not several:
+        size = "class"
     if size == "class":
         priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
@@ -391,7 +392,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
             "broke another of its size. Test more between those energies, or give a prior of sigma "
             "and modulus"
         )
-    names = ("lognormal", "weibull") if want.law == "average" else (want.law,)
+    names = [law for law in laws.LAWS if want.law in (law, "average")]
     gamma = want.gamma if isinstance(want.gamma, float) else None
     models = [model_of(law, asked, tests) for law in names]
     chains, scores, about = [], [], {}

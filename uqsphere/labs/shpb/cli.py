@@ -6,15 +6,11 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
 
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text
 from uqsphere.labs.files import chosen_command, csv_text, finish, table
 from uqsphere.labs.shpb.document import RecordDocument
-
-if TYPE_CHECKING:
-    from uqsphere.labs.shpb.waves import Reading
 
 
 def main(argv: Sequence[str]) -> int:
@@ -60,7 +56,11 @@ def _records(chosen: argparse.Namespace) -> int:
                 print(f"{path.name}: {change.step}: {change.text}", file=sys.stderr)
         contents.append({"file": str(path), "title": asked.title, **sheet.document(test)})
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
-        lines.append(_line(path.stem, asked, test))
+        peak, diameter = test.peaks["B"], ""
+        if asked.specimen.diameter is not None:
+            diameter = f"{asked.specimen.diameter * 1e3:.6g}"
+        forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
+        lines.append([path.stem, diameter, *forces, "; ".join(peak.doubts)])
         folder = f"{path.stem}/" if several else ""
         files[f"{folder}forces.csv"] = sheet.forces_csv(test)
         files[f"{folder}pulse.csv"] = sheet.pulse_csv(test)
@@ -71,15 +71,6 @@ def _records(chosen: argparse.Namespace) -> int:
     content = {"tests": contents} if several else contents[0]
     finish(chosen, content, "\n\n".join(texts), files)
     return 2 if refused == len(chosen.file) else 0
-
-
-def _line(name: str, asked: RecordDocument, test: Reading) -> list[str]:
-    """A test as a line of tests.csv: the force at B with its interval and doubts."""
-    peak, diameter = test.peaks["B"], ""
-    if asked.specimen.diameter is not None:
-        diameter = f"{asked.specimen.diameter * 1e3:.6g}"
-    forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
-    return [name, diameter, *forces, "; ".join(peak.doubts)]
 
 
 def _fit_contact(chosen: argparse.Namespace) -> None:

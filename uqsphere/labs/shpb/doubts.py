@@ -102,9 +102,8 @@ def heaviest_specimen(specimen: SpecimenTable, bar_diameter: float) -> float:
     Its own mass where it is known, else a sphere or cylinder of steel of its size, else a sphere of
     steel as wide as the bar.
     """
-    mass = specimen.known_mass
-    if mass is not None:
-        return 1.02 * mass
+    if specimen.known_mass is not None:
+        return 1.02 * specimen.known_mass
     return _HEAVIEST * specimen.volume(bar_diameter)
 
 

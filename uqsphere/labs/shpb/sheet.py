@@ -137,8 +137,6 @@ def page(test: Reading, asked: RecordDocument, source: str) -> str:
 
 def _listed(bar: BarTable) -> str:
     """The numbers of a bar in one line."""
-    parts = []
-    for key, value in bar.model_dump(exclude_none=True).items():
-        if value != "":
-            parts.append(f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}")
-    return ", ".join(parts)
+    values = bar.model_dump(exclude_none=True).items()
+    texts = {key: f"{value:.5g}" for key, value in values if isinstance(value, float)}
+    return ", ".join(f"{key} {texts.get(key, value)}" for key, value in values if value != "")
