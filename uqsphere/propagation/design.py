@@ -50,15 +50,13 @@ class Design:
     @classmethod
     def of(cls, study: Study) -> Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
-        candidates = failure_modes_of(study)
-        wide = _with_limits(study, [mode.limit for mode in candidates.assumed])
-        reasons = {
-            mode.called: absent_quantity(wide, mode.limit.quantity) for mode in candidates.assumed
-        }
-        unanswered = {name: reason for name, reason in reasons.items() if reason}
-        answered = [mode for mode in candidates.assumed if mode.called not in unanswered]
+        assumed, not_judged = failure_modes_of(study)
+        wide = _with_limits(study, [mode.limit for mode in assumed])
+        reasons = {mode.called: absent_quantity(wide, mode.limit.quantity) for mode in assumed}
+        not_judged |= {name: reason for name, reason in reasons.items() if reason}
+        answered = [mode for mode in assumed if not reasons[mode.called]]
         evidence, modes = judged_by_tests(study, answered)
-        refuted = {entry.mode: refuted_text(entry) for entry in evidence if entry.refuted}
+        not_judged |= {entry.mode: refuted_text(entry) for entry in evidence if entry.refuted}
         wide = _with_limits(study, [mode.limit for mode in modes])
         columns = dict.fromkeys(
             [*study.analysis.quantities, *(limit.quantity for limit in wide.limits)]
@@ -67,7 +65,7 @@ class Design:
             study=study,
             judged=wide,
             modes=tuple(modes),
-            not_judged={**candidates.not_judged, **unanswered, **refuted},
+            not_judged=not_judged,
             columns=tuple(columns),
             evidence=tuple(evidence),
         )

@@ -35,16 +35,6 @@ class AssumedMode:
     counts: bool = True
 
 
-@dataclass(frozen=True, kw_only=True)
-class FailureModes:
-    """The failure modes without a study limit: those assumed, and why the others are not
-    assessed.
-    """
-
-    assumed: tuple[AssumedMode, ...]
-    not_judged: Mapping[str, str]
-
-
 def breaks_by(limit: Limit) -> str:
     """Place of the failure mode that a limit is on, see `failure_place`.
 
@@ -61,13 +51,13 @@ def means_fracture(limit: Limit) -> bool:
     return breaks_by(limit) != "" and (limit.fracture is not False or limit.aim == "break")
 
 
-def failure_modes_of(study: Study) -> FailureModes:
-    """The failure modes without a limit, with assumed strengths; none if no limit means fracture,
-    or if the study excludes them.
+def failure_modes_of(study: Study) -> tuple[list[AssumedMode], dict[str, str]]:
+    """The failure modes without a limit, with assumed strengths, and why others are not assessed;
+    none if no limit means fracture, or if the study excludes them.
     """
     limited = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if study.black_box or study.analysis.failure_modes == "given" or not limited:
-        return FailureModes(assumed=(), not_judged={})
+        return [], {}
     material = library()["sphere"].get(study.materials.get("sphere", ""))
     assumed: list[AssumedMode] = []
     not_judged: dict[str, str] = {}
@@ -82,7 +72,7 @@ def failure_modes_of(study: Study) -> FailureModes:
         else:
             assert material is not None
             assumed.append(_assumed(study, mode, material))
-    return FailureModes(assumed=tuple(assumed), not_judged=not_judged)
+    return assumed, not_judged
 
 
 def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> str:

@@ -105,7 +105,7 @@ class _Promise:
         if limit.needs_modulus:
             names = {law.family.name: None}
         counted = [mode.called for mode in settled.aim.modes]
-        library = failure_modes_of(settled.aim.design.study).assumed
+        library = failure_modes_of(settled.aim.design.study)[0]
         self.modes = [mode for mode in library if mode.called in counted]
         self.allowed, self.added = np.array([limit.allowable]), None
         if settled.curves.adds_up(limit):
