@@ -51,7 +51,7 @@ def waves(noise: float = 1e-6, seed: int = 1, rise: float = 20e-6) -> pd.DataFra
     )  # foot of the incident wave at its gauge, way back
 
     def moved(wave: np.ndarray, way: float) -> np.ndarray:
-        return correct(wave, STEP, way, radius=0.5 * DIAMETER, wave_speed=C0, nu=0.3, surface=False)
+        return correct(wave, STEP, way, radius=0.5 * DIAMETER, wave_speed=C0, nu=0.3)
 
     def force(t: np.ndarray) -> np.ndarray:
         return np.where(

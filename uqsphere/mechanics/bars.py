@@ -160,26 +160,21 @@ def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Arra
 class FirstMode:
     """The first mode of a bar in units of its radius and c0, tabulated over the wave number.
 
-    frequency, wave_number, speed (m,): omega radius/c0, k radius, phase speed over c0; from rest
-    on, ascending.  factor (m,): mean axial stress over E times the strain of the surface.  band:
-    frequency below which a record can be corrected: the first mode alone, factor below 3.
+    frequency, wave_number (m,): omega radius/c0 and k radius, from rest on, ascending.  band:
+    frequency below which a record can be corrected: the first mode alone, M_1 M_2 below 3.
     """
 
     frequency: Array
     wave_number: Array
-    speed: Array
-    factor: Array
     band: float
 
-    def at(self, frequency: Values) -> tuple[Array, Array]:
-        """Wave number and surface factor at frequencies (n,); beyond the band those of its edge."""
+    def lag(self, frequency: Values) -> Array:
+        """k radius - omega radius/c0 at frequencies (n,); beyond the band that of its edge."""
         from scipy.interpolate import CubicSpline
 
         inside = np.minimum(np.asarray(frequency, dtype=float), self.band)
         # the lag behind c0 is what is small and smooth
-        lag = CubicSpline(self.frequency, self.wave_number - self.frequency)(inside)
-        factor = CubicSpline(self.frequency, self.factor)(inside)
-        return np.asarray(lag + np.asarray(frequency)), np.asarray(factor)
+        return np.asarray(CubicSpline(self.frequency, self.wave_number - self.frequency)(inside))
 
 
 def _second_mode(nu: float) -> float:
@@ -212,42 +207,42 @@ def first_mode(nu: float) -> FirstMode:
     return FirstMode(
         frequency=np.concatenate([[0.0], frequency[kept]]),
         wave_number=np.concatenate([[0.0], _TABLE[kept]]),
-        speed=np.concatenate([[1.0], speed[kept]]),
-        factor=np.concatenate([[1.0], factor[kept]]),
         band=float(frequency[kept][-1]),
     )
 
 
 def correct(
-    strain: Values,
-    step: float,
-    distance: float,
-    *,
-    radius: float,
-    wave_speed: float,
-    nu: float,
-    surface: bool = True,
+    strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float
 ) -> Array:
     """A measured wave (n,) moved by `distance` [m] along a bar with dispersion.
 
-    eps(omega) M(omega) exp(-i (k(omega) - omega/c0) distance), without the delay distance/c0.
-    strain: at rest at both ends, with room for the spread of the wave.  step: between samples [s].
-    distance: negative towards the source.  radius, wave_speed, nu: of the bar.  surface: the gauge
-    is on the surface, and the result is the mean stress over E.  Valid up to `FirstMode.band`, at
-    whose edge phase lag and factor are kept beyond.
+    eps(omega) exp(-i (k(omega) - omega/c0) distance), without the delay distance/c0.  The
+    amplitudes stay: the factors M_1 M_2 of the surface strain amplify noise.
+
+    Parameters
+    ----------
+    strain : (n,), at rest at both ends, with room for the spread of the wave.
+    step : between samples [s].
+    distance : [m], negative towards the source.
+    radius, wave_speed, nu : of the bar, [m], [m/s] and its Poisson ratio.
+
+    Returns
+    -------
+    The strain (n,) there.  Valid up to `FirstMode.band`, whose phase lag is kept beyond.
+
+    Raises
+    ------
+    ValueError for a step, radius or wave speed that is not positive, or nu out of range.
     """
     if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
         raise ValueError(
             f"step, radius and wave_speed must be positive, not {step!r}, {radius!r}, "
             f"{wave_speed!r}"
         )
-    strain, mode = np.asarray(strain, dtype=float), first_mode(nu)
+    strain = np.asarray(strain, dtype=float)
     frequency = 2.0 * math.pi * np.fft.rfftfreq(len(strain), step) * radius / wave_speed
-    wave_number, factor = mode.at(frequency)
-    turned = np.exp(-1j * (wave_number - frequency) * distance / radius)
-    if surface:
-        turned = turned * factor
+    turned = np.exp(-1j * first_mode(nu).lag(frequency) * distance / radius)
     if len(strain) % 2 == 0:
         # the highest component of a real record has no phase
         turned[-1] = abs(turned[-1])
-    return np.fft.irfft(np.fft.rfft(strain) * turned, len(strain))
+    return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))

@@ -175,7 +175,6 @@ def first_fractures(
     rows: Places | None = None,
     fidelity: str = "full",
     tolerance: float = 1e-5,
-    threads: int | None = None,
 ) -> Fractures:
     """Fracture of n specimens: the first instant at which each reaches a strength.
 
@@ -199,9 +198,7 @@ def first_fractures(
     followed = ("P_max",)
     if any(path.over == "energy" for path in paths):
         followed = ("energy",)
-    follow = partial(
-        motions, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed
-    )
+    follow = partial(motions, fidelity=fidelity, tolerance=tolerance, quantities=followed)
     for begin in range(0, len(loaded), _BLOCK_ROWS):
         moved = follow(scene, loaded[begin : begin + _BLOCK_ROWS])
         courses_of = {

@@ -269,7 +269,6 @@ def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Arra
         radius=0.5 * bar.diameter,
         wave_speed=bar.wave_speed,
         nu=bar.nu,
-        surface=False,
     )
     return np.asarray(moved[room : room + len(wave)])
 
