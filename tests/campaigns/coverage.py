@@ -3,9 +3,10 @@ points.
 
     python -m tests.campaigns.coverage [--seeds 200] [CASE...]
 
-Cases: granite, limestone, ishigami, rare (a black box with a far event in 0.2 % of its rows) and
-slow (Ishigami's function as a slow model of 128 runs).  Printed by kind of answer: intervals that
-hold, over all, and their share.
+Cases: granite, limestone, ishigami, rare (a black box with a far event in 0.2 % of its rows),
+slow (Ishigami's function as a slow model of 128 runs) and margin-N (a load at probabilities of
+exceedance, by a slow model of N runs, such as margin-64).  Printed by kind of answer: intervals
+that hold, over all, and their share.
 """
 
 from __future__ import annotations
@@ -43,6 +44,18 @@ def far_event(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {"y": np.where(x["x1"] + 0.3 * x["x3"] > 3.0, y + 1.5, y)}
 
 
+def demand(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A load with a model factor beside a Gumbel demand, bent."""
+    return {"y": x["load"] * x["factor"] + 0.3 * x["other"] ** 2}
+
+
+#: laws of `demand`, its strength, and the probabilities of exceedance of the margins
+DEMAND = {
+    "factor": {"dist": "lognormal", "mean": 1.0, "cov": 0.2},
+    "other": {"dist": "gumbel", "mean": 1.0, "sd": 0.3},
+}
+STRENGTH, EXCEEDED = 3.0, (0.5, 0.1, 0.05, 0.02)
+
 UNIFORM = {"dist": "uniform", "lower": -np.pi, "upper": np.pi}
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 
@@ -54,6 +67,18 @@ def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
             STUDIES / {"granite": "granite.toml", "limestone": "limestone_margin.toml"}[name]
         )
         return replace(study, seed=seed), None
+    if name.startswith("margin-"):
+        budget = {"evaluations": int(name.partition("-")[2]), "time": "1 h"}
+        margins = {"solve": "load", "between": [0.5, 4.0], "for_probability": list(EXCEEDED)}
+        study = Study(
+            inputs={"load": 1.5, **DEMAND},
+            outputs="y",
+            seed=seed,
+            limits={"high": {"quantity": "y", "strength": STRENGTH, "aim": "survive"}},
+            margins=margins,
+            analysis={"cost": "10 s", "budget": budget},
+        )
+        return study, demand
     law, model = (NORMAL, far_event) if name == "rare" else (UNIFORM, ishigami)
     tables: dict[str, Any] = {
         "inputs": {f"x{k}": law for k in (1, 2, 3)},
@@ -89,6 +114,13 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
             for row in run.results.answers
             if row.value is not None
         }
+    if name.startswith("margin-"):
+        points = np.concatenate([qmc.Sobol(2, seed=k).random_base2(19) for k in range(4)])
+        inputs = case(name, 0)[0].inputs()
+        x = dict(zip(inputs.names, inputs.physical(ndtri(points)).T, strict=True))
+        # the load at which a row fails: a quantile of it is the load at that probability
+        loads = (STRENGTH - 0.3 * x["other"] ** 2) / x["factor"]
+        return {("limits.high", "margin", p): float(np.quantile(loads, p)) for p in EXCEEDED}
     points = np.concatenate([qmc.Sobol(3, seed=k).random_base2(20) for k in range(4)])
     x = (
         ndtri(np.clip(points, 1e-16, 1.0 - 1e-16))

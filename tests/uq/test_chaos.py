@@ -326,7 +326,7 @@ def test_an_expansion_that_runs_away_does_not_take_the_variance(seed: int) -> No
     found = indices_of(response)["first"][1]
     assert found.low - 0.01 <= 0.18904 <= found.high + 0.01
     assert found.high - found.low < 0.2
-    sds = [response.known[k].sd for k in response.trusted]
+    sds = [response.integrals[k].sd for k in response.trusted]
     assert max(sds) < 1.5 * response.outputs.std()
 
 

@@ -174,7 +174,9 @@ def _run(task: Task, progress: Progress) -> Run:
     # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
     with threadpool_limits(limits=1, user_api="blas"), evaluator:
         if evaluated is not None:
-            tables = surrogate.tables_of(design, evaluator, seconds=budget, known=evaluated.points)
+            tables = surrogate.tables_of(
+                design, evaluator, seconds=budget, design_rows=evaluated.points
+            )
         elif surrogate.is_slow(design, evaluator, budget):
             tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=report)
         else:

@@ -29,16 +29,8 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array
 from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
-from uqsphere.uq.chaos import (
-    Chaos,
-    Integrals,
-    fit_chaos,
-    germ_points,
-    germs_of,
-    integrals,
-    predict,
-    rows_of,
-)
+from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, germs_of, predict, rows_of
+from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import spread
 from uqsphere.uq.response import REJECTED
@@ -63,9 +55,8 @@ class Expansion:
     fit : the expansion, of the quantity or its logarithm, in the germs of the inputs
     rows : rows of the first replicate that it was fitted to
     values : its values (R-1, n) at the rows of all other replicates
-    terms : values (R-1, m, T) of the terms of its plain form at the first m of these rows; the
-        first term is 1
-    residuals : (R-1, m) what it leaves of those
+    residuals : (R-1, m) what it leaves of the first m of these rows
+    cross : (R-1, T) means of the products of these with the terms of its plain form
     explained : (2, R-1, d) what each input explains of the mean square of the residuals, at least
         and at most
     left : share of the variance that it leaves, of all rows it was not fitted to
@@ -74,15 +65,15 @@ class Expansion:
     fit: Chaos
     rows: int
     values: Array
-    terms: Array
     residuals: Array
+    cross: Array
     explained: Array
     left: float
 
     @cached_property
-    def known(self) -> Integrals:
+    def integrals(self) -> Integrals:
         """Moments and indices of the expansion itself."""
-        return integrals(self.fit)
+        return integrals_of(self.fit)
 
     def projection(self, which: npt.NDArray[np.bool_], share: float) -> tuple[Array, Array]:
         """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is
@@ -90,14 +81,15 @@ class Expansion:
 
         share : of the expansion's own variance that belongs to these terms
         """
-        coefficients, variance = (
-            np.where(which, self.fit.plain_form.coefficients, 0.0),
-            self.known.sd * self.known.sd,
-        )
-        own = share * variance + 2.0 * ((self.terms @ coefficients) * self.residuals).mean(axis=1)
+        coefficients = self.fit.plain_form.coefficients[which]
+        part = share * self.integrals.sd**2 + 2.0 * self.cross[:, which] @ coefficients
+        return part, self._variances
+
+    @cached_property
+    def _variances(self) -> Array:
         rest = self.residuals - self.residuals.mean()
-        off = self.values[:, : rest.shape[1]] - self.known.mean
-        return own, variance + 2.0 * (off * rest).mean(axis=1) + (rest**2).mean(axis=1)
+        off = self.values[:, : rest.shape[1]] - self.integrals.mean
+        return np.asarray(self.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1))
 
 
 def expansions(
@@ -108,48 +100,44 @@ def expansions(
 
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
-    size, count, germs = (
-        len(design.inputs),
-        sample.count,
-        germs_of(design.joint.only(design.inputs).laws),
-    )
+    size, count = len(design.inputs), sample.count
+    germs = germs_of(design.joint.only(design.inputs).laws)
     points = points_of(design, sample.scores)
-    found: dict[str, Expansion] = {}
+    later, fits = points[1:].reshape(-1, size), dict[str, Expansion]()
     for name in columns:
         outputs = sample.answer(name)
         if not sample.knows(name) or not varies(outputs):
             continue
         rows = min(count, MOST_ROWS)
-        known = before.get(name)
-        if known is not None and (known.rows == rows or known.left < GOOD):
-            fit, rows = known.fit, known.rows
+        earlier = before.get(name)
+        keeps = earlier is not None and (earlier.rows == rows or earlier.left < GOOD)
+        if earlier is not None and keeps:
+            fit, rows = earlier.fit, earlier.rows
         else:
-            fit, known = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True), None
-        values = predict(fit, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
-        if (
-            known is None
-            and not design.study.analysis.second_order
-            and _left(outputs, values) > GOOD
-        ):
+            fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
+        values = predict(fit, later).reshape(outputs[1:].shape)
+        poor = not keeps and _left(outputs, values) > GOOD
+        if poor and not design.study.analysis.second_order:
             other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
-            others = predict(other, points[1:].reshape(-1, size)).reshape(outputs[1:].shape)
+            others = predict(other, later).reshape(outputs[1:].shape)
             if other.log and _left(outputs, others) < 0.5 * _left(outputs, values):
                 fit, values = other, others
         few, form = min(count, MOST_TERMS), fit.plain_form
-        terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
         rest = (outputs[1:] - values)[:, :few]
+        terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
+        cross = np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few
         expansion = Expansion(
             fit=fit,
             rows=rows,
             values=values,
-            terms=terms.T.reshape(len(values), few, -1),
             residuals=rest,
+            cross=cross,
             explained=_explained(points[1:, :few], rest),
             left=_left(outputs, values),
         )
         if not _runs_away(expansion):
-            found[name] = expansion
-    return found
+            fits[name] = expansion
+    return fits
 
 
 def varies(outputs: Array) -> bool:
@@ -169,10 +157,10 @@ def _explained(points: Array, residuals: Array) -> Array:
 
 def _runs_away(expansion: Expansion) -> bool:
     """Whether the rows contradict the variance of an expansion, which it makes where none lies."""
-    squares = ((expansion.values - expansion.known.mean) ** 2).mean(axis=1)
+    squares = ((expansion.values - expansion.integrals.mean) ** 2).mean(axis=1)
     room = float(stdtrit(len(squares) - 1, 0.5 + 0.5 * REJECTED)) * spread(squares)
-    integration = 1e-9 + 4.0 * expansion.known.error
-    variance = expansion.known.sd * expansion.known.sd
+    integration = 1e-9 + 4.0 * expansion.integrals.error
+    variance = expansion.integrals.sd * expansion.integrals.sd
     return bool(abs(variance - squares.mean()) > room + integration * variance)
 
 

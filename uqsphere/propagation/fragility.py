@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.propagation.design import VALUES, Design, number
 from uqsphere.propagation.free_number import demand_factor, grid
 from uqsphere.propagation.limits import failure_given_inputs, state_of
@@ -91,10 +92,13 @@ def curve_of(
     """
     margins = design.study.margins
     assert margins is not None
+    folds: Array | None = None
     if margins.limit is None:  # all values at once
         values, counts = [*tables.line], [sample.count for sample in tables.line.values()]
-        exceeded = failure_given_inputs(state_of(design, limit, tables.along), "survive")
-        parts = np.split(exceeded, np.cumsum(counts)[:-1], axis=1)
+        parts = _along(design, tables, limit)
+        if tables.fold_line:
+            by_folds = _along(design, replace(tables, line=tables.fold_line), limit)
+            folds = np.array([part.mean(axis=1) for part in by_folds])
     else:
         values, state = grid(margins, VALUES), state_of(design, limit, tables.sample)
         counts = [tables.sample.count] * len(values)
@@ -109,7 +113,15 @@ def curve_of(
         targets or sorted({*margins.for_probability, limit.allowable}),
         samples=min(counts),
         evaluations=tables.sample.replicates * sum(counts),
+        folds=folds,
     )
+
+
+def _along(design: Design, tables: Tables, limit: Limit) -> list[Array]:
+    """Probabilities (R, n) of exceedance of a limit at each value of the line."""
+    exceeded = failure_given_inputs(state_of(design, limit, tables.along), "survive")
+    ends = np.cumsum([sample.count for sample in tables.line.values()])[:-1]
+    return np.split(exceeded, ends, axis=1)
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:

@@ -198,27 +198,20 @@ def _grown(
     sample = _sampled(design, model, before, room)
     line = along(design, model, before)
     names = design.study.analysis.quantities
-    asked: Sequence[str] = ()
-    needed: tuple[str, ...] = ()
-    if design.inputs:
-        asked = names
-        needed = tuple(dict.fromkeys([*asked, *(limit.quantity for limit in design.limits)]))
     tables = Tables(sample=sample, line=line)
     if before is not None:
-        tables = replace(
-            tables, expansions=before.expansions, rare=before.rare, reached=before.reached
-        )
-    tables = replace(
-        tables,
-        expansions=expansions(design, sample, needed, tables.expansions),
-        margins=_margins(design, tables, before),
-    )
-    if before is not None:
-        tables = replace(tables, pairs=before.pairs)
+        tables = replace(before, sample=sample, line=line, descriptions={}, errors=())
+    needed = dict.fromkeys([*names, *(limit.quantity for limit in design.limits)])
+    if design.inputs:
+        fits = expansions(design, sample, [*needed], tables.expansions)
+        tables = replace(tables, expansions=fits)
+    tables = replace(tables, margins=_margins(design, tables, before))
     tables = _searched(design, model, tables, allowance)
     if tables.stopped:
         return tables
-    inaccurate = [name for name in asked if not by_chaos_accurate(design, tables, name)]
+    inaccurate: list[str] = []
+    if design.inputs:
+        inaccurate = [name for name in names if not by_chaos_accurate(design, tables, name)]
     most = int(max(allowance.rows(model), 0.0) // (REPLICATES * _blocks(design).count))
     pairs = tables.pairs
     count = min(max(sample.count // PAIRS_SHARE, 2), _paired_rows(pairs, inaccurate) + most)
@@ -235,18 +228,18 @@ def _margins(
     """
     if not tables.line:
         return {}
-    margins = {}
-    missed: set[str] = set()
-    earlier: Mapping[str, tuple[Estimate, float | None]] = {}
-    if before is not None:
-        earlier = before.margins
-        missed = {error.subject for error in before.inaccurate if error.answer == "margin"}
+    margins, missed = dict(tables.margins), _inaccurate_margins(before)
     for limit in design.limits:
-        margin = earlier.get(limit.name)
-        if margin is None or margin[0].value is None or f"limits.{limit.name}" in missed:
-            margin = margin_and_scale(design, tables, limit)
-        margins[limit.name] = margin
+        margin = margins.get(limit.name)
+        if margin is None or margin[0].value is None or limit.name in missed:
+            margins[limit.name] = margin_and_scale(design, tables, limit)
     return margins
+
+
+def _inaccurate_margins(tables: Tables | None) -> set[str]:
+    """The limits whose margin is less accurate than required."""
+    inaccurate = tables.inaccurate if tables else ()
+    return {error.subject.partition(".")[2] for error in inaccurate if error.answer == "margin"}
 
 
 def _sampled(design: Design, model: Model, before: Tables | None, room: Sample | None) -> Sample:
@@ -293,12 +286,12 @@ def along(
 
 def _about_inaccurate_margins(design: Design, tables: Tables) -> set[float]:
     """The four values about each margin that is too inaccurate, and those half-way between them."""
-    margins, about = design.study.margins, set()
-    missed = {error.subject for error in tables.inaccurate if error.answer == "margin"}
+    margins, about = design.study.margins, set[float]()
+    missed = _inaccurate_margins(tables)
     values = sorted(tables.line)
     for limit in design.limits:
         margin, _ = tables.margins[limit.name]
-        if margins is None or f"limits.{limit.name}" not in missed or margin.value is None:
+        if margins is None or limit.name not in missed or margin.value is None:
             continue
         at = int(np.searchsorted(values, margin.value))
         near = values[max(at - 2, 0) : at + 2]

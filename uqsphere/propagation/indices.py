@@ -59,8 +59,8 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
             reason = source.refusal
         elif method == "morris":
             uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=design.study.seed)
-            found = model.evaluate(design.inputs, rows, design.described)
-            values = np.where(found.good[:, None], found.values, np.nan)
+            answered = model.evaluate(design.inputs, rows, design.described)
+            values = np.where(answered.good[:, None], answered.values, np.nan)
             columns = {name: values[:, k] for k, name in enumerate(design.described)}
         for name, outputs in columns.items():
             if reason:

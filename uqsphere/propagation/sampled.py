@@ -125,38 +125,28 @@ class Sampled:
 
     def indices(self, name: str) -> Indices:
         reason = heavy_tail(self.tables.sample.outputs(name), certain=True)
-        if reason:
-            nothing = absent(reason, METHOD, self.tables.sample.size)
-            return dict.fromkeys(self.design.inputs, (nothing, nothing))
-        if name in self.tables.pairs:
+        if not reason and name in self.tables.pairs:
             return _by_pairs(self.design, self.tables, name)
-        if name in self.tables.expansions:
+        if not reason and name in self.tables.expansions:
             return by_chaos(self.design, self.tables.expansions[name])
-        reason = "the quantity does not vary, or has no plain value at every point"
+        reason = reason or "the quantity does not vary, or has no plain value at every point"
         nothing = absent(reason, METHOD, self.tables.sample.size)
         return dict.fromkeys(self.design.inputs, (nothing, nothing))
 
 
-def of_answered(estimate: Estimate, share: float, what: str) -> Estimate:
-    """An estimate whose method says that it is of the rows that answered alone."""
-    return replace(
-        estimate, method=f"{estimate.method}; of the {100.0 * share:.3g} % of {what} that answered"
-    )
-
-
 def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
-    form, known = expansion.fit.plain_form, expansion.known
+    form, integrals = expansion.fit.plain_form, expansion.integrals
     active = form.multi_indices > 0
     many = active.sum(axis=1)
     everything = (expansion.residuals**2).mean(axis=1)
     rows: dict[str, tuple[Estimate, ...]] = {}
     for k, name in enumerate(design.inputs):
         least, most = expansion.explained[:, :, k]
-        own = expansion.projection(active[:, k] & (many == 1), float(known.first[k]))
-        first = _index(expansion, own, least, most)
-        own = expansion.projection(active[:, k], float(known.total[k]))
-        total = _index(expansion, own, np.minimum(np.maximum(least, 0.0), everything), everything)
+        part = expansion.projection(active[:, k] & (many == 1), float(integrals.first[k]))
+        first = _index(expansion, part, least, most)
+        part = expansion.projection(active[:, k], float(integrals.total[k]))
+        total = _index(expansion, part, np.clip(least, 0.0, everything), everything)
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
@@ -165,29 +155,29 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
         for i, j in combinations(range(len(design.inputs)), 2):
             which = active[:, i] & active[:, j] & (many == 2)
             share = 0.0
-            if known.sd > 0.0:
-                share = float((form.coefficients[which] ** 2).sum()) / (known.sd * known.sd)
-            own = expansion.projection(which, share)
-            index = _index(expansion, own, np.zeros_like(everything), everything)
+            if integrals.sd > 0.0:
+                share = float((form.coefficients[which] ** 2).sum()) / integrals.sd**2
+            part = expansion.projection(which, share)
+            index = _index(expansion, part, np.zeros_like(everything), everything)
             rows[f"{design.inputs[i]},{design.inputs[j]}"] = (index,)
     return rows
 
 
 def _index(
-    expansion: chaos.Expansion, own: tuple[Array, Array], least: Array, most: Array
+    expansion: chaos.Expansion, part: tuple[Array, Array], least: Array, most: Array
 ) -> Estimate:
-    """One index: the expansion's own part (numerators and variances, (R-1,) each), and what its
+    """One index: the part of the expansion (numerators and variances, (R-1,) each), and what its
     residuals have of the index, `least` to `most` (R-1,).  The value is the middle of both.
     """
-    parts, variances = own
+    numerators, variances = part
     ends = []
     for rest in (least, most):
-        ratio, off = ratio_of_means(parts + rest, variances)
+        ratio, off = ratio_of_means(numerators + rest, variances)
         end = from_replicates(ratio + off, METHOD, expansion.residuals.size, float(ratio))
         if end.value is None or end.low is None or end.high is None:
             return end
         ends.append((end.value, end.low, end.high))
-    error = expansion.known.error
+    error = expansion.integrals.error
     low = min(max(min(ends[0][1], ends[1][1]) - error, 0.0), 1.0)
     high = min(max(max(ends[0][2], ends[1][2]) + error, low), 1.0)
     value = min(max(0.5 * (ends[0][0] + ends[1][0]), low), high)
@@ -216,19 +206,14 @@ def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Esti
     if least < 2:
         nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
         return dict.fromkeys(design.inputs, (nothing, nothing))
-    found = sampled_indices(
-        np.stack([own[keep][:least] for own, keep in zip(values, list(whole), strict=True)]), blocks
-    )
+    kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
+    sampled = sampled_indices(np.stack(kept), blocks)
+    orders = [sampled.first, sampled.total]
     if not whole.all():
-        share = float(whole.mean())
-        found = replace(
-            found,
-            first=[of_answered(e, share, "pairs") for e in found.first],
-            total=[of_answered(e, share, "pairs") for e in found.total],
-        )
-    rows: dict[str, tuple[Estimate, ...]] = dict(
-        zip(design.inputs, zip(found.first, found.total, strict=True), strict=True)
-    )
-    for (i, j), estimate in found.second.items():
-        rows[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
-    return rows
+        text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
+        orders = [[replace(e, method=e.method + text) for e in order] for order in orders]
+    indices: dict[str, tuple[Estimate, ...]] = {}
+    indices |= zip(design.inputs, zip(*orders, strict=True), strict=True)
+    for (i, j), estimate in sampled.second.items():
+        indices[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
+    return indices

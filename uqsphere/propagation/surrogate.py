@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -34,7 +34,7 @@ from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.response import Response, cross_fit, unseen
+from uqsphere.uq.response import FOLDS, Response, cross_fit, unseen
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
@@ -256,11 +256,11 @@ def tables_of(
     *,
     seconds: float,
     progress: Progress | None = None,
-    known: Sample | None = None,
+    design_rows: Sample | None = None,
 ) -> Tables:
     """The tables of a slow model: predicted by expansions of one design that its own rows correct.
 
-    known : the design, where its rows were chosen elsewhere
+    design_rows : the design, where its rows were chosen elsewhere
 
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
@@ -274,14 +274,12 @@ def tables_of(
         if cost * LEAST_ROWS <= ALWAYS:
             in_time = max(in_time, LEAST_ROWS)
         affordable = int(min(affordable, in_time))
-    along = known is None and free is not None and free.limit is None
-    if known is not None:
-        points = known
-    else:
-        share = 1.0
+    along = design_rows is None and free is not None and free.limit is None
+    points = design_rows
+    if points is None:
+        count = min(affordable, MOST_ROWS)
         if along:
-            share -= LINE_BUDGET
-        count = min(int(affordable * share), MOST_ROWS)
+            count = min(int(affordable * (1.0 - LINE_BUDGET)), MOST_ROWS)
         if count < LEAST_ROWS:
             raise UsageError(
                 f"the budget allows {affordable} model runs; at least {LEAST_ROWS} are needed. "
@@ -290,20 +288,21 @@ def tables_of(
         points = at_normals(design.drawn, _design_points(design, count)[None])
     rows, stopped = _evaluated(design, model, points, end, progress)
     slow = _predicted(design, rows)
-    line: Mapping[float, Sample] = {}
+    lines: Sequence[Mapping[float, Sample]] = {}, {}
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
-            line = _line(design, model, most, slow.sample)
+            lines = _lines(design, model, most, slow.sample)
         except Interrupted:
             stopped = "interrupted"
     tables = Tables(
         sample=slow.sample,
-        line=line,
+        line=lines[0],
+        fold_line=lines[1],
         stopped=stopped or "budget",
         surrogate=slow,
     )
-    if line:
+    if tables.line:
         margins = {limit.name: margin_and_scale(design, tables, limit) for limit in design.limits}
         tables = replace(tables, predicted_from=most, margins=margins)
     tables = replace(
@@ -312,10 +311,9 @@ def tables_of(
         failures={limit.name: failure(design, tables, limit) for limit in design.judged.limits},
     )
     tables = replace(tables, errors=accuracies(design, tables))
-    reached = ((model.evaluations + model.reused, tables.worst),)
-    if not tables.inaccurate:
-        stopped = stopped or "accurate"
-    return replace(tables, reached=reached, stopped=stopped or "budget")
+    if not stopped and not tables.inaccurate:
+        tables = replace(tables, stopped="accurate")
+    return replace(tables, reached=((model.evaluations + model.reused, tables.worst),))
 
 
 def _evaluated(
@@ -375,13 +373,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         table = predicted.with_answers(rows.quantities, np.stack(scattered, axis=2))
         return replace(slow, predicted=predicted, sample=table)
     count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
-    each = rows.count // count
-    blocks = [rows.rows(k * each, (k + 1) * each) for k in range(count)]
-    parts = ("scores", "inputs", "answers", "censored", "status", "failed")
-    cut: dict[str, Any] = {}
-    for name in parts:
-        cut[name] = np.concatenate([getattr(block, name) for block in blocks])
-    return replace(slow, sample=replace(rows, **cut))
+    return replace(slow, sample=rows.head(rows.count // count * count).in_blocks(count))
 
 
 def lie_apart(some: Array, others: Array) -> bool:
@@ -398,11 +390,15 @@ def lie_apart(some: Array, others: Array) -> bool:
     return False
 
 
-def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[float, Sample]:
-    """Predicted columns at values of the free number, by expansions in the inputs and in it."""
+def _lines(
+    design: Design, model: Model, count: int, sample: Sample
+) -> Sequence[Mapping[float, Sample]]:
+    """Predicted columns at values of the free number, by expansions in the inputs and in it: with
+    residuals on them, and of every expansion at the same points.
+    """
     margins = design.study.margins
     if margins is None or count < LEAST_ROWS:
-        return {}
+        return {}, {}
     names = design.drawn.names
     points = _design_points(design, count, 1, "slow line")
     values, normals = values_at(margins, points[:, -1]), points[:, : len(names)]
@@ -423,15 +419,23 @@ def _line(design: Design, model: Model, count: int, sample: Sample) -> dict[floa
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     good = np.isfinite(rows.answers[0]).all(axis=1)
     if not good.all() and lie_apart(places[~good], places[good]):
-        return {}
+        return {}, {}
     responses = cross_fit(places[good], rows.answers[0][good], germs)
     if not all(response.usable for response in responses):
-        return {}
+        return {}, {}
     table = design.points(sample.count if sample.replicates == REPLICATES else POINTS).head(256)
-    inputs, line = points_of(design, table.scores), {}
+    # the first replicates behind each other, for each of the expansions
+    first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
+    shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
+    line, fold_line = dict[float, Sample](), dict[float, Sample]()
     for value in grid(margins, VALUES):
-        germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
-        at = np.concatenate([inputs, germ], axis=2)
-        columns = [response.scattered(response.table(at)) for response in responses]
-        line[value] = table.with_answers(rows.quantities, np.stack(columns, axis=2))
-    return line
+        for drawn, predicted in ((table, line), (shared, fold_line)):
+            inputs = points_of(design, drawn.scores)
+            germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
+            at = np.concatenate([inputs, germ], axis=2)
+            columns = [response.table(at) for response in responses]
+            if predicted is line:
+                pairs = zip(responses, columns, strict=True)
+                columns = [response.scattered(column) for response, column in pairs]
+            predicted[value] = drawn.with_answers(rows.quantities, np.stack(columns, axis=2))
+    return line, fold_line

@@ -102,6 +102,7 @@ class Tables:
     stopped : why the tables do not grow any more; empty while they do
     surrogate : of a slow model, whose tables are predicted
     predicted_from : model runs that its line is predicted from
+    fold_line : its line by each of the expansions, all at the same points: (folds, m)
     """
 
     sample: Sample
@@ -117,6 +118,7 @@ class Tables:
     failures: Mapping[str, Estimate] = field(default_factory=dict)
     surrogate: Source | None = None
     predicted_from: int = 0
+    fold_line: Mapping[float, Sample] = field(default_factory=dict)
 
     @property
     def rows(self) -> Sample:

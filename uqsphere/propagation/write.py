@@ -91,7 +91,6 @@ def results_of(
 ) -> Results:
     """What results.json holds."""
     study = design.study
-    required = study.analysis.accuracy
     inputs = (*study.fixed, *study.random, *_factors(design))
     return Results(
         study=StudyEntry(
@@ -117,23 +116,10 @@ def results_of(
         checks=[check.entry() for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
-            required={
-                "mean": required.mean,
-                "quantile": required.quantile,
-                "sobol": required.sobol,
-                "probability": required.probability,
-            },
+            required=study.analysis.accuracy.model_dump(),
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],
             stopped=tables.stopped,
-            inaccurate=[
-                Shortfall(
-                    subject=answer.subject,
-                    answer=answer.answer,
-                    required=answer.required,
-                    reached=answer.reached,
-                )
-                for answer in tables.inaccurate
-            ],
+            inaccurate=[Shortfall(**asdict(answer)) for answer in tables.inaccurate],
             runs=cost.runs,
             reused=cost.reused,
             seconds=round(cost.seconds, 2),
@@ -359,20 +345,16 @@ def _input(design: Design, name: str) -> InputEntry:
 def _distribution_text(law: Law, name: str) -> str:
     """The family with what mean and standard deviation leave open: shapes and bounds."""
     parts = [law.family.name.replace("_", " ")]
-    parts += [
-        f"{key} {law.parameters[key]:.3g}"
-        for key in ("modulus", "shape", "dof")
-        if key in law.parameters
-    ]
+    for key in ("modulus", "shape", "dof"):
+        if key in law.parameters:
+            parts.append(f"{key} {law.parameters[key]:.3g}")
     low, high = (
         None if math.isinf(end) else format_value(end, name) for end in (law.lower, law.upper)
     )
     if low and high:
         parts.append(f"{low} to {high}")
-    elif low:
-        parts.append(f"from {low}")
-    elif high:
-        parts.append(f"up to {high}")
+    elif low or high:
+        parts.append(f"from {low}" if low else f"up to {high}")
     return ", ".join(parts)
 
 

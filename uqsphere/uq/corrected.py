@@ -36,21 +36,13 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos import projections
 from uqsphere.uq.describe import Description, heavy_tail
-from uqsphere.uq.estimate import Estimate, absent, distances, share, student
+from uqsphere.uq.estimate import Estimate, absent, distances, fold_spread, share, student
 from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
 NODES: Final = 17
 PLACES: Final = 2048
-
-
-def fold_spread(values: Array) -> Array:
-    """Half-width (...) of what folds (K, ...) disagree by: that of one fold more, which the model
-    is taken for."""
-    count = len(values)
-    spread = np.std(values, axis=0, ddof=1)
-    return np.asarray(student(count) * math.sqrt(1.0 + 1.0 / count) * spread)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +100,7 @@ class Corrected:
         table = replicates.reshape(-1, FOLDS).mean(axis=0)
         if any(fold.reach for fold in self.response.folds):
             return table, half
-        integrals = self.response.known
+        integrals = self.response.integrals
         values = np.array([each.mean - centre for each in integrals])
         if power == 2:
             values = values**2 + [each.sd**2 for each in integrals]
@@ -309,14 +301,14 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     shares = np.zeros((max(len(folds), 2), 2, d))
     integration = 0.0
     for place, k in enumerate(folds):
-        there, known = response.fold == k, response.known[k]
-        unit = known.sd or 1.0
-        shares[place] = known.first, known.total
-        integration = max(integration, known.error)
+        there, moments = response.fold == k, response.integrals[k]
+        unit = moments.sd or 1.0
+        shares[place] = moments.first, moments.total
+        integration = max(integration, moments.error)
         residual[there] = response.residuals[there] / unit
         parts = np.array(projections(response.folds[k].fit, response.points[there])) / unit
         top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
-        level = (response.levels[there] - known.mean) / unit
+        level = (response.levels[there] - moments.mean) / unit
         bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2
     top, bottom, residual = top[:, :, used], bottom[used], residual[used]
     whole = float(bottom.mean())
@@ -324,11 +316,11 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     most_left = min(left + distances(residual**2)[1] / whole, 1.0)
     spread = fold_spread(shares)
     rounding = integration + 1e-15
-    found: dict[str, list[Estimate]] = {"first": [], "total": []}
+    orders: dict[str, list[Estimate]] = {"first": [], "total": []}
     for j in range(d):
         by_blocks = explained(response.points[used, j], residual)
         least, most, error = (part / whole for part in by_blocks)
-        for row, order in enumerate(found):
+        for row, order in enumerate(orders):
             value = float(top[row, j].mean()) / whole
             down, up = distances((top[row, j] - value * bottom) / whole)
             rest = (least, most, error)
@@ -349,10 +341,10 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
                 evaluations=n,
                 reason=unbounded or None,
             )
-            found[order].append(estimate)
+            orders[order].append(estimate)
     if not folds:
-        found["total"] = _bounded_totals(found["first"])
-    return found
+        orders["total"] = _bounded_totals(orders["first"])
+    return orders
 
 
 def explained(column: Array, residual: Array) -> tuple[float, float, float]:

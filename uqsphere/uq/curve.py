@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.arrays import Array
-from uqsphere.uq.estimate import SURE, Estimate, absent, between, probability_ends, spread, student
+from uqsphere.arrays import Array, Flags
+from uqsphere.uq.estimate import (
+    SURE,
+    Estimate,
+    absent,
+    between,
+    fold_spread,
+    probability_ends,
+    spread,
+    student,
+)
 
 METHOD = "common random numbers, monotone interpolation"
 
@@ -25,7 +34,13 @@ class Fragility:
 
 
 def fragility(
-    grid: Array, probabilities: Array, targets: Sequence[float], *, samples: int, evaluations: int
+    grid: Array,
+    probabilities: Array,
+    targets: Sequence[float],
+    *,
+    samples: int,
+    evaluations: int,
+    folds: Array | None = None,
 ) -> Fragility:
     """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
     grid.
@@ -34,23 +49,12 @@ def fragility(
     a sample in all replicates together is not told from zero.  The probability may rise or fall
     with the value.  A value is absent where the probability does not pass through it between the
     ends of the grid, and where the curve turns back by more than its noise and may pass through it
-    more than once.
-
-    Raises ValueError for a grid that does not increase or shapes that do not go together.
+    more than once.  `folds` (K, F) are probabilities of expansions at the same points: what their
+    values differ by is the error of one expansion more.
     """
-    grid, probabilities = np.asarray(grid, dtype=float), np.asarray(probabilities, dtype=float)
+    grid = np.asarray(grid, dtype=float)
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
         raise ValueError("the grid must hold at least two increasing values")
-    if probabilities.ndim != 2 or probabilities.shape[0] != grid.size or probabilities.shape[1] < 2:
-        raise ValueError(
-            f"probabilities must be ({grid.size}, R) with R >= 2, found {probabilities.shape}"
-        )
-    if not (
-        np.isfinite(probabilities).all()
-        and probabilities.min() >= 0.0
-        and probabilities.max() <= 1.0
-    ):
-        raise ValueError("probabilities must lie in [0, 1]")
     least = 0.5 / (samples * probabilities.shape[1])
     curve = _curve(grid, probabilities, samples)
     turn = _turning(grid, probabilities)
@@ -60,7 +64,8 @@ def fragility(
             reason = f"the probability is not monotone: it turns back near {turn:.4g}"
             values[target] = absent(reason, METHOD, evaluations)
         else:
-            values[target] = _value(grid, probabilities, target, least, evaluations)
+            value = _value(grid, probabilities, target, least, folds)
+            values[target] = replace(value, evaluations=evaluations)
     return Fragility(curve=curve, values=values)
 
 
@@ -84,12 +89,15 @@ def _passes_once(probabilities: Array, target: float) -> bool:
     """Whether curves (K, R) are surely on one side of a probability at first and on the other from
     some value on.
     """
-    mean, error = (
-        probabilities.mean(axis=1),
-        probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1]),
-    )
-    sides = np.sign(mean - target)[np.abs(mean - target) > SURE * error + 1e-9]
+    above = probabilities - target
+    sides = np.sign(above.mean(axis=1))[_surely_not_zero(above)]
     return int(np.count_nonzero(np.diff(sides))) == 1
+
+
+def _surely_not_zero(values: Array) -> Flags:
+    """Which means of values (K, R) are more than four standard errors from 0."""
+    error = values.std(axis=1, ddof=1) / math.sqrt(values.shape[1])
+    return np.asarray(np.abs(values.mean(axis=1)) > SURE * error + 1e-9)
 
 
 def _turning(grid: Array, probabilities: Array) -> float | None:
@@ -97,10 +105,8 @@ def _turning(grid: Array, probabilities: Array) -> float | None:
     errors, if any.
     """
     steps = np.diff(probabilities, axis=0)
-    mean = steps.mean(axis=1)
-    error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
-    sure = np.flatnonzero(np.abs(mean) > SURE * error + 1e-9)
-    back = sure[np.sign(mean[sure]) != np.sign(mean[sure[:1]])]
+    sure, rises = np.flatnonzero(_surely_not_zero(steps)), steps.mean(axis=1) > 0.0
+    back = sure[rises[sure] != rises[sure[:1]]]
     if not back.size:
         return None
     return float(grid[int(back[0])])
@@ -122,18 +128,20 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
     scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
     passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
     crossings = np.full(scores.shape[1], math.nan)
-    roots = PchipInterpolator(places, scores).roots(extrapolate=False)
+    # of curves with the same root SciPy gives it to the first one alone
+    different, place = np.unique(scores, axis=1, return_inverse=True)
+    roots = PchipInterpolator(places, different).roots(extrapolate=False)
     for r in np.flatnonzero(passes):
         nearest = places[int(np.argmin(np.abs(scores[:, r])))]
-        crossings[r] = next(filter(np.isfinite, roots[r]), nearest)
+        crossings[r] = next(filter(np.isfinite, roots[place[r]]), nearest)
     return crossings
 
 
 def _value(
-    grid: Array, probabilities: Array, target: float, least: float, evaluations: int
+    grid: Array, probabilities: Array, target: float, least: float, folds: Array | None
 ) -> Estimate:
-    """Value at the target with the spread of the replicates' own answers and the error of
-    interpolation.
+    """Value at the target with the spread of the replicates' own answers and of those of folds, and
+    the error of interpolation.
     """
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
@@ -144,20 +152,20 @@ def _value(
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
             f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}"
         )
-        return absent(reason, METHOD, evaluations)
-    replicates = probabilities.shape[1]
+        return absent(reason, METHOD, 0)
     crossings = _crossings(places, probabilities, target, least)
-    if np.isnan(crossings).any():
+    half, replicates = student(len(crossings)) * spread(crossings), len(crossings)
+    if folds is not None:
+        half = math.hypot(half, float(fold_spread(_crossings(places, folds, target, least))))
+    if math.isnan(half):
         return absent(
-            "too close to an end of the range: some replicates do not reach it", METHOD, evaluations
+            "too close to an end of the range: some replicates do not reach it", METHOD, 0
         )
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
     other = float(_crossings(places[coarse], pooled[coarse], target, least)[0])
-    lost = 0.0
     if not math.isnan(other):
-        lost = abs(other - centre) / 4.0
-    half = student(replicates) * spread(crossings) + lost
+        half += abs(other - centre) / 4.0
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
-    return between(value, low, high, replicates, METHOD, evaluations)
+    return between(value, low, high, replicates, METHOD, 0)

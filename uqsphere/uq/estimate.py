@@ -177,6 +177,14 @@ def spread(rows: Array, cell: float = 0.0) -> float:
     return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
 
 
+def fold_spread(values: Array) -> Array:
+    """Half-width (...) of what folds (K, ...) disagree by: that of one fold more, which the model
+    is taken for."""
+    count = len(values)
+    spread = np.std(values, axis=0, ddof=1)
+    return np.asarray(student(count) * math.sqrt(1.0 + 1.0 / count) * spread)
+
+
 def from_replicates(
     values: Array, method: str, evaluations: int, pooled: float | None = None
 ) -> Estimate:

@@ -5,7 +5,7 @@ compared with an expansion that has not seen it.  `uqsphere.uq.corrected` makes 
 
 No residual sees the variance that an expansion makes where no row lies: the exponential of a
 polynomial, or a polynomial of high degree in an unbounded input, can run away in the tails.  A fold
-is therefore compared with the rows and with the other folds (`_Allowed`).  One that is contradicted
+is therefore compared with the rows and with the other folds (`_bounded`).  One that is contradicted
 is held at the reach of its rows: a point beyond is predicted at the nearest place of the box about
 them.  Where this does not help, the mean of its rows stands for it.  Its own rows stay: they are
 often those that the others need in order to agree, and to leave them out would be to choose rows by
@@ -24,7 +24,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, germ_points, integrals, predict
+from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, germ_points, predict
+from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.fit import constant_fit, mean_and_sd
 from uqsphere.uq.chaos.select import Order, folds_of
 from uqsphere.uq.estimate import distances
@@ -130,9 +131,9 @@ class Response:
         return min(float(np.mean((self.residuals / sd) ** 2)), 1.0)
 
     @cached_property
-    def known(self) -> tuple[Integrals, ...]:
+    def integrals(self) -> tuple[Integrals, ...]:
         """Moments and indices of the expansion of every fold."""
-        return tuple(integrals(fold.fit) for fold in self.folds)
+        return tuple(integrals_of(fold.fit) for fold in self.folds)
 
     @property
     def usable(self) -> bool:
@@ -152,14 +153,9 @@ class Response:
             f"{MOST:g} ({terms})"
         )
 
-    def owners(self, replicates: int) -> list[int]:
-        """The fold that predicts each replicate of a table: they take turns."""
-        return [r % FOLDS for r in range(replicates)]
-
     def table(self, points: Array) -> Array:
-        """Predictions (R, m) at germ points (R, m, d) of the law."""
-        owners = self.owners(len(points))
-        return np.stack([self.folds[k].values(p) for k, p in zip(owners, points, strict=True)])
+        """Predictions (R, m) at germ points (R, m, d) of the law: the folds take turns."""
+        return np.stack([self.folds[r % FOLDS].values(rows) for r, rows in enumerate(points)])
 
     def scattered(self, table: Array) -> Array:
         """A table (R, m) with a residual of a row on every prediction.
@@ -168,14 +164,12 @@ class Response:
         rows, as if each replicate were a sample of the model.
         """
         rng = np.random.default_rng(0)
-        owners = self.owners(len(table))
         scattered = table.copy()
-        for k in set(owners):
-            replicates = [r for r, owner in enumerate(owners) if owner == k]
-            rows = np.flatnonzero(self.fold == k)
+        for k in range(FOLDS):
+            replicates = range(k, len(table), FOLDS)
             for place, r in enumerate(replicates):
-                own = rows[place :: len(replicates)]
-                scattered[r] += rng.choice(self.residuals[own], table.shape[1])
+                residuals = self.residuals[self.fold == k][place :: len(replicates)]
+                scattered[r] += rng.choice(residuals, table.shape[1])
         return scattered
 
 
@@ -229,74 +223,46 @@ def cross_fit(
 
 
 def _bounded(response: Response) -> Response:
-    """The response with folds held that the rows or the other folds contradict."""
-    whole = float(response.outputs.var())
+    """The response with folds held that the rows or the other folds contradict.
+
+    The variance of a fold has to lie in the 99 % interval of that of the rows, for all folds
+    together, and no farther from the median of the other folds than their own scatter, their
+    correction by the rows, the error of their integration and what the fold leaves allow: the
+    standard deviations of an output and of an expansion of it differ by no more than that of what
+    the expansion leaves.
+    """
+    y, whole = response.outputs, float(response.outputs.var())
     if response.constant or not whole > 0.0:
         return response
     with np.errstate(over="ignore"):  # a fold that runs away may have no finite variance
-        variances = np.square([known.sd for known in response.known])
-    missing = np.array([fold.fit.cross_validation_error * whole for fold in response.folds])
-    allowed = _Allowed.by(response, variances)
-    sound = [k for k in range(FOLDS) if allowed.permits(k, variances[k], missing[k])]
-    if len(sound) == FOLDS:
-        return response
-    d = len(response.germs)
-    uniforms = sobol_points(dimension=d, count=LOOKED, seed=0, task="polynomial chaos", replicate=0)
-    law = germ_points(special.ndtri(uniforms), response.germs)
-    folds, levels = list(response.folds), response.levels.copy()
-    for k in sorted({*range(FOLDS)} - {*sound}):
-        left_out = response.fold == k
-        points, outputs = response.points[~left_out], response.outputs[~left_out]
+        variances = np.square([moments.sd for moments in response.integrals])
+    squares = (y - y.mean()) ** 2
+    influence = squares - (response.levels - y.mean()) ** 2
+    # folds share most of their rows, so that unlucky rows contradict all of them at once
+    down, up = distances(squares, 1.0 - (1.0 - REJECTED) / FOLDS)
+    integration = ROUNDING + 4.0 * max(moments.error for moments in response.integrals)
+    t = float(stdtrit(FOLDS - 2, 0.5 + 0.5 * REJECTED))
+    law = sobol_points(
+        dimension=len(response.germs), count=LOOKED, seed=0, task="polynomial chaos", replicate=0
+    )
+    law = germ_points(special.ndtri(law), response.germs)
+    folds, levels, trusted = list(response.folds), response.levels.copy(), []
+    for k, variance in enumerate(variances.tolist()):
+        others, left_out = np.delete(variances, k), response.fold == k
+        median = float(np.median(others))
+        missing = folds[k].fit.cross_validation_error * whole
+        room = max(distances(influence[~left_out], REJECTED)) + integration * median
+        room += t * 1.4826 * float(np.median(np.abs(others - median)))
+        room += missing + 2.0 * math.sqrt(missing * max(variance, median))
+        inside = variance <= whole + up and variance + missing >= whole - down
+        if inside and abs(variance - median) <= room:
+            trusted.append(k)
+            continue
+        points = response.points[~left_out]
         folds[k] = Fold(fit=folds[k].fit, reach=(points.min(axis=0), points.max(axis=0)))
-        if not folds[k].values(law).var() <= allowed.high:
-            folds[k] = Fold(fit=constant_fit(outputs, response.germs))
+        if not folds[k].values(law).var() <= whole + up:
+            folds[k] = Fold(fit=constant_fit(y[~left_out], response.germs))
         levels[left_out] = folds[k].values(response.points[left_out])
-    if len(sound) <= FOLDS // 2:
-        sound = []
-    return replace(response, folds=tuple(folds), levels=levels, trusted=tuple(sound))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Allowed:
-    """The variances that the expansion of a fold may have.
-
-    low, high : 99 % interval of the variance from the rows only, for all folds together
-    median : (K,) of the variances of the other folds
-    room : (K,) how far from it a fold may lie: the 99 % interval of their correction by the rows,
-        their own scatter (median absolute deviation), and the error of their integration
-    """
-
-    low: float
-    high: float
-    median: Array
-    room: Array
-
-    @classmethod
-    def by(cls, response: Response, variances: Array) -> _Allowed:
-        y, folds = response.outputs, range(len(variances))
-        squares = (y - y.mean()) ** 2
-        # folds share most of their rows, so that unlucky rows contradict all of them at once
-        down, up = distances(squares, 1.0 - (1.0 - REJECTED) / len(variances))
-        influence = squares - (response.levels - y.mean()) ** 2
-        t = float(stdtrit(len(variances) - 2, 0.5 + 0.5 * REJECTED))
-        integration = ROUNDING + 4.0 * max(known.error for known in response.known)
-        median, room = np.empty(len(variances)), np.empty(len(variances))
-        for k in folds:
-            others = np.delete(variances, k)
-            median[k] = np.median(others)
-            scatter = 1.4826 * float(np.median(np.abs(others - median[k])))
-            room[k] = max(distances(influence[response.fold != k], REJECTED)) + t * scatter
-            room[k] += integration * median[k]
-        variance = float(squares.mean())
-        return cls(low=variance - down, high=variance + up, median=median, room=room)
-
-    def permits(self, k: int, variance: float, missing: float) -> bool:
-        """Whether fold k may have this variance, where it leaves `missing` of that of the rows.
-
-        The standard deviations of an output and of an expansion of it differ by no more than that
-        of what the expansion leaves.
-        """
-        if not math.isfinite(variance) or variance > self.high or variance + missing < self.low:
-            return False
-        left = missing + 2.0 * math.sqrt(missing * max(variance, float(self.median[k])))
-        return bool(abs(variance - self.median[k]) <= self.room[k] + left)
+    if len(trusted) <= FOLDS // 2:
+        trusted = []
+    return replace(response, folds=tuple(folds), levels=levels, trusted=tuple(trusted))

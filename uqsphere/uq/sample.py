@@ -148,6 +148,10 @@ class Sample:
         """Rows of every replicate from one place to another."""
         return self._each(lambda cells: cells[:, first:end])
 
+    def in_blocks(self, count: int) -> Sample:
+        """The rows of one replicate as those of `count` replicates."""
+        return self._each(lambda own: own.reshape(count, -1, *own.shape[2:]))
+
     def where(self, which: Flags) -> Sample:
         """Some rows (n,) of every replicate."""
         return self._each(lambda cells: cells[:, which])

@@ -139,13 +139,13 @@ def whole_set(
     best = Path(np.zeros(1, dtype=np.intp), math.inf, np.zeros(n))
     q = np.linalg.qr(basis[: max(sizes, default=0)].T)[0]
     for size in sizes:
-        held_out, own = target.copy(), q[:, :size]
-        left = target - own @ (own.T @ target)
+        held_out, part = target.copy(), q[:, :size]
+        left = target - part @ (part.T @ target)
         for at in (np.flatnonzero(folds == k) for k in range(count)):
             # 1e-12: where the other folds leave a sample open, its prediction is far off and not an
             # error
             held_out[at] -= np.linalg.solve(
-                (1.0 + 1e-12) * np.eye(at.size) - own[at] @ own[at].T, left[at]
+                (1.0 + 1e-12) * np.eye(at.size) - part[at] @ part[at].T, left[at]
             )
         if (error := error_of(held_out)) < best.error:
             best = Path(np.arange(size, dtype=np.intp), error, held_out)
