@@ -238,13 +238,12 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     for name, numbers in (("stopped", flags), ("counts", many)):
         if numbers.shape != x.shape:
             raise ValueError(f"values and {name} differ in number: {x.size} and {numbers.size}")
-    strange = [flag for flag in flags.tolist() if flag not in (0, 1)]
-    if strange:
-        raise ValueError(
-            f"stopped must be 0 (failed) or 1 (stopped), found {strange[0]!r}: tests known only "
-            "to lie "
-            "below a value, or between two, cannot be given"
-        )
+    for flag in flags.tolist():
+        if flag not in (0, 1):
+            raise ValueError(
+                f"stopped must be 0 (failed) or 1 (stopped), found {flag!r}: tests known only to "
+                "lie below a value, or between two, cannot be given"
+            )
     if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
         raise ValueError("counts must be whole numbers from 1 on")
     if not np.isfinite(x).all():
@@ -406,20 +405,15 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
 # --- a law from a column --------------------------------------------------------------------------
 
 
-def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
-    """What scipy.stats fits: its shapes, loc and scale by our keys, "" for none."""
+def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) -> Keys:
+    """Two parameters of what scipy.stats fits: its shapes, then its scale."""
     from scipy import stats
 
     # Pascals and micrometres meet the same optimiser
     size = float(np.mean(np.abs(data)))
-    *shapes, loc, scale = getattr(stats, name).fit(
-        data / size, **{key: value / size for key, value in fixed.items()}
-    )
-    return {
-        key: value
-        for key, value in zip(keys, (*shapes, loc * size, scale * size), strict=True)
-        if key
-    }
+    fixed = {key: value / size for key, value in fixed.items()}
+    *shapes, _, scale = getattr(stats, name).fit(data / size, **fixed)
+    return dict(zip(keys, (*shapes, scale * size), strict=False))
 
 
 #: parameters of the largest likelihood of observations (n,), and of bounds, of laws without
@@ -427,10 +421,8 @@ def _scipy_fit(name: str, data: Array, *keys: str, **fixed: float) -> Keys:
 OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
     "exponential": lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
-    "beta": lambda data, a, b: _scipy_fit(
-        "beta", data, "alpha", "beta", "", "", floc=a, fscale=b - a
-    ),
-    "gamma": lambda data, a, b: _scipy_fit("gamma", data, "shape", "", "scale", floc=0.0),
+    "beta": lambda data, a, b: _scipy_fit("beta", data, ("alpha", "beta"), floc=a, fscale=b - a),
+    "gamma": lambda data, a, b: _scipy_fit("gamma", data, ("shape", "scale"), floc=0.0),
 }
 #: what a column of observations can become: a kernel density, a step function, or a member of a
 #: family
@@ -625,11 +617,8 @@ def possible_laws(
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests = series_behind(law)
     location, scale = _best(tests, kind)
-    if at is None:
-        centre, inverse = kind.pivots(tests.leaving, count, generator)
-    else:
-        centre, inverse = kind.pivots(tests.leaving, FINER * count, generator)
-        centre, inverse = kind.ranked(centre, inverse, at)
+    pivots = kind.pivots(tests.leaving, count if at is None else FINER * count, generator)
+    centre, inverse = pivots if at is None else kind.ranked(*pivots, at)
     columns = kind.parameters(location - scale * centre, scale * inverse)
     values = np.column_stack(list(columns.values())).tolist()
     return (
