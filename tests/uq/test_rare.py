@@ -22,7 +22,7 @@ def holds(estimate, truth: float, room: float = 0.0) -> bool:
 
 
 @pytest.mark.parametrize(
-    "name", [entry.name for entry in PROBLEMS if entry.name not in ("RP63", "shell", "RP77")]
+    "name", [entry.name for entry in PROBLEMS if entry.name not in ("shell", "RP77")]
 )
 def test_public_problems_within_four_percent_and_their_interval(name: str) -> None:
     entry = problem(name)
@@ -172,3 +172,13 @@ def test_design_points_of_two_planes_and_their_order() -> None:
     found = find_design_points(limit)
     assert [p.beta for p in found[:2]] == pytest.approx([3.0, 3.5], abs=1e-3)
     assert found[0].point == pytest.approx([3.0, 0.0], abs=1e-3)
+
+
+def test_a_bowl_in_a_hundred_inputs_is_sure_and_within_a_few_per_cent() -> None:
+    # its first mixture comes from chains that point off by as much as the failures scatter
+    entry = problem("RP63")
+    for seed in range(2):
+        answer = failure_probability(Evaluator(entry.function, entry.dimension, seed=seed))
+        assert answer.sure
+        assert answer.estimate.half_width < 0.1 * entry.reference
+        assert holds(answer.estimate, entry.reference, 0.02)

@@ -43,6 +43,9 @@ HARD: Final = 0.7
 CARRIERS: Final = 100.0
 #: steps of expectation-maximisation in a fit: 2 to 20 do alike (tests/campaigns/rare.py)
 STEPS: Final = 5
+#: beyond ten variables, stages at most, and equally weighted failures a variable after which no
+#: further stage is drawn (tests/campaigns/rare.py: RP63)
+MOST_STAGES, ENOUGH = 6, 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -283,14 +286,24 @@ def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array
 
 
 def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture, per_stage: int) -> Mixture:
-    """The mixture after two stages of drawing from it, weighting and fitting."""
-    for _ in range(2):
+    """The mixture after two stages of drawing from it, weighting and fitting.
+
+    Beyond ten variables, where a first mixture of few failures points off by as much as they
+    scatter, further stages follow until failures enough for its direction were met.
+    """
+    d = evaluator.dimension
+    many, least, enough = 2, max(12.0, 2.0 * d), 0.0
+    if d > MOST_DIMENSIONS:
+        many, least, enough = MOST_STAGES, 0.5 * d, ENOUGH * d
+    for stage in range(many):
         if evaluator.left < per_stage:
             break
         draws.append(draw(evaluator, defended(mixture), per_stage, "adapt", len(draws)))
         points, weights = failures(evaluator, draws)
-        if carriers(weights) >= max(12.0, 2.0 * evaluator.dimension):
+        if carriers(weights) >= least:
             mixture = fitted(draws[-1].mixture, points, weights)
+        if stage > 0 and carriers(weights) >= enough:
+            break
     return mixture
 
 
