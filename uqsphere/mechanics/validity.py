@@ -395,6 +395,22 @@ def _record_over_echo(scene: Scene, answers: SceneAnswers) -> Array | str:
     return np.asarray(answers.record / first)
 
 
+def _between_bars(rig: Rig) -> bool:
+    return rig.by_wave
+
+
+def _one_contact(rig: Rig) -> bool:
+    return rig.contacts == 1
+
+
+def _two_contacts(rig: Rig) -> bool:
+    return rig.contacts == 2 and not rig.by_press
+
+
+def _on_rod(rig: Rig) -> bool:
+    return rig.may_have("bar") and not rig.by_wave
+
+
 RULES: Final[tuple[Rule, ...]] = (
     Rule(
         name="small_contact",
@@ -419,7 +435,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD),
         warning=1.0,
         laws=("hertz",),
-        applies=lambda rig: rig.by_wave,
+        applies=_between_bars,
         advice=_partner_estimate,
         words="the bars yield under the sphere, p_0 up to {worst} times their onset pressure. Use "
         'harder bars or inserts, thinner bars or a shorter pulse, or contact.law = "plastic"',
@@ -429,7 +445,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="pulse stress / yield strength of the bars (elastic waves)",
         measure=_pulse_over_yield,
         warning=1.0,
-        applies=lambda rig: rig.by_wave,
+        applies=_between_bars,
         words="the pulse yields the bars: its stress is up to {worst} times their yield strength",
     ),
     Rule(
@@ -438,7 +454,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_imbalance,
         information=0.05,
         warning=0.1,
-        applies=lambda rig: rig.contacts == 2 and not rig.by_press,
+        applies=_two_contacts,
         words="the two contact forces differ by up to {worst} of the peak force (limit {limit}). A "
         "gauge at one contact does not measure the force at the other",
     ),
@@ -449,7 +465,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=4.0,
         failure=3.0,
         rising=False,
-        applies=lambda rig: rig.contacts == 2 and not rig.by_press,
+        applies=_two_contacts,
         words="only {worst} wave transits of the sphere during the rise time (at least {limit} are "
         "needed for a quasi-static sphere)",
     ),
@@ -459,7 +475,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_pulse_rise,
         warning=5.0,
         rising=False,
-        applies=lambda rig: rig.by_wave,
+        applies=_between_bars,
         words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit} are needed "
         "for one-dimensional waves)",
     ),
@@ -469,7 +485,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: s.scales.pulse_number,
         information=2.0,
         rising=False,
-        applies=lambda rig: rig.by_wave,
+        applies=_between_bars,
         words="the pulse is short: {worst} times the contact time scale t_c (limit {limit}). The "
         "peak force depends on the pulse duration; Z v_0/2 would overestimate it",
     ),
@@ -478,7 +494,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="evaluation window / arrival of the first reflected wave (infinite bars)",
         measure=_record_over_echo,
         information=1.0,
-        applies=lambda rig: rig.by_wave,
+        applies=_between_bars,
         words="the bars are taken as infinite, but the evaluation window is up to {worst} times "
         "the arrival of the first reflected wave in bars of the given length",
     ),
@@ -542,7 +558,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="three contact radii / thickness of the inserts",
         measure=_contact_over_insert,
         warning=1.0,
-        applies=lambda rig: rig.by_wave,
+        applies=_between_bars,
         words="the inserts are thin: three contact radii are up to {worst} times their thickness. "
         "The bars deform, and may yield, below them",
     ),
@@ -564,7 +580,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=6.0,
         failure=4.0,
         rising=False,
-        applies=lambda rig: rig.contacts == 1,
+        applies=_one_contact,
         words="only {worst} wave transits of the sphere during contact (at least {limit} are "
         "needed for a quasi-static sphere)",
     ),
@@ -617,7 +633,7 @@ RULES: Final[tuple[Rule, ...]] = (
         needs="rig.drop_height",
         information=0.05,
         warning=0.2,
-        applies=lambda rig: rig.contacts == 1,
+        applies=_one_contact,
         words="air drag affects the impact speed: g h/v_t² up to {worst} (limit {limit})",
     ),
     Rule(
@@ -629,7 +645,7 @@ RULES: Final[tuple[Rule, ...]] = (
         warning=45.0,
         failure=20.0,
         rising=False,
-        applies=lambda rig: rig.contacts == 1,
+        applies=_one_contact,
         words="oblique impact, {worst} deg (limit {limit}). Only the normal velocity is used; "
         "friction, spin and rim tension due to sliding are neglected",
     ),
@@ -639,7 +655,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: loss_to_waves(s),
         information=0.02,
         warning=0.05,
-        applies=lambda rig: rig.contacts == 1,
+        applies=_one_contact,
         words="up to {worst} of the impact energy is radiated into the target (limit {limit}). The "
         "restitution includes this loss; forces and durations neglect it",
     ),
@@ -649,7 +665,7 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=_rod_rise,
         warning=5.0,
         rising=False,
-        applies=lambda rig: rig.may_have("bar") and not rig.by_wave,
+        applies=_on_rod,
         words="the force rises within {worst} rod radii/c_0 (at least {limit} are needed for "
         "one-dimensional waves)",
     ),
@@ -658,7 +674,7 @@ RULES: Final[tuple[Rule, ...]] = (
         meaning="contact time / wave round trip of the rod",
         measure=_echo_under_load,
         information=1.0,
-        applies=lambda rig: rig.may_have("bar") and not rig.by_wave,
+        applies=_on_rod,
         words="reflected waves return along the rod during contact: {worst} round trips",
     ),
     Rule(
