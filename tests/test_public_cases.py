@@ -315,12 +315,12 @@ def test_figures_do_not_depend_on_settings_of_the_user(settings: dict[str, Any])
     """dipc-cc/hubbard #96, plotypus #67: usetex in a matplotlibrc on a machine without LaTeX."""
     import matplotlib as mpl
 
-    from uqsphere.report.figures import density_picture
+    from uqsphere.report.figures import pictures_of
 
     run = box(lambda x: x["a"] + x["b"], AB)
-    plain = density_picture(run.results, "y")
+    plain = pictures_of(run.results)
     with mpl.rc_context(settings):
-        assert density_picture(run.results, "y") == plain
+        assert pictures_of(run.results) == plain
     # what a caller sets himself holds in his own axes
     with mpl.rc_context({"font.size": 40.0}):
         assert run.plot.density("y").xaxis.label.get_size() == 40.0

@@ -1,4 +1,4 @@
-"""The benchmark: contenders of three kinds agree."""
+"""The benchmark: every case keeps its tolerance."""
 
 from __future__ import annotations
 
@@ -11,17 +11,13 @@ from uqsphere import bench
 from uqsphere.errors import UsageError
 
 
-def test_contenders_agree_within_what_they_promise() -> None:
-    frame = bench.bench(rows=100)
-    assert set(frame["contender"]) == {"uqsphere", "numpy RK4", "scipy DOP853"}
+@pytest.mark.slow
+def test_cases_agree_within_their_tolerance() -> None:
+    frame = bench.bench(rows=32)
+    assert {"scipy DOP853", "infinite bars"} < set(frame["case"])
     assert (frame["microseconds_per_row"] > 0.0).all()
-    for name in ("uqsphere", "scipy DOP853"):
-        rows = frame[(frame["contender"] == name)]
-        tolerances = rows["setting"].str.removeprefix("tolerance ").astype(float)
-        assert (rows["largest_error"] < 5.0 * tolerances.clip(lower=1e-11)).all()
-    steps = frame[frame["contender"] == "numpy RK4"]["median_error"].tolist()
-    assert steps == sorted(steps, reverse=True)
-    assert steps[-1] < 1e-8
+    assert (frame["failed"] == 0.0).all()
+    assert (frame["largest_error"] < 5.0 * frame["tolerance"].clip(lower=1e-11)).all()
 
 
 @pytest.mark.parametrize("name", ["granite", "limestone_drop_weight"])
@@ -30,7 +26,7 @@ def test_a_study_is_timed_by_quantity_and_tolerance(name: str) -> None:
     frame = bench.bench_study(study, rows=16)
     kinds = set(frame["quantity"])
     assert {*study.analysis.quantities, "all together"} <= kinds
-    assert len(frame) == 4 * len(kinds)
+    assert len(frame) == len(bench.TOLERANCES) * len(kinds)
     assert (frame["microseconds_per_row"] > 0.0).all()
     assert (frame["failed"] == 0.0).all()
     assert (frame["largest_error"] < 5.0 * frame["tolerance"]).all()
