@@ -70,6 +70,19 @@ def test_the_largest_pressure_alone_needs_no_tail() -> None:
     assert alone.values["p_max"][0] == pytest.approx(tail.values["p_max"][0], rel=1e-7)
 
 
+def test_a_duration_in_infinite_bars_needs_no_tail() -> None:
+    """Once a light sphere can lose no contact the impulse that is left is known, (Q2)."""
+    for mu, theta in ((1e-3, 3.0), (1e-4, 3.0), (1e-4, 0.3), (1e-6, 1.0)):
+        scene = scaled_scene([mu], [theta])
+        alone, tail = (
+            solve(scene, tolerance=1e-8, quantities=("contact_duration", *more))
+            for more in ((), ("time_to_first_loss",))
+        )
+        assert alone.steps[0] < 0.7 * tail.steps[0]
+        duration = alone.values["contact_duration"]
+        assert duration == pytest.approx(tail.values["contact_duration"], rel=1e-8)
+
+
 def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> None:
     steps = []
     for horizon in (20.0, 40.0, 80.0):

@@ -490,6 +490,28 @@ def no_higher_approach(s, j):
     return not least < stored
 
 
+#: mass number below which the sphere swings many times while the force dies out
+_LIGHT = 0.02
+
+
+@compiled
+def _stays_pressed(s, j):
+    """Whether no contact can be lost any more in the tail between infinite bars, whose impulse is
+    then (x_1 + x_2)/2, (Q2).
+
+    The difference of the approaches swings with the frequency sqrt(3 k sqrt(m)/mu) about their mean
+    m.  While m falls its amplitude grows no faster than 1/m^(1/8), by a half until the record ends.
+    """
+    apart()
+    b, low = LANES + j, s.low[j]
+    least = min(s.x[0, j], s.x[0, b])
+    if not (low > 0.0 and least > 0.0 and s.mass[j] < _LIGHT and s.spring[j] == s.spring[b]):
+        return False
+    stiffness = 1.0 if s.mode == LINEAR else 1.5 * s.spring[j] * math.sqrt(least)
+    swing = (s.x[0, j] - s.x[0, b]) ** 2 + 2.0 * s.mass[j] * s.u[0, j] ** 2 / stiffness
+    return 4.0 * swing < low * low
+
+
 @compiled
 def no_later_peak(s, j):
     """Whether no largest value that is wanted can change any more while the incoming wave stays as
@@ -497,7 +519,9 @@ def no_later_peak(s, j):
     """
     apart()
     wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
-    if wanted & tracked.TO_THE_END or (s.steady[j] > 0.0 and wanted & _SEARCHED):
+    if wanted & tracked.WANT_CONTACT or (s.steady[j] > 0.0 and wanted & _SEARCHED):
+        return False
+    if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
         return False
     if not no_higher_approach(s, j):
         return False

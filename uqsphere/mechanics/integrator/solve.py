@@ -585,7 +585,8 @@ def look_closer(
         wanted & tracked.WANT_CONTACT != 0,
     )
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
-    again = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | (wanted != 0))
+    summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
+    again = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
     rough, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["rigs"].shape[1] == 0:
         rough = (status == tracked.OK) & _counts_on(answers)
