@@ -7,10 +7,9 @@ sentences are made of them in `uqsphere.report`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
-from types import MappingProxyType
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -35,151 +34,152 @@ Grade = Literal["ok", "note", "warning", "failure"]
 class Part(BaseModel):
     """A part of the results: frozen, without further keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 # --- answers --------------------------------------------------------------------------------------
 
 
 class Kind(StrEnum):
-    """Every kind of answer; `KINDS` says what each means."""
+    """Every kind of answer, and what it means."""
 
-    MEAN = "mean"
-    SD = "sd"
-    QUANTILE = "quantile"
-    CENSORED_SHARE = "censored_share"
-    SOBOL_FIRST = "sobol_first"
-    SOBOL_TOTAL = "sobol_total"
-    SOBOL_SECOND = "sobol_second"
-    SHAPLEY = "shapley"
-    EXCEEDANCE_PROBABILITY = "exceedance_probability"
-    FAILURE_PROBABILITY = "failure_probability"
-    RELIABILITY_INDEX = "reliability_index"
-    SAFETY_FACTOR = "safety_factor"
-    CURVE = "curve"
-    MARGIN = "margin"
-    DESIGN_POINT = "design_point"
-    DRIVER = "driver"
-    MODE_SHARE = "mode_share"
-    TIME_AT_FRACTURE = "time_at_fracture"
-    FORCE_AT_FRACTURE = "force_at_fracture"
-    ENERGY_AT_FRACTURE = "energy_at_fracture"
-    MORRIS = "morris"
-    DELTA = "delta"
-    PAWN = "pawn"
-    HDMR = "hdmr"
-    ERROR = "error"
+    def __new__(cls, *texts: str) -> Self:
+        """A kind from its word, subject, meaning, place and unit."""
+        kind = str.__new__(cls, texts[0])
+        kind._value_, kind.subject, kind.meaning, kind.at, kind.unit = texts
+        return kind
 
-
-class KindEntry(NamedTuple):
-    """What a kind of answer is.
-
-    subject : what it is an answer on: quantity, limit, fracture, or run
-    meaning : in words
-    at : what the column `at` holds, empty where it holds nothing
-    unit : of the value: a unit, or whose unit it is
-    """
-
+    #: what it is an answer on: quantity, limit, fracture, or run
     subject: str
+    #: in words
     meaning: str
+    #: what the column `at` holds, empty where it holds nothing
     at: str
+    #: of the value: a unit, or whose unit it is
     unit: str
 
-
-#: what each kind of answer means
-KINDS: Final[Mapping[Kind, KindEntry]] = MappingProxyType(
-    {
-        Kind.MEAN: KindEntry("quantity", "mean", "", "the quantity's"),
-        Kind.SD: KindEntry("quantity", "standard deviation", "", "the quantity's"),
-        Kind.QUANTILE: KindEntry("quantity", "quantile", "probability", "the quantity's"),
-        Kind.CENSORED_SHARE: KindEntry(
-            "quantity",
-            "share of the rows that are right-censored: the record ends too early",
-            "",
-            "1",
-        ),
-        Kind.SOBOL_FIRST: KindEntry("quantity", "first-order Sobol' index", "input", "1"),
-        Kind.SOBOL_TOTAL: KindEntry("quantity", "total Sobol' index", "input", "1"),
-        Kind.SOBOL_SECOND: KindEntry(
-            "quantity", "second-order Sobol' index", "both inputs, with a comma", "1"
-        ),
-        Kind.SHAPLEY: KindEntry("quantity", "Shapley effect (dependent inputs)", "input", "1"),
-        Kind.EXCEEDANCE_PROBABILITY: KindEntry(
-            "limit", "probability that the demand exceeds the strength", "", "1"
-        ),
-        Kind.FAILURE_PROBABILITY: KindEntry(
-            "limit",
-            "failure probability: of exceedance for the aim survive, of its complement for break",
-            "empty, or what is assumed otherwise",
-            "1",
-        ),
-        Kind.RELIABILITY_INDEX: KindEntry(
-            "limit", "reliability index of the failure probability", "", "1"
-        ),
-        Kind.SAFETY_FACTOR: KindEntry(
-            "limit", "median strength over median demand", "what it compares", "1"
-        ),
-        Kind.CURVE: KindEntry(
-            "limit", "probability of exceedance along the free number", "free number", "1"
-        ),
-        Kind.MARGIN: KindEntry(
-            "limit",
-            "free number at a probability of exceedance",
-            "probability, or what is assumed otherwise",
-            "the free number's",
-        ),
-        Kind.DESIGN_POINT: KindEntry(
-            "limit", "most probable point of failure (FORM)", "variable", "the variable's"
-        ),
-        Kind.DRIVER: KindEntry(
-            "limit",
-            "change of the failure probability per standard deviation of an input",
-            "variable",
-            "1",
-        ),
-        Kind.MODE_SHARE: KindEntry(
-            "fracture", "share of the fractures in which this limit is exceeded first", "limit", "1"
-        ),
-        Kind.TIME_AT_FRACTURE: KindEntry("fracture", "quantile of the time", "probability", "s"),
-        Kind.FORCE_AT_FRACTURE: KindEntry("fracture", "quantile of the force", "probability", "N"),
-        Kind.ENERGY_AT_FRACTURE: KindEntry(
-            "fracture", "quantile of the energy", "probability", "J"
-        ),
-        Kind.MORRIS: KindEntry("quantity", "Morris: mean absolute elementary effect", "input", "1"),
-        Kind.DELTA: KindEntry("quantity", "Borgonovo's delta", "input", "1"),
-        Kind.PAWN: KindEntry("quantity", "PAWN: median Kolmogorov-Smirnov distance", "input", "1"),
-        Kind.HDMR: KindEntry("quantity", "total index by RS-HDMR", "input", "1"),
-        Kind.ERROR: KindEntry("run", "largest error / tolerance", "model runs", "1"),
-    }
-)
+    MEAN = "mean", "quantity", "mean", "", "the quantity's"
+    SD = "sd", "quantity", "standard deviation", "", "the quantity's"
+    QUANTILE = "quantile", "quantity", "quantile", "probability", "the quantity's"
+    CENSORED_SHARE = (
+        "censored_share",
+        "quantity",
+        "share of the rows that are right-censored: the record ends too early",
+        "",
+        "1",
+    )
+    SOBOL_FIRST = "sobol_first", "quantity", "first-order Sobol' index", "input", "1"
+    SOBOL_TOTAL = "sobol_total", "quantity", "total Sobol' index", "input", "1"
+    SOBOL_SECOND = (
+        "sobol_second",
+        "quantity",
+        "second-order Sobol' index",
+        "both inputs, with a comma",
+        "1",
+    )
+    SHAPLEY = "shapley", "quantity", "Shapley effect (dependent inputs)", "input", "1"
+    EXCEEDANCE_PROBABILITY = (
+        "exceedance_probability",
+        "limit",
+        "probability that the demand exceeds the strength",
+        "",
+        "1",
+    )
+    FAILURE_PROBABILITY = (
+        "failure_probability",
+        "limit",
+        "failure probability: of exceedance for the aim survive, of its complement for break",
+        "empty, or what is assumed otherwise",
+        "1",
+    )
+    RELIABILITY_INDEX = (
+        "reliability_index",
+        "limit",
+        "reliability index of the failure probability",
+        "",
+        "1",
+    )
+    SAFETY_FACTOR = (
+        "safety_factor",
+        "limit",
+        "median strength over median demand",
+        "what it compares",
+        "1",
+    )
+    CURVE = "curve", "limit", "probability of exceedance along the free number", "free number", "1"
+    MARGIN = (
+        "margin",
+        "limit",
+        "free number at a probability of exceedance",
+        "probability, or what is assumed otherwise",
+        "the free number's",
+    )
+    DESIGN_POINT = (
+        "design_point",
+        "limit",
+        "most probable point of failure (FORM)",
+        "variable",
+        "the variable's",
+    )
+    DRIVER = (
+        "driver",
+        "limit",
+        "change of the failure probability per standard deviation of an input",
+        "variable",
+        "1",
+    )
+    MODE_SHARE = (
+        "mode_share",
+        "fracture",
+        "share of the fractures in which this limit is exceeded first",
+        "limit",
+        "1",
+    )
+    TIME_AT_FRACTURE = "time_at_fracture", "fracture", "quantile of the time", "probability", "s"
+    FORCE_AT_FRACTURE = "force_at_fracture", "fracture", "quantile of the force", "probability", "N"
+    ENERGY_AT_FRACTURE = (
+        "energy_at_fracture",
+        "fracture",
+        "quantile of the energy",
+        "probability",
+        "J",
+    )
+    MORRIS = "morris", "quantity", "Morris: mean absolute elementary effect", "input", "1"
+    DELTA = "delta", "quantity", "Borgonovo's delta", "input", "1"
+    PAWN = "pawn", "quantity", "PAWN: median Kolmogorov-Smirnov distance", "input", "1"
+    HDMR = "hdmr", "quantity", "total index by RS-HDMR", "input", "1"
+    ERROR = "error", "run", "largest error / tolerance", "model runs", "1"
 
 
 class Answer(Part):
     """One row of answers.csv: a number with its 95 % interval."""
 
-    subject: str = Field(
-        description="a quantity, limits.NAME, modes.NAME (assumed strength), fracture, or run"
-    )
-    answer: Kind = Field(description="kind of answer")
-    at: float | str = Field(default="", description="place of the answer, by its kind")
-    value: Finite = Field(default=None, description="the estimate; none where there is no answer")
-    low: Finite = Field(default=None, description="lower end of the 95 % interval")
-    high: Finite = Field(default=None, description="upper end of the 95 % interval")
-    low_unseen: Finite = Field(
-        default=None, description="lower end that also allows for what no model run shows"
-    )
-    high_unseen: Finite = Field(
-        default=None, description="upper end that also allows for what no model run shows"
-    )
-    std_error: Finite = Field(
-        default=None, description="standard error, where the interval rests on one"
-    )
-    unit: str = Field(description="SI unit")
-    method: str = Field(default="", description="how it was estimated")
-    runs: int = Field(default=0, description="model runs behind it")
-    note: str = Field(
-        default="", description="why there is no value or interval, or what to read it with"
-    )
+    subject: str
+    """a quantity, limits.NAME, modes.NAME (assumed strength), fracture, or run"""
+    answer: Kind
+    """kind of answer"""
+    at: float | str = ""
+    """place of the answer, by its kind"""
+    value: Finite = None
+    """the estimate; none where there is no answer"""
+    low: Finite = None
+    """lower end of the 95 % interval"""
+    high: Finite = None
+    """upper end of the 95 % interval"""
+    low_unseen: Finite = None
+    """lower end that also allows for what no model run shows"""
+    high_unseen: Finite = None
+    """upper end that also allows for what no model run shows"""
+    std_error: Finite = None
+    """standard error, where the interval rests on one"""
+    unit: str
+    """SI unit"""
+    method: str = ""
+    """how it was estimated"""
+    runs: int = 0
+    """model runs behind it"""
+    note: str = ""
+    """why there is no value or interval, or what to read it with"""
 
 
 class Range(Part):
@@ -188,7 +188,8 @@ class Range(Part):
     value: Finite = None
     low: Finite = None
     high: Finite = None
-    note: str = Field(default="", description="why there is no value")
+    note: str = ""
+    """why there is no value"""
 
 
 # --- the study ------------------------------------------------------------------------------------
@@ -197,84 +198,101 @@ class Range(Part):
 class FreeNumber(Part):
     """The free number of [margins]."""
 
-    path: str = Field(description="dotted key, for example striker.speed")
+    path: str
+    """dotted key, for example striker.speed"""
     meaning: str
-    planned: Finite = Field(description="its value in the study")
-    low: float = Field(description="lower end of margins.between")
-    high: float = Field(description="upper end of margins.between")
-    unit: str = Field(description="unit that the page shows it in")
+    planned: Finite
+    """its value in the study"""
+    low: float
+    """lower end of margins.between"""
+    high: float
+    """upper end of margins.between"""
+    unit: str
+    """unit that the page shows it in"""
 
 
 class Strength(Part):
     """A strength as a distribution."""
 
-    text: str = Field(description="in words")
-    unit: str = Field(description="unit that the page shows it in")
+    text: str
+    """in words"""
+    unit: str
+    """unit that the page shows it in"""
     median: Finite
-    p05: Finite = Field(description="5 % quantile")
-    p95: Finite = Field(description="95 % quantile")
-    density: Sequence[Sequence[Finite]] | None = Field(
-        default=None, description="values and their densities"
-    )
+    p05: Finite
+    """5 % quantile"""
+    p95: Finite
+    """95 % quantile"""
+    density: Sequence[Sequence[Finite]] | None = None
+    """values and their densities"""
 
 
 class LimitEntry(Part):
     """A limit of the study, or a failure mode with a strength of the library."""
 
-    mode: str = Field(description="failure mode")
-    quantity: str = Field(description="quantity that is held against the strength")
+    mode: str
+    """failure mode"""
+    quantity: str
+    """quantity that is held against the strength"""
     aim: Aim
     target: float = Field(
         description="largest failure probability that is accepted; without one of its own the "
         "least of the limits with the same aim"
     )
-    has_target: bool = Field(description="whether the study gives this target")
-    allowable: float = Field(description="probability of exceedance at the target")
+    has_target: bool
+    """whether the study gives this target"""
+    allowable: float
+    """probability of exceedance at the target"""
     criterion: str | None
-    fracture: bool = Field(description="whether exceeding it means that the sphere breaks")
-    assumed: bool = Field(description="whether the strength is the library's")
-    tests: int | None = Field(description="number of tests behind the strength")
+    fracture: bool
+    """whether exceeding it means that the sphere breaks"""
+    assumed: bool
+    """whether the strength is the library's"""
+    tests: int | None
+    """number of tests behind the strength"""
     strength: Strength
     source: str
-    source_checked: bool = Field(default=True, description="whether the source itself was read")
-    test_points: Sequence[Sequence[float]] | None = Field(
-        default=None,
-        description="tests on the axis of the free number: values, shares broken, 1 if "
-        "right-censored",
-    )
-    platens: str = Field(default="", description="platens of the tests")
-    size_law: str = Field(default="", description="how the strength follows the size of the sphere")
+    source_checked: bool = True
+    """whether the source itself was read"""
+    test_points: Sequence[Sequence[float]] | None = None
+    """tests on the axis of the free number: values, shares broken, 1 if right-censored"""
+    platens: str = ""
+    """platens of the tests"""
+    size_law: str = ""
+    """how the strength follows the size of the sphere"""
 
 
 class QuantityEntry(Part):
     """A quantity whose distribution is answered."""
 
     meaning: str
-    unit: str = Field(description="unit that the page shows it in")
-    range: tuple[Finite, Finite, Finite] = Field(description="5 %, 50 % and 95 % quantiles")
+    unit: str
+    """unit that the page shows it in"""
+    range: tuple[Finite, Finite, Finite]
+    """5 %, 50 % and 95 % quantiles"""
     method_of_indices: IndexMethod
-    density: Sequence[Sequence[Finite]] | None = Field(description="values and their densities")
-    onset: Finite = Field(
-        default=None,
-        description="of a contact pressure: where the first contact starts to yield, at the means",
-    )
+    density: Sequence[Sequence[Finite]] | None
+    """values and their densities"""
+    onset: Finite = None
+    """of a contact pressure: where the first contact starts to yield, at the means"""
     expansion_error: Finite = Field(
         default=None,
         description="share of the variance that the polynomial chaos does not explain, at model "
         "runs that it was not fitted to",
     )
-    held_out: Sequence[Sequence[float]] | None = Field(
-        default=None, description="some of these runs: outputs, and what the chaos predicts"
-    )
+    held_out: Sequence[Sequence[float]] | None = None
+    """some of these runs: outputs, and what the chaos predicts"""
 
 
 class InputEntry(Part):
     """An input, fixed or random."""
 
     meaning: str
-    unit: str = Field(description="unit that the page shows it in")
+    unit: str
+    """unit that the page shows it in"""
     source: str
-    source_checked: bool = Field(description="whether the source itself was read")
+    source_checked: bool
+    """whether the source itself was read"""
     mean: Finite
     sd: Finite
     p05: Finite
@@ -301,21 +319,26 @@ class StudyEntry(Part):
     """The study as the user gave it."""
 
     title: str
-    hash: str = Field(description="SHA-256 of the study's meaning")
-    kind: str = Field(description="rig, or black box")
+    hash: str
+    """SHA-256 of the study's meaning"""
+    kind: str
+    """rig, or black box"""
     seed: int
-    description: list[str] = Field(description="two lines: what was studied, and its strengths")
+    description: list[str]
+    """two lines: what was studied, and its strengths"""
     free: FreeNumber | None
-    overrides: list[str] = Field(description="what --set changed")
+    overrides: list[str]
+    """what --set changed"""
     warnings: list[str]
     quantities: dict[str, QuantityEntry]
     limits: dict[str, LimitEntry]
-    modes: dict[str, LimitEntry] = Field(description="failure modes with assumed strengths")
-    not_judged: dict[str, str] = Field(description="failure modes that are not judged, and why")
+    modes: dict[str, LimitEntry]
+    """failure modes with assumed strengths"""
+    not_judged: dict[str, str]
+    """failure modes that are not judged, and why"""
     dependence: list[DependenceEntry]
-    correlations: list[CorrelationEntry] = Field(
-        default=[], description="correlation of the quantities of interest, in pairs"
-    )
+    correlations: list[CorrelationEntry] = []
+    """correlation of the quantities of interest, in pairs"""
 
 
 # --- decisions ------------------------------------------------------------------------------------
@@ -342,26 +365,26 @@ class Doubt(Part):
     """One thing that the number to use rests on: a row of the certificate."""
 
     code: DoubtCode
-    subject: str = Field(description="the limit or failure mode, limits.NAME or modes.NAME")
-    option: str = Field(
-        default="", description="what is taken otherwise: a distribution, a carrier, a law"
-    )
-    target: float = Field(description="failure probability that is accepted here")
-    margin: Finite = Field(
-        description="free number at the target under this doubt, with the other failure modes"
-    )
-    margin_note: MarginNote = Field(
-        default="", description="why there is no margin: the target is kept everywhere, or nowhere"
-    )
-    at_number: Range = Field(
-        default=Range(), description="failure probability at the number to use"
-    )
-    at_plan: Range = Field(default=Range(), description="failure probability at the plan")
-    governs: bool = Field(default=False, description="whether the number to use is this margin")
-    counts: bool = Field(
-        default=True, description="whether it counts as fracture; damage is shown only"
-    )
-    tests: int | None = Field(default=None, description="number of tests behind the strength")
+    subject: str
+    """the limit or failure mode, limits.NAME or modes.NAME"""
+    option: str = ""
+    """what is taken otherwise: a distribution, a carrier, a law"""
+    target: float
+    """failure probability that is accepted here"""
+    margin: Finite
+    """free number at the target under this doubt, with the other failure modes"""
+    margin_note: MarginNote = ""
+    """why there is no margin: the target is kept everywhere, or nowhere"""
+    at_number: Range = Range()
+    """failure probability at the number to use"""
+    at_plan: Range = Range()
+    """failure probability at the plan"""
+    governs: bool = False
+    """whether the number to use is this margin"""
+    counts: bool = True
+    """whether it counts as fracture; damage is shown only"""
+    tests: int | None = None
+    """number of tests behind the strength"""
 
 
 CaveatCode = Literal[
@@ -373,20 +396,28 @@ class Caveat(Part):
     """Why a verdict is not established."""
 
     code: CaveatCode
-    subject: str = Field(description="check, key, limit or failure mode that it is about")
-    value: Finite = Field(default=None, description="what was reached or written")
-    bound: Finite = Field(default=None, description="what is allowed or usual")
-    text: str = Field(default="", description="words of the check or warning")
+    subject: str
+    """check, key, limit or failure mode that it is about"""
+    value: Finite = None
+    """what was reached or written"""
+    bound: Finite = None
+    """what is allowed or usual"""
+    text: str = ""
+    """words of the check or warning"""
 
 
 class LibraryRange(Part):
     """What a strength of the library, which governs, leaves open."""
 
     mode: str
-    middle: Finite = Field(description="number to use with the strength at its middle")
-    weak: Finite = Field(description="number to use at the weak end of the library's range")
-    strong: Finite = Field(description="number to use at the strong end")
-    own: Finite = Field(description="number to use by the study's own limits only")
+    middle: Finite
+    """number to use with the strength at its middle"""
+    weak: Finite
+    """number to use at the weak end of the library's range"""
+    strong: Finite
+    """number to use at the strong end"""
+    own: Finite
+    """number to use by the study's own limits only"""
 
 
 class TestsGain(Part):
@@ -418,68 +449,75 @@ class Remedy(Part):
     """What to do next, for the doubt that governs."""
 
     code: RemedyCode
-    subject: str = Field(
-        default="", description="limit, failure mode, key or check that it is about"
-    )
-    at_best: Finite = Field(default=None, description="number to use once this doubt is gone")
-    gains: list[TestsGain] = Field(default=[], description="number to use by number of tests")
+    subject: str = ""
+    """limit, failure mode, key or check that it is about"""
+    at_best: Finite = None
+    """number to use once this doubt is gone"""
+    gains: list[TestsGain] = []
+    """number to use by number of tests"""
 
 
 class Use(Part):
     """The number to use."""
 
-    path: str = Field(description="dotted key of the free number")
-    value: float = Field(description="conservative value")
-    safe_end: Literal["largest", "smallest"] = Field(
-        description="whether it is the largest or the smallest value to use"
-    )
+    path: str
+    """dotted key of the free number"""
+    value: float
+    """conservative value"""
+    safe_end: Literal["largest", "smallest"]
+    """whether it is the largest or the smallest value to use"""
     planned: Finite
-    safety_factor: Finite = Field(description="number to use over planned value, or its inverse")
-    best: Range = Field(description="best estimate, and its range by all doubts")
+    safety_factor: Finite
+    """number to use over planned value, or its inverse"""
+    best: Range
+    """best estimate, and its range by all doubts"""
 
 
 class EvidenceEntry(Part):
     """What the study's crushing tests say of a strength of the library."""
 
     mode: str
-    tests: int = Field(description="number of tests")
-    weak: float = Field(description="probability of the tests by the weak end of its range")
-    middle: float = Field(description="probability of the tests by its middle")
-    strong: float = Field(description="probability of the tests by the strong end of its range")
-    refuted: bool = Field(description="whether the mode is left out: refuted by the strong end too")
-    raised: float = Field(description="factor on the weak end that the tests leave")
+    tests: int
+    """number of tests"""
+    weak: float
+    """probability of the tests by the weak end of its range"""
+    middle: float
+    """probability of the tests by its middle"""
+    strong: float
+    """probability of the tests by the strong end of its range"""
+    refuted: bool
+    """whether the mode is left out: refuted by the strong end too"""
+    raised: float
+    """factor on the weak end that the tests leave"""
 
 
 class Decision(Part):
     """The decision for one aim: survive or break."""
 
     aim: Aim
-    limits: list[str] = Field(description="limits of the study that it decides on")
-    modes: list[str] = Field(
-        default=[], description="failure modes with assumed strengths behind it"
-    )
+    limits: list[str]
+    """limits of the study that it decides on"""
+    modes: list[str] = []
+    """failure modes with assumed strengths behind it"""
     verdict: VerdictWord
-    target: Finite = Field(description="failure probability that is accepted")
-    governing: str = Field(
-        description="limit or failure mode that governs, limits.NAME, modes.NAME"
-    )
-    use: Use | None = Field(
-        description="number to use; none without [margins] or where none is safe"
-    )
-    blocked_by: str = Field(
-        default="", description="limit or mode that is over its target everywhere"
-    )
-    own: Finite = Field(default=None, description="number to use by the study's own limits only")
-    probability: Range = Field(description="failure probability at the plan, by the study's limits")
-    all_modes: Range | None = Field(
-        default=None, description="failure probability at the plan, by all failure modes"
-    )
-    curve: list[CurvePoint] = Field(
-        default=[], description="failure probability by all failure modes"
-    )
-    band: list[CurvePoint] = Field(
-        default=[], description="failure probability over the strengths that the tests allow"
-    )
+    target: Finite
+    """failure probability that is accepted"""
+    governing: str
+    """limit or failure mode that governs, limits.NAME, modes.NAME"""
+    use: Use | None
+    """number to use; none without [margins] or where none is safe"""
+    blocked_by: str = ""
+    """limit or mode that is over its target everywhere"""
+    own: Finite = None
+    """number to use by the study's own limits only"""
+    probability: Range
+    """failure probability at the plan, by the study's limits"""
+    all_modes: Range | None = None
+    """failure probability at the plan, by all failure modes"""
+    curve: list[CurvePoint] = []
+    """failure probability by all failure modes"""
+    band: list[CurvePoint] = []
+    """failure probability over the strengths that the tests allow"""
     doubts: list[Doubt] = []
     caveats: list[Caveat] = []
     library: LibraryRange | None = None
@@ -494,9 +532,11 @@ class CheckEntry(Part):
 
     name: str
     text: str
-    share: float = Field(description="share of the rows that breach it")
+    share: float
+    """share of the rows that breach it"""
     grade: Grade
-    effect: str = Field(default="", description="effect on the answers, and what to do")
+    effect: str = ""
+    """effect on the answers, and what to do"""
 
 
 class PaperRow(Part):
@@ -506,7 +546,8 @@ class PaperRow(Part):
     printed: Finite
     corrected: Finite
     unit: str
-    note: str = Field(default="", description="what is wrong in the printed equation")
+    note: str = ""
+    """what is wrong in the printed equation"""
 
 
 class Reached(Part):
@@ -530,11 +571,15 @@ class AccuracyEntry(Part):
 
     required: dict[str, float]
     reached: list[Reached]
-    stopped: Stop = Field(description="why the run ended")
+    stopped: Stop
+    """why the run ended"""
     inaccurate: list[Shortfall]
-    runs: int = Field(description="model runs, those that were taken from the cache included")
-    reused: int = Field(description="model runs that were taken from the cache")
-    seconds: float = Field(description="run time [s]")
+    runs: int
+    """model runs, those that were taken from the cache included"""
+    reused: int
+    """model runs that were taken from the cache"""
+    seconds: float
+    """run time [s]"""
 
 
 class Results(Part):
@@ -545,13 +590,11 @@ class Results(Part):
     inputs: dict[str, InputEntry]
     answers: list[Answer]
     decisions: list[Decision] = []
-    evidence: list[EvidenceEntry] = Field(
-        default=[], description="what crushing tests say of strengths of the library"
-    )
+    evidence: list[EvidenceEntry] = []
+    """what crushing tests say of strengths of the library"""
     checks: list[CheckEntry]
-    paper: list[PaperRow] = Field(
-        default=[], description="the paper's numbers beside the corrected ones"
-    )
+    paper: list[PaperRow] = []
+    """the paper's numbers beside the corrected ones"""
     accuracy: AccuracyEntry
     versions: dict[str, str]
 
