@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from uqsphere.report.pictures import (
     LETTER,
     PURPLE,
     RED,
+    Indices,
     convergence_of,
     draw_convergence,
     draw_density,
@@ -61,8 +61,7 @@ STYLE: Final[dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Picture:
+class Picture(NamedTuple):
     """A figure of the page: its title, what it shows in words, and its SVG text."""
 
     title: str
@@ -104,15 +103,18 @@ def svg(draw: Callable[[Axes], None], width: float = 620.0, height: float = 310.
 
 
 def _placed(
-    draw: Callable[[Axes], None],
     size: tuple[float, float],
     edges: tuple[float, float, float, float],
+    draw: Callable[..., None],
+    *shown: Any,
 ) -> str:
-    """The SVG of axes in a figure of a size, with room at its left, right, top and bottom [px]."""
+    """The SVG of what `draw` puts on axes, given what is `shown`: in a figure of a size, with room
+    at its left, right, top and bottom [px].
+    """
     (width, height), (left, right, top, bottom) = size, edges
     inner = (1.0 - (left + right) / width, 1.0 - (top + bottom) / height)
     place = (left / width, bottom / height, *inner)
-    return picture_svg(lambda figure: draw(figure.add_axes(place)), width, height)
+    return picture_svg(lambda figure: draw(figure.add_axes(place), *shown), width, height)
 
 
 # --- pictures of the page -------------------------------------------------------------------------
@@ -125,35 +127,27 @@ def pictures_of(results: Results) -> dict[str, Picture]:
     for number, (name, entry) in enumerate(quantities, 1):
         if varies(entry):
             drawn[f"density-{number}"] = _density(results, name, entry)
-    first = [name for name, _ in quantities[:FIRST]]
-    if indices_of(results, first):
-        drawn["sobol"] = _sobol(results, first)
+    columns = indices_of(results, [name for name, _ in quantities[:FIRST]])
+    if columns:
+        drawn["sobol"] = _sobol(columns)
     points = convergence_of(results)
     if points is not None:
         runs, error = points
-        drawn["convergence"] = Picture(
-            title="Convergence",
-            text=f"Largest error over tolerance, {error[-1]:.2g} at {runs[-1]:,.0f} model runs",
-            svg=_placed(
-                lambda axes: draw_convergence(axes, runs, error),
-                (420.0, 210.0),
-                (63.0, 80.0, 8.0, 46.0),
-            ),
-        )
+        text = f"Largest error over tolerance, {error[-1]:.2g} at {runs[-1]:,.0f} model runs"
+        edges = (63.0, 80.0, 8.0, 46.0)
+        figure = _placed((420.0, 210.0), edges, draw_convergence, runs, error)
+        drawn["convergence"] = Picture("Convergence", text, figure)
     for number, (name, entry) in enumerate(quantities[:FIRST], 1):
         if entry.held_out:
             title = title_of(name, entry)
             left = format_probability(entry.expansion_error)
-            drawn[f"expansion-{number}"] = Picture(
-                title=f"{title}: polynomial chaos",
-                text=f"{title} as predicted by polynomial chaos against model runs that it was not "
-                f"fitted to; {left} of the variance is not explained",
-                svg=_placed(
-                    partial(draw_expansion, results=results, quantity=name),
-                    (260.0, 210.0),
-                    (56.0, 12.0, 8.0, 46.0),
-                ),
+            text = (
+                f"{title} as predicted by polynomial chaos against model runs that it was not "
+                f"fitted to; {left} of the variance is not explained"
             )
+            edges = (56.0, 12.0, 8.0, 46.0)
+            figure = _placed((260.0, 210.0), edges, draw_expansion, results, name)
+            drawn[f"expansion-{number}"] = Picture(f"{title}: polynomial chaos", text, figure)
     return drawn
 
 
@@ -163,43 +157,40 @@ def _fragility(results: Results) -> dict[str, Picture]:
     curves = curves_of(results)
     if free is None or not curves:
         return {}
-    texts = [f"{chart_title(results)} over the {free.meaning}"]
+    title = chart_title(results)
+    texts = [f"{title} over the {free.meaning}"]
     planned = planned_value(free)
     if planned is not None:
         for curve in curves:
             p = float(np.interp(planned, curve.x, curve.p))
             texts.append(f"{curve.name} at the planned value: {format_probability(p)}")
     texts += [decision.use.lower() for decision in decision_texts(results)]
-    right = max(LETTER * max(len(curve.name) for curve in curves), 90.0)
-    drawn = {}
-    for name, brief, size, edges in (
-        ("fragility", False, (822.0, 430.0), (62.0, min(right, 190.0) + 12.0, 58.0, 74.0)),
-        ("fragility-narrow", True, (370.0, 430.0), (58.0, 92.0, 84.0, 84.0)),
-    ):
-        drawn[name] = Picture(
-            title=chart_title(results),
-            text="; ".join(texts),
-            svg=_placed(partial(draw_fragility, results=results, brief=brief), size, edges),
-        )
-    return drawn
+    text = "; ".join(texts)
+    letters = max(len(curve.name) for curve in curves)
+    right = min(max(LETTER * letters, 90.0), 190.0) + 12.0
+    edges = (62.0, right, 58.0, 74.0)
+    wide = _placed((822.0, 430.0), edges, draw_fragility, results)
+    edges = (58.0, 92.0, 84.0, 84.0)
+    narrow = _placed((370.0, 430.0), edges, partial(draw_fragility, brief=True), results)
+    return {
+        "fragility": Picture(title, text, wide),
+        "fragility-narrow": Picture(title, text, narrow),
+    }
 
 
 def _density(results: Results, quantity: str, entry: QuantityEntry) -> Picture:
     """The small picture of a distribution."""
-    ends = zip(("5 %", "50 %", "95 %"), quantile_texts(entry, quantity), strict=True)
+    low, middle, high = quantile_texts(entry, quantity)
     unit = display_unit(quantity, entry.range[1] or 1.0)[0]
-    draw = partial(draw_density, results=results, quantity=quantity)
     return Picture(
-        title=with_unit(title_of(quantity, entry), unit),
-        text="Density: " + "; ".join(f"{share} at {end}" for share, end in ends),
-        svg=_placed(draw, (370.0, 190.0), (7.0, 7.0, 4.0, 36.0)),
+        with_unit(title_of(quantity, entry), unit),
+        f"Density: 5 % at {low}; 50 % at {middle}; 95 % at {high}",
+        _placed((370.0, 190.0), (7.0, 7.0, 4.0, 36.0), draw_density, results, quantity),
     )
 
 
-def _sobol(results: Results, quantities: Sequence[str]) -> Picture:
+def _sobol(columns: Sequence[Indices]) -> Picture:
     """Sobol' indices of some quantities in one chart, a row an input."""
-    columns = indices_of(results, quantities)
-    texts = []
     inputs = columns[0].inputs
     height = max(190.0, 50.0 + 26.0 * len(inputs))
     names = LETTER * max(map(len, inputs)) + 12.0
@@ -212,11 +203,12 @@ def _sobol(results: Results, quantities: Sequence[str]) -> Picture:
             place = (left, 26.0 / height, width, 1.0 - 52.0 / height)
             draw_indices(figure.add_axes(place), column, names=k == 0)
 
+    texts = []
     for column in columns:
         totals = zip(inputs, column.total[0], strict=True)
         texts.append(f"{column.name}: " + ", ".join(f"{name} {t:.2f}" for name, t in totals))
     text = f"Total Sobol’ indices; {'; '.join(texts)}"
-    return Picture(title="Sobol’ indices", text=text, svg=picture_svg(draw, 480.0, height))
+    return Picture("Sobol’ indices", text, picture_svg(draw, 480.0, height))
 
 
 # --- plots on axes --------------------------------------------------------------------------------
@@ -236,7 +228,7 @@ class Plots:
         results = self._results
         if results.study.free is None or not curves_of(results, limit):
             raise UsageError("the run has no curve: add [margins] to the study")
-        return self._on(ax, partial(draw_fragility, results=results, limit=limit))
+        return self._on(ax, draw_fragility, results, limit)
 
     def density(self, quantity: str, ax: Axes | None = None) -> Axes:
         """Density of a quantity with the strengths that it is compared with.
@@ -245,7 +237,7 @@ class Plots:
         """
         if not varies(self._entry(quantity)):
             raise UsageError(f"{quantity!r} does not vary: it has no density")
-        return self._on(ax, partial(draw_density, results=self._results, quantity=quantity))
+        return self._on(ax, draw_density, self._results, quantity)
 
     def sobol(self, quantity: str, ax: Axes | None = None) -> Axes:
         """Sobol' indices of a quantity.
@@ -256,7 +248,7 @@ class Plots:
         columns = indices_of(self._results, [quantity])
         if not columns:
             raise UsageError(f"the run has no Sobol' indices of {quantity!r}")
-        return self._on(ax, partial(draw_indices, indices=columns[0]))
+        return self._on(ax, draw_indices, columns[0])
 
     def expansion(self, quantity: str, ax: Axes | None = None) -> Axes:
         """What the polynomial chaos of a quantity predicts, against model runs that it was not
@@ -266,7 +258,7 @@ class Plots:
         """
         if not self._entry(quantity).held_out:
             raise UsageError(f"the run has no polynomial chaos of {quantity!r}")
-        return self._on(ax, partial(draw_expansion, results=self._results, quantity=quantity))
+        return self._on(ax, draw_expansion, self._results, quantity)
 
     def convergence(self, ax: Axes | None = None) -> Axes:
         """The largest error over its tolerance, against model runs.
@@ -276,7 +268,7 @@ class Plots:
         points = convergence_of(self._results)
         if points is None:
             raise UsageError("the run has one size of the sample: there is no convergence to plot")
-        return self._on(ax, lambda axes: draw_convergence(axes, *points))
+        return self._on(ax, draw_convergence, *points)
 
     def _entry(self, quantity: str) -> QuantityEntry:
         quantities = self._results.study.quantities
@@ -288,10 +280,10 @@ class Plots:
         return quantities[quantity]
 
     @staticmethod
-    def _on(ax: Axes | None, draw: Callable[[Axes], None]) -> Axes:
+    def _on(ax: Axes | None, draw: Callable[..., None], *shown: Any) -> Axes:
         if ax is None:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
-        draw(ax)
+        draw(ax, *shown)
         return ax

@@ -55,9 +55,7 @@ class Course(History):
     def _repr_html_(self) -> str:
         """What a person asks of the scene, and its figures."""
         rows = history_rows(self.study, self)
-        table = PageTable(
-            caption="One impact, every number at its mean", head=("", "value"), rows=rows
-        )
+        table = PageTable("One impact, every number at its mean", ("", "value"), rows)
         return notebook_html(self.study.title, [table], _pictures(self.study, self))
 
 
@@ -210,14 +208,14 @@ def _pictures(study: Study, course: History) -> dict[str, Picture]:
         draw = partial(_draw_lines, lines=lines, label=label, end=1e6 * course.record_end)
         largest = max(float(abs(y).max()) for _, _, y in lines)
         text = f"{label} over time: {largest:.4g} at most"
-        pictures[name] = Picture(title=capital(label), text=text, svg=svg(draw))
+        pictures[name] = Picture(capital(label), text, svg(draw))
     if RIGS[study.rig].by_wave:
         view = view_field(course, places=150, times=150)
         largest = 1e-6 * float(np.abs(view.stress).max())
         pictures["xt"] = Picture(
-            title="Stress in the bars",
-            text=f"Stress over place and time: {largest:.4g} MPa at most",
-            svg=svg(partial(_draw_xt, view=view, largest=largest or 1.0)),
+            "Stress in the bars",
+            f"Stress over place and time: {largest:.4g} MPa at most",
+            svg(partial(_draw_xt, view=view, largest=largest or 1.0)),
         )
     return pictures
 

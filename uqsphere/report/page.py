@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.quantities import format_probability
 from uqsphere.report import sentences, tables
-from uqsphere.report.figures import FIRST, Picture, pictures_of
+from uqsphere.report.figures import Picture, pictures_of
 from uqsphere.report.format import capital, keep_units, meaning, short
 from uqsphere.results.folder import read_results, write_files
 from uqsphere.results.types import Results
@@ -20,8 +20,8 @@ from uqsphere.results.types import Results
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-#: answers less accurate than required that are named
-MOST_SHORTFALLS = 8
+#: figures of the row below the decision
+FRONT: Final[tuple[str, ...]] = ("density-1", "density-2", "sobol")
 #: files beside the page that it links to, where they are
 LINKED = ("answers.csv", "samples.csv", "results.json", "study.toml")
 
@@ -52,18 +52,16 @@ def page_files(results: Results, names: Sequence[str]) -> dict[str, str]:
 
 def run_html(results: Results) -> str:
     """Decisions, figures and tables of a run, for a notebook's cell."""
+    drawn = pictures_of(results)
+    pictures = {name: drawn[name] for name in ("fragility", *FRONT) if name in drawn}
     shown = (tables.limits(results), tables.quantities(results), tables.indices(results))
-    pictures = pictures_of(results)
-    names = [name for name in ("fragility", *_first(pictures)) if name in pictures]
     decisions = sentences.decision_texts(results)
-    return notebook_html(
-        results.study.title, shown, {name: pictures[name] for name in names}, decisions
-    )
+    return notebook_html(results.study.title, shown, pictures, decisions)
 
 
 def notebook_html(
     title: str,
-    shown: Sequence[tables.PageTable | None],
+    shown: Sequence[tables.PageTable],
     pictures: Mapping[str, Picture],
     decisions: Sequence[sentences.DecisionText] = (),
 ) -> str:
@@ -83,14 +81,14 @@ def render(template: str, **variables: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"cell": _cell, "linked": _linked, "inline": _inline}
+    for filter in (_cell, _linked, _inline, capital, meaning, short, format_probability):
+        environment.filters[filter.__name__.strip("_")] = filter
     html = environment.get_template(template).render(**variables)
     # texts only: the places of a path have blanks too
     return re.sub(r">[^<]+<", lambda text: keep_units(text[0]), html)
 
 
 def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]) -> str:
-    sensitivity = [tables.margins(results), tables.fracture(results), *tables.drivers(results)]
     return render(
         "page.html",
         title=results.study.title,
@@ -98,49 +96,9 @@ def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]
         sentences=sentences,
         tables=tables,
         pictures=pictures,
-        first=_first(pictures),
-        notes=_quantity_notes(results),
-        dependence=_dependence(results),
-        sensitivity=[table for table in sensitivity if table is not None],
-        shortfalls=results.accuracy.inaccurate[:MOST_SHORTFALLS],
+        first=[name for name in FRONT if name in pictures],
         files=files,
     )
-
-
-def _first(pictures: dict[str, Picture]) -> list[str]:
-    """Pictures of the row below the decision."""
-    names = [f"density-{k}" for k in range(1, FIRST + 1)]
-    return [name for name in (*names, "sobol") if name in pictures]
-
-
-def _quantity_notes(results: Results) -> list[str]:
-    """What quantities are, how they are correlated, and how well their expansions fit."""
-    notes = []
-    errors = []
-    for name, entry in results.study.quantities.items():
-        definition = entry.meaning.partition(": ")[2]
-        if definition:
-            notes.append(f"{capital(short(entry.meaning))}: {definition}.")
-        if entry.expansion_error is not None:
-            errors.append(f"{meaning(name)} {format_probability(entry.expansion_error)}")
-    for tie in results.study.correlations[:1]:
-        names = " and ".join(meaning(name) for name in tie.of)
-        notes.append(f"Correlation of {names}: {tie.value:.3f}.")
-    if errors:
-        notes.append(
-            "Share of the variance that the polynomial chaos does not explain, at model runs that "
-            f"it was not fitted to: {', '.join(errors)}; the answers are corrected for it."
-        )
-    return notes
-
-
-def _dependence(results: Results) -> list[str]:
-    """What depends on what, and how strongly."""
-    texts = []
-    for tie in results.study.dependence:
-        names = " and ".join(meaning(name, results.inputs) for name in tie.of)
-        texts.append(f"{capital(names)}: {tie.text}")
-    return texts
 
 
 # --- HTML -----------------------------------------------------------------------------------------

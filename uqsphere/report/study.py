@@ -62,11 +62,11 @@ def _tables(study: Study) -> list[PageTable]:
             row = (name, format_value(number, name), DASH, DASH, "fixed")
         rows.append((*row, _source(study, name)))
     head = ("input", "mean", "sd", "5-95 % range", "distribution", "source")
-    tables = [PageTable(caption="Inputs", head=head, rows=rows)]
+    tables = [PageTable("Inputs", head, rows)]
     if study.limits:
         head = ("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range")
         rows = [_strength(limit) for limit in study.limits]
-        tables.append(PageTable(caption="Strengths", head=(*head, "demand"), rows=rows))
+        tables.append(PageTable("Strengths", (*head, "demand"), rows))
     return tables
 
 

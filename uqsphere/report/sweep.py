@@ -229,7 +229,7 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
         keys=[short(lookup(path_of(key)).meaning) for key in sweep.keys],
         done=len(runs),
         planned=len(sweep.points),
-        picture=Picture(title=chart, text=f"{chart}: the numbers are in the table", svg=figure),
+        picture=Picture(chart, f"{chart}: the numbers are in the table", figure),
         decisions=_decisions(sweep, runs),
         points=[point.name for point in sweep.points if point.name in runs],
     )
@@ -286,7 +286,7 @@ def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
         rows.append((*values, use, plain_probability(p), decision.verdict, governing))
         name = exceedance_name(results).lower()
     head = (*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs")
-    return PageTable(caption="Decisions", head=head, rows=rows)
+    return PageTable("Decisions", head, rows)
 
 
 def sweep_text(sweep: Sweep, runs: Mapping[str, Run], width: int) -> str:

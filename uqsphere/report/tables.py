@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from uqsphere.quantities import format_conservative, format_probability, format_together
 from uqsphere.report.format import (
@@ -42,13 +42,14 @@ from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, LimitEntry
 MOST_ROWS, MOST_INPUTS = 16, 40
 
 
-@dataclass(frozen=True, kw_only=True)
-class PageTable:
-    """A table: caption, heads, rows of texts, rows that are marked, and a note on it."""
+class PageTable(NamedTuple):
+    """A table: caption, heads, rows of texts, rows that are marked, and a note on it; shown if it
+    has rows.
+    """
 
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    head: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
     marked: Sequence[int] = ()
     note: str = ""
 
@@ -75,11 +76,11 @@ def columns(rows: Sequence[Sequence[str]], width: int | None = None) -> list[str
 # --- decisions ------------------------------------------------------------------------------------
 
 
-def certificate(results: Results, decision: Decision) -> PageTable | None:
+def certificate(results: Results, decision: Decision) -> PageTable:
     """What the number to use rests on: a row a doubt, the conservative ones first."""
     free = results.study.free
-    if free is None or not decision.doubts:
-        return None
+    if free is None:
+        return PageTable()
     sign = 1.0
     if decision.use is not None and decision.use.safe_end == "smallest":
         sign = -1.0
@@ -96,32 +97,28 @@ def certificate(results: Results, decision: Decision) -> PageTable | None:
     rows = []
     for doubt in doubts:
         margin = notes[doubt.margin_note] if doubt.margin is None else next(texts)
-        events = (as_event(decision, p) for p in (doubt.at_number, doubt.at_plan))
-        rows.append(
-            (f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *map(probability, events))
-        )
+        at = (probability(as_event(decision, p)) for p in (doubt.at_number, doubt.at_plan))
+        rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results).lower()
     return PageTable(
-        caption=f"To {decision.aim}",
-        head=(
+        f"To {decision.aim}",
+        (
             "limit and what is open",
             f"{free.meaning} at the target",
             f"{name} at the number to use",
             f"{name} at the plan",
         ),
-        rows=rows,
+        rows,
         marked=[k for k, doubt in enumerate(doubts) if doubt.governs],
         note="bold: governs; * strength assumed, from the library",
     )
 
 
-def limits(results: Results) -> PageTable | None:
+def limits(results: Results) -> PageTable:
     """One line a limit or failure mode, and one for those of an aim together."""
     entries = entries_of(results)
     free = results.study.free
     answers = table_of(results)
-    if not entries:
-        return None
     head = ["limit", f"{exceedance_name(results).lower()} at the plan", "β"]
     if free is not None:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
@@ -156,9 +153,9 @@ def limits(results: Results) -> PageTable | None:
     if damage:
         notes.append(f"damage, not counted as fracture: {listed(damage)}")
     return PageTable(
-        caption="Limits and failure modes",
-        head=(*head, "demand: strength", "source of the strength"),
-        rows=rows,
+        "Limits and failure modes",
+        (*head, "demand: strength", "source of the strength"),
+        rows,
         marked=[k for k, subject in enumerate(entries) if subject in governing],
         note="; ".join(notes),
     )
@@ -218,7 +215,7 @@ def _strength_source(entry: LimitEntry) -> str:
     return "; ".join(filter(None, (source, entry.platens, entry.size_law)))
 
 
-def assumptions(results: Results) -> PageTable | None:
+def assumptions(results: Results) -> PageTable:
     """Fracture probabilities under other assumptions, one at a time."""
     rows = []
     answers = table_of(results)
@@ -230,21 +227,19 @@ def assumptions(results: Results) -> PageTable | None:
                     event = complement(event)
                 assumed = str(row.at).removeprefix("assumed: ")
                 rows.append((label(subject), assumed, probability(event)))
-    if not rows:
-        return None
     return PageTable(
-        caption=f"{exceedance_name(results)} under other assumptions, one at a time",
-        head=("limit", "assumed", exceedance_name(results).lower()),
-        rows=rows,
+        f"{exceedance_name(results)} under other assumptions, one at a time",
+        ("limit", "assumed", exceedance_name(results).lower()),
+        rows,
     )
 
 
-def fracture(results: Results) -> PageTable | None:
+def fracture(results: Results) -> PageTable:
     """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
     answers = table_of(results)
     joint = answers.get("fracture", Kind.EXCEEDANCE_PROBABILITY)
     if joint is None:
-        return None
+        return PageTable()
     rows = [("fracture probability", probability(joint))]
     for row in answers.where("fracture", Kind.MODE_SHARE):
         rows.append((f"first failure mode: {row.at}", probability(row)))
@@ -255,7 +250,7 @@ def fracture(results: Results) -> PageTable | None:
         median = answers.get("fracture", kind, 0.5)
         if median is not None:
             rows.append((f"{name} at fracture, median", estimate(median, quantity)))
-    return PageTable(caption="Fracture by any limit of the study", head=("", "value"), rows=rows)
+    return PageTable("Fracture by any limit of the study", ("", "value"), rows)
 
 
 # --- distributions and sensitivity ----------------------------------------------------------------
@@ -275,21 +270,19 @@ def quantities(results: Results) -> PageTable:
         sd = estimate(answers.get(name, Kind.SD), name, 3)
         rows.append((title_of(name, entry), mean, sd, *quantiles))
     return PageTable(
-        caption="Distributions at the plan",
-        head=("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
-        rows=rows,
+        "Distributions at the plan",
+        ("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
+        rows,
         note="with 95 % sampling intervals",
     )
 
 
-def indices(results: Results) -> PageTable | None:
+def indices(results: Results) -> PageTable:
     """First-order and total Sobol' indices: a row an input, the largest total first."""
     answers = table_of(results)
     entries = results.study.quantities
     names = [name for name in entries if answers.where(name, Kind.SOBOL_TOTAL)]
     ranked = ranked_inputs(results, names)
-    if not ranked:
-        return None
     orders = list(itertools.product(names, (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)))
     rows = []
     for at in ranked[:MOST_ROWS]:
@@ -301,19 +294,19 @@ def indices(results: Results) -> PageTable | None:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
     heads = itertools.product([short(entries[name].meaning) for name in names], "ST")
     return PageTable(
-        caption=f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
-        head=("input", *map(", ".join, heads)),
-        rows=rows,
+        f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
+        ("input", *map(", ".join, heads)),
+        rows,
         note=note,
     )
 
 
-def margins(results: Results) -> PageTable | None:
+def margins(results: Results) -> PageTable:
     """The free number at the probabilities that were asked for, a column a limit of the study."""
     free = results.study.free
     answers = table_of(results)
     if free is None:
-        return None
+        return PageTable()
     names = []
     places = set[float]()
     for name in results.study.limits:
@@ -327,12 +320,10 @@ def margins(results: Results) -> PageTable | None:
         values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in names]
         cells = [estimate(row, free.path) for row in values]
         body.append((format_probability(p), *cells))
-    if not body:
-        return None
     return PageTable(
-        caption=f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
-        head=("probability", *names),
-        rows=body,
+        f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
+        ("probability", *names),
+        body,
     )
 
 
@@ -376,7 +367,7 @@ def drivers(results: Results) -> list[PageTable]:
             head = meaning(name, results.inputs) if name else "strength"
             body.append((head, *(column.get(name, DASH) for column in cells.values())))
         if cells:
-            tables.append(PageTable(caption=caption, head=("input", *cells), rows=body, note=note))
+            tables.append(PageTable(caption, ("input", *cells), body, note=note))
     return tables
 
 
@@ -385,14 +376,12 @@ def _variable(at: float | str) -> str:
     return "" if str(at).endswith(".strength") else str(at)
 
 
-def paper(results: Results) -> PageTable | None:
+def paper(results: Results) -> PageTable:
     """The paper's numbers as printed, beside the corrected ones."""
-    if not results.paper:
-        return None
     return PageTable(
-        caption="The paper’s formulas, as printed and corrected",
-        head=("formula of the paper", "printed", "corrected", "what is wrong as printed"),
-        rows=[(row.name, *paper_cells(row), row.note) for row in results.paper],
+        "The paper’s formulas, as printed and corrected",
+        ("formula of the paper", "printed", "corrected", "what is wrong as printed"),
+        [(row.name, *paper_cells(row), row.note) for row in results.paper],
     )
 
 
@@ -402,16 +391,16 @@ def reached(results: Results) -> PageTable:
     for row in results.accuracy.reached:
         rows.append((f"{row.runs:,}", DASH if row.error is None else f"{row.error:.2f}"))
     return PageTable(
-        caption="Convergence: largest error / tolerance",
-        head=("model runs", "error / tolerance"),
-        rows=rows,
+        "Convergence: largest error / tolerance",
+        ("model runs", "error / tolerance"),
+        rows,
     )
 
 
 # --- inputs ---------------------------------------------------------------------------------------
 
 
-def random_inputs(results: Results) -> PageTable | None:
+def random_inputs(results: Results) -> PageTable:
     """Random inputs: distribution, mean, standard deviation, 5–95 % range and source."""
     rows = []
     for name, entry in results.inputs.items():
@@ -421,29 +410,23 @@ def random_inputs(results: Results) -> PageTable | None:
             span = value_range(entry.p05, entry.p95, name)
             cells = (entry.distribution, mean, sd, span, _source(entry))
             rows.append((meaning(name, results.inputs), *cells))
-    if not rows:
-        return None
     return PageTable(
-        caption="Random inputs",
-        head=("input", "distribution", "mean", "sd", "5–95 % range", "source"),
-        rows=rows[:MOST_INPUTS],
+        "Random inputs",
+        ("input", "distribution", "mean", "sd", "5–95 % range", "source"),
+        rows[:MOST_INPUTS],
     )
 
 
-def fixed_inputs(results: Results) -> PageTable | None:
+def fixed_inputs(results: Results) -> PageTable:
     """Fixed inputs, those of one source together."""
     entries = [(name, entry) for name, entry in results.inputs.items() if entry.fixed]
-    if not entries:
-        return None
     sources = list(dict.fromkeys(_source(entry) for _, entry in entries))
     entries.sort(key=lambda item: sources.index(_source(item[1])))
     rows = [
         (meaning(name, results.inputs), value(entry.mean, name, 4), _source(entry))
         for name, entry in entries
     ]
-    return PageTable(
-        caption="Fixed inputs", head=("input", "value", "source"), rows=rows[:MOST_INPUTS]
-    )
+    return PageTable("Fixed inputs", ("input", "value", "source"), rows[:MOST_INPUTS])
 
 
 def _source(entry: InputEntry) -> str:

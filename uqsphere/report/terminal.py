@@ -64,7 +64,7 @@ def _wrapped(texts: Iterable[str], width: int) -> list[str]:
 
 def _limits(results: Results, width: int) -> list[str]:
     limits = tables.limits(results)
-    if limits is None:
+    if not limits.rows:
         return []
     head = ["failure mode", exceedance_name(results).lower(), "beta"]
     if results.study.free is not None:
@@ -75,7 +75,7 @@ def _limits(results: Results, width: int) -> list[str]:
 
 def _paper(results: Results, width: int) -> list[str]:
     paper = tables.paper(results)
-    if paper is None:
+    if not paper.rows:
         return []
     return ["", *tables.columns([row[:3] for row in (paper.head, *paper.rows)], width)]
 
@@ -93,7 +93,7 @@ def _quantities(results: Results, width: int) -> list[str]:
 def _indices(results: Results, width: int) -> list[str]:
     indices = tables.indices(results)
     answers = table_of(results)
-    if indices is None:
+    if not indices.rows:
         return []
     names = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
     rows: list[Sequence[str]] = [("Sobol' index, total", *names[:COLUMNS])]
