@@ -191,6 +191,18 @@ def test_shares_of_a_mixed_batch():
     assert "0.29 (limit 0.2)" in milder["small_contact"].text
 
 
+def test_a_number_that_few_rows_reach_is_told_with_what_most_keep():
+    widths = np.full(100, 0.0021)
+    scene = scene_with(rows=100)
+    assert "in 95 %" not in checks(scene, a_max=widths)["small_contact"].text
+    widths[:3] = 0.0161
+    text = checks(scene, a_max=widths)["small_contact"].text
+    assert text == (
+        "all samples: the contact is not small, a/r up to 1.61 (0.21 in 95 % of the samples; "
+        "limit 0.3)"
+    )
+
+
 def test_the_share_of_rows_outside_the_range_of_a_criterion():
     scene = scene_with(rows=4)
     found = dynamics.solve(scene, tolerance=1e-6)

@@ -14,6 +14,7 @@ from scipy import stats
 import uqsphere
 from uqsphere import Study
 from uqsphere.models.model import Model
+from uqsphere.propagation import promise
 from uqsphere.propagation.demands import demands_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import Curves, alternatives
@@ -118,6 +119,40 @@ def test_few_tests_give_the_tolerance_bound_of_their_strength(tmp_path: Path) ->
     assert [gain.tests for gain in decision.next.gains] == [25, 50, 100, 200]
     medians = [gain.median for gain in decision.next.gains]
     assert medians == sorted(medians)
+
+
+def test_more_tests_promise_no_less_and_cut_modes_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the tests themselves, and by what each number of them leaves of the library."""
+    forces = 20.0 * np.random.default_rng(4).weibull(9.0, 12)
+    rows = ["force_kN,diameter_mm", *(f"{force:.6g},25" for force in forces)]
+    (tmp_path / "tests.csv").write_text("\n".join(rows), encoding="utf-8")
+    tests = (
+        '{ file = "tests.csv", force = "force_kN", diameter = "diameter_mm", platens = "steel" }'
+    )
+    text = PLAIN.replace('{ dist = "weibull", mean = "8 MPa", modulus = 8 }', tests)
+    text += '[margins]\nsolve = "rig.speed"\nbetween = ["0.1 m/s", "20 m/s"]\n'
+    design = Design.of(load_study(tmp_path / "study.toml", text=text))
+    raised: dict[int, list[float]] = {}
+    stronger = promise._Promise._stronger
+
+    def followed(self: Any, mode: Any, logs: np.ndarray, leaving: np.ndarray) -> np.ndarray:
+        by = stronger(self, mode, logs, leaving)
+        raised.setdefault(int(leaving.sum()), []).append(float(np.median(by)))
+        return by
+
+    monkeypatch.setattr(promise._Promise, "_stronger", followed)
+    with Model(design.judged) as model:
+        (judged,), _ = judge(design, model, grow(design, model, seconds=600.0))
+    assert judged.line is not None
+    gains = promise.gains_of(judged.line, (25, 50, 100))
+    for end in ("low", "median"):
+        numbers = [judged.line.number, *(getattr(gain, end) for gain in gains)]
+        assert numbers == sorted(numbers)
+    # logarithms of what the tests raise the library's fracture energy by, medians of their series
+    (few,), (more,), (many,) = raised[25], raised[50], raised[100]
+    assert 0.0 < few < more < many
 
 
 def test_a_limit_over_its_target_everywhere_leaves_no_number_and_is_named() -> None:

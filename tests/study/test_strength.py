@@ -436,6 +436,15 @@ def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) 
     assert forces[2] != pytest.approx(forces[1], rel=1e-3)
 
 
+def test_a_force_of_tests_of_another_size_is_not_sent_to_a_fit(load: Load) -> None:
+    scene = SCENE.replace('{ dist = "normal", mean = "10 mm", cov = 0.01 }', '"16 mm"')
+    for kind in ("weibull", "lognormal"):
+        tests = TESTS.replace(" }", f', fit = "{kind}" }}')
+        with pytest.raises(StudyError, match="a force has no size law") as caught:
+            load(tests, quantity='quantity = "P_max"', scene=scene)
+        assert "set fit" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("strength", "radius", "between", "says"),
     [

@@ -27,6 +27,9 @@ _RELAP: Final = 1e-6
 #: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory
 #: section 5
 _IMBALANCE: Final = (1.318, 0.45)
+#: the share of the samples whose largest number is told too, if it is below so much of the worst
+_USUAL: Final = 0.95
+_FAR: Final = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,10 +64,10 @@ class Rule:
         values = {1: self.information, 2: self.warning, 3: self.failure}
         return {grade: value for grade, value in values.items() if value is not None}
 
-    def statement(self, worst: float, rows: str, advice: str = "") -> str:
+    def statement(self, worst: float, rows: str, advice: str = "", usual: str = "") -> str:
         """The sentence on the worst number, with the threshold of the grade that it reaches.
 
-        rows: which rows break the check; empty if none does.
+        rows: which rows break the check; empty if none does.  usual: what few rows are beyond.
         """
         shown = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
         grade = int(grades(self, np.array([worst]))[0])
@@ -73,7 +76,8 @@ class Rule:
             limit = next(iter(self.thresholds.values()))
             return f"{self.meaning}: {side} {shown} (limit {limit:.3g})"
         limit = self.thresholds[grade]
-        return f"{rows}: {self.words.format(worst=shown, limit=f'{limit:.3g}')}{advice}"
+        words = self.words.format(worst=shown + usual, limit=f"{limit:.3g}")
+        return f"{rows}: {words.replace(') (limit', '; limit')}{advice}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -759,7 +763,12 @@ def _check(rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags) -> Vali
     shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
     if not shares.any():
         return _result(rule.name, shares, worst, rule.statement(worst, ""))
-    text = rule.statement(worst, _rows_text(float(shares.sum())), rule.advice(scene, answers, good))
+    usual, beyond = "", float(shares.sum())
+    if rule.rising and beyond > 1.0 - _USUAL:
+        most = float(np.quantile(usable, _USUAL, method="inverted_cdf"))
+        if most < _FAR * worst:
+            usual = f" ({most:.3g} in {100.0 * _USUAL:.3g} % of the samples)"
+    text = rule.statement(worst, _rows_text(beyond), rule.advice(scene, answers, good), usual)
     return _result(rule.name, shares, worst, text)
 
 

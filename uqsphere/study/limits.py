@@ -239,7 +239,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     values.warn_of_rows(cells, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
     hint = _warn_of_tests(table, force, diameter, draft, place)
 
-    power, mean = _POWERS.get(limit.criterion or limit.quantity, 2.0), float(diameter.mean())
+    power, mean = _power(limit), float(diameter.mean())
     # flaws lie in the surface around a contact, or in the volume
     flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
@@ -295,6 +295,10 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
+def _power(limit: Limit) -> float:
+    return _POWERS.get(limit.criterion or limit.quantity, 2.0)
+
+
 def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> tuple[Law, float]:
     """A distribution that depends on a number, and the number that follows from it: exponent of the
     size law, modulus of a weakest link; raises Fault.
@@ -337,6 +341,8 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
         way = 'set fit = "weibull"'
         if tested.law is None:
             way = "fit again with strength_at of this size"
+        elif not _power(limit):
+            way = "hold the tests against a pressure or tension: a force has no size law"
         raise Fault(
             f"{sizes}, and no size law covers more than 50 %. Test spheres of this size, or {way}",
             str(place[-1]),
