@@ -11,28 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from uqsphere.mechanics.criteria import DEMANDS
-from uqsphere.mechanics.inputs import INPUTS
-from uqsphere.mechanics.outputs import OUTPUTS
+from uqsphere.mechanics.criteria import DEMANDS as DEMANDS
+from uqsphere.mechanics.inputs import INPUTS as INPUTS
+from uqsphere.mechanics.outputs import OUTPUTS as OUTPUTS
 from uqsphere.units import UNITS, Quantity
-
-__all__ = [
-    "DEMANDS",
-    "INPUTS",
-    "OUTPUTS",
-    "display_unit",
-    "format_bounds",
-    "format_conservative",
-    "format_estimate",
-    "format_index",
-    "format_probability",
-    "format_probability_estimate",
-    "format_together",
-    "format_value",
-    "lookup",
-    "plain_quantity",
-    "round_conservative",
-]
 
 #: smaller unit for values below one display unit
 SMALLER = {"m": "mm", "kN": "N"}
@@ -131,7 +113,7 @@ def format_together(values: Sequence[float], name: str, digits: int = 3) -> list
     return [f"{value * factor:.{decimals}f} {unit}".rstrip() for value in values]
 
 
-def round_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> float:
+def round_conservative(value: float, name: str, *, least: bool) -> float:
     """A conservative bound [SI] rounded to what people read: up if it is the `least` allowable
     value, else down.
 
@@ -141,24 +123,24 @@ def round_conservative(value: float, name: str, *, least: bool, digits: int = 2)
     >>> [round_conservative(x, "striker.speed", least=False) for x in (0.458, 1.08)]
     [0.45, 1.08]
     """
-    _, factor = display_unit(name, value)
+    factor = display_unit(name, value)[1]
+    scaled = value * factor
     direction = 1 if least else -1
-    rounded = _significant(value * factor, digits, direction)
-    if abs(rounded - value * factor) > 0.05 * abs(value * factor):
-        rounded = _significant(value * factor, digits + 1, direction)
+    rounded = _significant(scaled, 2, direction)
+    if abs(rounded - scaled) > 0.05 * abs(scaled):
+        rounded = _significant(scaled, 3, direction)
     return rounded / factor
 
 
-def format_conservative(value: float, name: str, *, least: bool, digits: int = 2) -> str:
+def format_conservative(value: float, name: str, *, least: bool) -> str:
     """Text of a conservative bound [SI], rounded as `round_conservative` does.
 
     >>> [format_conservative(0.458, "striker.speed", least=least) for least in (False, True)]
     ['0.45 m/s', '0.46 m/s']
     """
     unit, factor = display_unit(name, value)
-    return (
-        f"{round_conservative(value, name, least=least, digits=digits) * factor:g} {unit}".rstrip()
-    )
+    rounded = round_conservative(value, name, least=least) * factor
+    return f"{rounded:g} {unit}".rstrip()
 
 
 def _significant(value: float, digits: int, direction: int) -> float:
@@ -169,12 +151,8 @@ def _significant(value: float, digits: int, direction: int) -> float:
         return value
     step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
     # what is a round number but for the last bits stays what it is
-    if direction > 0:
-        steps = math.ceil(value / step - 1e-9)
-    elif direction < 0:
-        steps = math.floor(value / step + 1e-9)
-    else:
-        steps = round(value / step)
+    whole = (round, math.ceil, math.floor)[direction]
+    steps = whole(value / step - 1e-9 * direction)
     return float(f"{steps * step:.{digits}g}")
 
 
@@ -195,17 +173,16 @@ def format_probability(
     >>> format_probability(None)
     'not known'
     """
+    least = _percent(low or 0.0, -1)
+    most = _percent(1.0 if high is None else high, 1)
     bounded_above = high is not None and high < 1.0
     bounded_below = low is not None and low > 0.0
     if value is None and bounded_above and bounded_below:
-        return f"{_percent(low or 0.0, -1)} to {_percent(high or 0.0, 1)}"
+        return f"{least} to {most}"
     if value in (None, 1.0) and bounded_below and low != value:
-        text = _percent(low or 0.0, -1)
-        if text.startswith("above"):
-            return text
-        return f"above {text}"
+        return f"above {least.removeprefix('above ')}"
     if value in (None, 0.0) and bounded_above and high != value:
-        return f"below {_percent(high or 0.0, 1)}"
+        return f"below {most}"
     if value is None:
         return "not known"
     return _percent(value)
@@ -246,9 +223,7 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
         width_digits = 1 - math.floor(math.log10(100.0 * (high - low)))
         digits = max(min(value_digits, width_digits), 0)
         texts = [f"{100.0 * number:.{digits}f} %" for number in (value, low, high)]
-    if texts[0] == texts[1] == texts[2]:
-        return texts[0]
-    return f"{texts[0]} ({texts[1].removesuffix(' %')} to {texts[2]})"
+    return _with_ends(*texts).replace(" % to", " to")
 
 
 def format_index(value: float, low: float | None = None, high: float | None = None) -> str:
@@ -259,10 +234,14 @@ def format_index(value: float, low: float | None = None, high: float | None = No
     """
     first = value if low is None else low
     last = value if high is None else high
-    texts = [f"{number:.3f}" for number in (value, first, last)]
-    if texts[0] == texts[1] == texts[2]:
-        return texts[0]
-    return f"{texts[0]} ({texts[1]} to {texts[2]})"
+    return _with_ends(*(f"{number:.3f}" for number in (value, first, last)))
+
+
+def _with_ends(text: str, low: str, high: str) -> str:
+    """A number with the ends of its interval, where they differ from it."""
+    if text == low == high:
+        return text
+    return f"{text} ({low} to {high})"
 
 
 def format_estimate(
@@ -286,9 +265,10 @@ def format_estimate(
         unit, factor = display_unit(name, value)
     scaled = [number * factor for number in (value, low, high)]
     if not all(map(math.isfinite, scaled)):  # a difference of numbers near the largest there are
-        return f"{scaled[0]:.6g} ({scaled[1]:.6g} to {scaled[2]:.6g}) {unit}".rstrip()
+        texts = [f"{number:.6g}" for number in scaled]
+        return f"{_with_ends(*texts)} {unit}".rstrip()
     decimals = _decimals(*scaled)
-    largest = max(abs(number) for number in scaled)
+    largest = max(map(abs, scaled))
     magnitude = math.floor(math.log10(largest)) if largest else 0
     if largest:
         decimals = min(decimals, most - 1 - magnitude)
@@ -299,9 +279,7 @@ def format_estimate(
         places = max(0, decimals)
         # + 0.0: what rounds to zero has no sign
         texts = [f"{round(number, decimals) + 0.0:.{places}f}" for number in scaled]
-    if texts[0] == texts[1] == texts[2]:
-        return f"{texts[0]} {unit}".rstrip()
-    return f"{texts[0]} ({texts[1]} to {texts[2]}) {unit}".rstrip()
+    return f"{_with_ends(*texts)} {unit}".rstrip()
 
 
 def _decimals(value: float, low: float, high: float) -> int:

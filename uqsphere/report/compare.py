@@ -46,27 +46,27 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
         table = table.assign(at=table["at"].map(str)).set_index(keys)
         tables.append(table[["unit", "value", "low", "high"]].add_suffix(f"_{number}"))
     merged = tables[0].join(tables[1:], how="outer").reset_index()
+    values, low, high = (
+        merged[[f"{end}_{number}" for number in range(len(runs))]].to_numpy()
+        for end in ("value", "low", "high")
+    )
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
-    values = {k: merged[f"value_{k}"] for k in range(len(runs))}
-    widths = {k: (merged[f"high_{k}"] - merged[f"low_{k}"]).fillna(0.0) for k in values}
     # of an index the change itself, of a probability over its target
-    scale = values[0].abs()
+    scale = merged["value_0"].abs()
     chances = merged["answer"].isin(PROBABILITIES)
     scale[chances] = merged["subject"].map(targets).fillna(scale.clip(lower=1e-12))[chances]
     scale[merged["answer"].isin(INDICES)] = 1.0
-    change = 0.0 * scale.fillna(0.0)
-    significant = scale < 0.0
-    for k in list(values)[1:]:
-        difference = values[k] - values[0]
-        outside = difference.abs() > 0.5 * np.hypot(widths[0], widths[k])
-        relative = (difference / scale.where(scale > 0.0)).fillna(0.0)
-        larger = (relative.abs() > change.abs()) | (k == 1)
-        change, significant = change.mask(larger, relative), significant.mask(larger, outside)
+    scale = scale.where(scale > 0.0).to_numpy()[:, None]
+    width = np.nan_to_num(high - low)
+    difference = values[:, 1:] - values[:, :1]
+    outside = abs(difference) > 0.5 * np.hypot(width[:, :1], width[:, 1:])
+    relative = np.nan_to_num(difference / scale)
+    most = np.arange(len(merged)), abs(relative).argmax(axis=1)
     merged = merged.rename(columns={"unit_0": "unit"})
-    merged = merged.assign(change=change, significant=significant, size=change.abs())
-    for k, name in enumerate(names):
-        merged[name] = values[k]
+    merged = merged.assign(change=relative[most], significant=outside[most])
+    merged["size"] = merged["change"].abs()
+    merged[list(names)] = values
     merged = merged.sort_values(["significant", "size"], ascending=False, kind="stable")
     shown: pd.DataFrame = merged[[*keys, "unit", *names, "change", "significant"]]
     return shown.reset_index(drop=True)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -41,7 +40,7 @@ def write(
     axes.annotate(text, place, offset, coordinates, "offset points", **style)
 
 
-def apart(places: Sequence[float], widths: Sequence[float]) -> Array:
+def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:
     """Places (n,) in rising order, moved as little as possible so that texts of these widths about
     them do not overlap.
 
@@ -52,8 +51,7 @@ def apart(places: Sequence[float], widths: Sequence[float]) -> Array:
 
     if not len(places):
         return np.empty(0)
-    steps = [0.5 * (before + after) for before, after in pairwise(widths)]
-    offsets = np.cumsum([0.0, *steps])
+    offsets = np.cumsum([0.0, *(0.5 * (before + after) for before, after in pairwise(widths))])
     return np.asarray(isotonic_regression(np.array(places) - offsets).x + offsets)
 
 
@@ -96,9 +94,8 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     x, y = np.array(entry.density, dtype=float) * scale
     axes.fill_between(x, 0.0, y, color=BLUE, alpha=0.18, linewidth=0)
     axes.plot(x, y, color=BLUE, linewidth=1.6)
-    low = float(x[0])
-    high = float(x[-1])
-    peak = float(y.max())
+    low, high = x[[0, -1]]
+    peak = y.max()
     names = list[tuple[float, float, str]]()
     for name, limit in results.study.limits.items():
         if limit.quantity == quantity and limit.strength.density and len(names) < MOST_STRENGTHS:
@@ -106,13 +103,12 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             # scaled to the demand's peak where a narrow strength would flatten it
             heights *= min(1.0, peak / heights.max())
             axes.plot(places, heights, "--", color=RED, linewidth=1.4)
-            top = int(np.argmax(heights))
-            names.append((float(places[top]), float(heights[top]), f"strength, {name}"))
-            low, high = min(low, float(places[0])), max(high, float(places[-1]))
+            top = heights.argmax()
+            names.append((places[top], heights[top], f"strength, {name}"))
+            low, high = min(low, places[0]), max(high, places[-1])
     if entry.onset is not None:
-        low, high = _mark_onset(
-            axes, entry.onset * factor, _onset_text(results, quantity), low, high
-        )
+        text = _onset_text(results, quantity)
+        low, high = _mark_onset(axes, entry.onset * factor, text, low, high)
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False)
@@ -120,10 +116,10 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     letter = LETTER * axes.figure.dpi / 72.0 / extent.width * (high - low)
     for row, (place, height, text) in enumerate(sorted(names)):
         half = 0.5 * letter * len(text)
-        inside = float(np.clip(place, low + half, max(high - half, low + half)))
+        inside = max(min(place, high - half), low + half)
         write(axes, text, (inside, height), (0.0, 9.0 + 14.0 * row), color=RED, ha="center")
     texts = [text.removesuffix(f" {unit}") for text in quantile_texts(entry, quantity)]
-    ends = [end * factor for end in entry.range if end is not None]
+    ends = np.array(entry.range, dtype=float) * factor
     widths = [letter * (max(len(text), 4) + 1.5) for text in texts]
     shown = apart(ends, widths)
     shown += max(low + 0.5 * widths[0] - shown[0], 0.0)
@@ -177,16 +173,15 @@ def _mark_onset(
     if place > 0.5 * (low + high):
         side = "right"
         gap = -6.0
-    at = (float(np.clip(place, low, high)), 1.0)
-    write(axes, text, at, (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
+    at = max(low, min(place, high))
+    write(axes, text, (at, 1.0), (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high
 
 
 # --- indices --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Indices:
+class Indices(NamedTuple):
     """Sobol' indices of one quantity, an entry an input, in the order of the rows.
 
     first, total : (3, n): value, lower and upper end of the 95 % interval; nan where there is none
@@ -212,17 +207,16 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
             orders.append(np.array(ends, dtype=float).reshape(-1, 3).T)
         if np.isfinite(orders[1][0]).any():
             name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
-            columns.append(Indices(name=name, inputs=names, first=orders[0], total=orders[1]))
+            columns.append(Indices(name, names, *orders))
     return columns
 
 
 def ranked_inputs(results: Results, quantities: Sequence[str]) -> list[str]:
     """Inputs that have an index of a quantity, the largest total index first."""
     largest: dict[str, float] = {}
-    for quantity in quantities:
-        for row in table_of(results).where(quantity, Kind.SOBOL_TOTAL):
-            if row.value is not None:
-                largest[str(row.at)] = max(largest.get(str(row.at), 0.0), row.value)
+    for row in results.answers:
+        if row.answer == Kind.SOBOL_TOTAL and row.subject in quantities and row.value is not None:
+            largest[str(row.at)] = max(largest.get(str(row.at), 0.0), row.value)
     return sorted(largest, key=lambda name: -largest[name])
 
 
@@ -248,10 +242,7 @@ def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
         write(axes, text, (1.0, height), (14.0, 0.0), ("axes fraction", "data"))
     axes.set(xlim=(-0.06, 1.06), ylim=(-0.6, count - 0.4))
     axes.set_xticks((0.0, 0.5, 1.0), ("0", "0.5", "1"))
-    texts = [""] * count
-    if names:
-        texts = list(indices.inputs)[::-1]
-    axes.set_yticks(range(count), texts)
+    axes.set_yticks(range(count), indices.inputs[::-1] if names else [""] * count)
     axes.tick_params(axis="y", length=0, pad=8)
     axes.set_title(indices.name, fontsize="medium")
     axes.spines["left"].set_visible(False)

@@ -341,20 +341,18 @@ def drivers(results: Results) -> list[PageTable]:
             continue
         # three digits of the largest in a column
         decimals = max(2 - math.floor(math.log10(most)), 0)
-        form = "+.1e"
-        if decimals < 6:
-            form = f"+.{decimals}f"
-        changes[label(subject)] = {name: f"{change:{form}}" for name, change in moved.items()}
+        form = f"+.{decimals}f" if decimals < 6 else "+.1e"
+        changes[label(subject)] = {name: format(moved[name], form) for name in moved}
         for name, change in moved.items():
             largest[name] = max(largest.get(name, 0.0), abs(change))
-        for row in answers.where(subject, Kind.DESIGN_POINT):
-            name = _variable(row.at)
-            text = value(row.value, str(row.at))
-            if not name:
-                text = value(row.value, entry.quantity)
-                if entry.tests:  # in terms of the test force
-                    text = DASH
-            points.setdefault(label(subject), {})[name] = text
+        placed = answers.where(subject, Kind.DESIGN_POINT)
+        texts = {_variable(row.at): value(row.value, str(row.at)) for row in placed}
+        for row in placed:
+            if not _variable(row.at):
+                # in terms of the test force
+                texts[""] = DASH if entry.tests else value(row.value, entry.quantity)
+        if texts:
+            points[label(subject)] = texts
     ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
     shift = "percentage points per standard deviation shift of the input's mean"
     tables = []
