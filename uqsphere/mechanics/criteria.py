@@ -248,8 +248,9 @@ def strain_rate(columns: ColumnMap) -> Array:
 def dynamic_increase(rate: Values, rate_0: Values) -> Array:
     """Strain-rate strengthening factor: 1 + (rate/rate_0)^(2/3).
 
-    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150
-    to 300 1/s in compression for four rocks: Rae and others (2021).
+    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 110
+    to 760 1/s fits seven rocks in compression (Rae and others 2020, 2021; docs/validation.md),
+    measured on cylinders under compression and applied to tensions for want of tensile tests.
 
     >>> float(dynamic_increase(0.0, 200.0)), float(dynamic_increase(200.0, 200.0))
     (1.0, 2.0)

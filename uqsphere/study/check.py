@@ -48,7 +48,7 @@ _KINDS: Final = {
 _NO_SPHERE: Final = (
     "Real particles are not spheres: angular or flaky ones break at other, often lower, forces and "
     "energies than a sphere of equal mass. Enter a measured ratio (breaking load of the sphere / "
-    "of the particle) as limits.NAME.model_factor."
+    "of the particle) as limits.NAME.model_factor, which multiplies the demand."
 )
 #: keys of tables that are no numbers of the scene, as `uqsphere.mechanics.forms` has those
 FORMS: Final[Mapping[str, Mapping[str, str]]] = {

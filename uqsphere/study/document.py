@@ -247,7 +247,10 @@ class LimitTable(TomlTable):
         "survive",
     )
     target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Num = keyed("model-uncertainty factor on the demand; may be random", 1.0)
+    model_factor: Num = keyed(
+        "multiplies the demand; above 1, the particle breaks earlier; may be random",
+        1.0,
+    )
     fracture: bool | None = keyed(
         "whether exceedance breaks the sphere (default: that of the quantity)"
     )

@@ -298,8 +298,9 @@ class Observations(TomlTable):
     draws: str | None = keyed(
         "alternative to `file`: posterior samples of a fit with the columns `distribution` "
         "(lognormal or weibull), "
-        "`scale`, `shape`; optional: `least`, `bound`, `tests`, `diameter`, `size_exponent`, and "
-        "the `smallest` and `largest` diameter tested"
+        "`scale`, `shape`; optional: `least` (smallest possible strength), `bound` (median "
+        "over the largest possible strength; 0: no largest), `tests` (their number), `diameter`, "
+        "`size_exponent`, and the `smallest` and `largest` diameter tested"
     )
     sheet: str | None = keyed("sheet of a workbook (default: the first that is not empty)")
     decimal: Literal[".", ","] | None = keyed("decimal mark, if a column can be read both ways")
@@ -324,7 +325,10 @@ class Observations(TomlTable):
         "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, "
         "`rayleigh`, `gamma` or `beta` (default: `weibull` of forces, else `kde`)"
     )
-    unbiased: bool = keyed("correct modulus or scatter for the bias of few tests", False)
+    unbiased: bool = keyed(
+        "correct the bias of few tests: in a Weibull modulus, in the scatter of a lognormal fit",
+        False,
+    )
     synthetic: bool = keyed("synthetic data, which cannot establish a verdict", False)
     lower: Any = None
     upper: Any = None
