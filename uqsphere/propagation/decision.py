@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -21,7 +22,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import ASSUMED, Aim, Alternative, Curves, Doubt, doubts_of
-from uqsphere.propagation.line import Line, counts_at, refined
+from uqsphere.propagation.line import Line, refined
 from uqsphere.uq import student
 
 #: points of a replicate near the number to use, at first and at most
@@ -35,19 +36,10 @@ _CLOSE: Final = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Settled:
-    """Where the doubts of an aim leave the free number.
-
-    least : whether larger values are safe: "use at least"
-    number : None where a doubt has none, infinite where the whole range keeps every target
-    governing : the doubt that sets it; an assumed failure mode where that is the most of the
-        failures there
-    """
+    """Where the doubts of an aim leave the free number."""
 
     curves: Curves
     doubts: tuple[Doubt, ...]
-    least: bool
-    number: float | None
-    governing: Doubt
 
     @property
     def line(self) -> Line:
@@ -55,15 +47,64 @@ class Settled:
         return self.curves.line
 
     @property
-    def ends(self) -> tuple[float, float]:
-        """The safe and the unsafe end of the line."""
-        first, last = self.line.values[0], self.line.values[-1]
-        return (last, first) if self.least else (first, last)
-
-    @property
     def aim(self) -> Aim:
         """The limits and failure modes that are judged."""
         return self.curves.aim
+
+    @cached_property
+    def least(self) -> bool:
+        """Whether larger values are safe: "use at least"."""
+        exceeded = sum(self.curves.base(limit)[0].mean(axis=1) for limit in self.aim.limits)
+        return bool(exceeded[-1] >= exceeded[0]) != self.aim.survive
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The safe and the unsafe end of the line."""
+        first, last = self.line.values[0], self.line.values[-1]
+        if self.least:
+            return last, first
+        return first, last
+
+    @cached_property
+    def number(self) -> float | None:
+        """The free number that every doubt allows; None where one has none, infinite where the
+        whole range keeps every target.
+        """
+        return self.most_conservative([doubt.margin for doubt in self.doubts])
+
+    @property
+    def use(self) -> float | None:
+        """The number to use; None where there is none, or no end to what is safe."""
+        if self.number == math.inf:
+            return None
+        return self.number
+
+    def most_conservative(self, margins: Sequence[float | None]) -> float | None:
+        """What all margins allow; None where one is None, infinite where all are."""
+        inside = [margin for margin in margins if margin is not None and math.isfinite(margin)]
+        if None in margins:
+            return None
+        pick = max if self.least else min
+        return pick(inside, default=math.inf)
+
+    @cached_property
+    def governing(self) -> Doubt:
+        """The doubt that sets the number: where most of the failures there, or at the safe end if
+        there is no number, are by another failure mode, that one as the study has it.
+        """
+        curves = self.curves
+        doubt = next(doubt for doubt in self.doubts if doubt.margin == self.number)
+        if not self.aim.survive or not curves.adds_up(doubt.limit):
+            return doubt
+        at = self.use
+        if at is None:
+            at = self.ends[0]
+        candidates = {doubt.limit.name: doubt}
+        for other in self.doubts:
+            if curves.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
+                candidates.setdefault(other.limit.name, other)
+        candidates |= {mode.limit.name: curves.assumed(mode) for mode in self.aim.modes}
+        return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,41 +128,37 @@ class Settling:
         if self.yielding is not None:
             yielding = self.yielding.along(line.few)
         curves = Curves(aim=aim, line=line, yielding=yielding)
-        doubts = tuple(doubts_of(curves, self.others))
-        least = _rises(curves) != aim.survive
-        number, doubt = _most_conservative(doubts, least=least)
-        settled = Settled(curves=curves, doubts=doubts, least=least, number=number, governing=doubt)
-        return replace(settled, governing=_governing(settled))
+        return Settled(curves=curves, doubts=tuple(doubts_of(curves, self.others)))
 
     def accurately(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim, with rows added until the governing curve is accurate there."""
         required, count = self.design.study.analysis.accuracy.probability, _FIRST
         settled = self.once(aim, line)
         for _ in range(_PASSES):
-            number, line = settled.number, settled.line
-            if number is None or math.isinf(number):
+            number, line = settled.use, settled.line
+            if number is None:
                 break
-            nearest = int(np.argmin(np.abs(line.places - line.place_of(number))))
-            away = abs(line.places[nearest] - line.place_of(number))
-            there = away < _CLOSE * (line.places[-1] - line.places[0])
+            distances = np.abs(line.places - line.place_of(number))
+            nearest = int(np.argmin(distances))
+            there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
             if there and line.samples[nearest].count >= count:
-                doubt = settled.governing
+                doubt, allowed = settled.governing, settled.governing.limit.allowable
                 half = student(line.samples[0].replicates) * doubt.error[nearest]
-                if half <= required * min(doubt.allowed, 1.0 - doubt.allowed) or count >= _MOST:
+                if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
                     break
                 count *= 2
             above = int(np.searchsorted(line.values, number))
-            beside = line.values[max(above - 1, 0) : above + 1]
-            wanted = beside
+            wanted = line.values[max(above - 1, 0) : above + 1]
             if not there:
-                wanted = (*beside, number)
+                wanted = (*wanted, number)
             if not self._affords(len(wanted) * count * line.samples[0].replicates):
                 break
             try:
                 line = refined(line, self.model, dict.fromkeys(wanted, count))
             except Interrupted:
                 break
-            count = max(count, min(counts_at(line, wanted)))
+            counts = [line.samples[line.values.index(value)].count for value in wanted]
+            count = max(count, min(counts))
             settled = self.once(aim, line)
         return settled
 
@@ -136,49 +173,10 @@ class Settling:
         """The number once the doubt that governs is gone: the failure mode, or a limit that leaves
         no number, left out; else by the other doubts.
         """
-        governing = settled.governing
-        alone = len(settled.aim.limits) == 1 and governing.limit is settled.aim.limits[0]
+        governing, aim = settled.governing, settled.aim
+        alone = len(aim.limits) == 1 and governing.limit is aim.limits[0]
         if governing.code == ASSUMED or (settled.number is None and not alone):
-            return self.once(settled.aim.without(governing.limit.name), settled.line).number
-        gone = governing.code, governing.limit.name
-        rest = [doubt for doubt in settled.doubts if (doubt.code, doubt.limit.name) != gone]
-        if not rest:
-            return None
-        return _most_conservative(rest, least=settled.least)[0]
-
-
-def _rises(curves: Curves) -> bool:
-    """Whether exceedance rises with the free number."""
-    ends = sum(curves.base(limit)[0].mean(axis=1)[[0, -1]] for limit in curves.aim.limits)
-    return bool(ends[1] >= ends[0])
-
-
-def _most_conservative(doubts: Sequence[Doubt], *, least: bool) -> tuple[float | None, Doubt]:
-    """The number that every doubt allows, and the doubt that sets it; None where one has none."""
-    for doubt in doubts:
-        if doubt.margin is None:
-            return None, doubt
-    pick = max if least else min
-    inside = [doubt for doubt in doubts if math.isfinite(doubt.margin or 0.0)]
-    if not inside:
-        return math.inf, doubts[0]
-    worst = pick(inside, key=lambda doubt: doubt.margin or 0.0)
-    return worst.margin, worst
-
-
-def _governing(settled: Settled) -> Doubt:
-    """The doubt that governs the number: where most of the failures there, or at the safe end if
-    there is no number, are by another failure mode, that one as the study has it.
-    """
-    curves, doubt = settled.curves, settled.governing
-    if not settled.aim.survive or not curves.adds_up(doubt.limit):
-        return doubt
-    number, line = settled.number, settled.line
-    if number is None or math.isinf(number):
-        number = settled.ends[0]
-    candidates = {doubt.limit.name: doubt}
-    for other in settled.doubts:
-        if curves.adds_up(other.limit) and not settled.aim.same_tests(other.limit, doubt.limit):
-            candidates.setdefault(other.limit.name, other)
-    candidates |= {mode.limit.name: curves.assumed(mode) for mode in settled.aim.modes}
-    return max(candidates.values(), key=lambda candidate: line.at(candidate.single, number))
+            return self.once(aim.without(governing.limit.name), settled.line).number
+        gone = governing.key[:2]
+        rest = [doubt.margin for doubt in settled.doubts if doubt.key[:2] != gone]
+        return settled.most_conservative(rest or [None])

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.evidence import REFUTED
@@ -26,7 +26,7 @@ from uqsphere.propagation.line import Line, score
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Law, LawError, Sample, make_law, random_generator
+from uqsphere.uq import Law, LawError, make_law, random_generator
 from uqsphere.uq.estimate import probability_ends, spread
 from uqsphere.uq.fitting import (
     STRENGTHS,
@@ -70,6 +70,18 @@ class Aim:
         """Whether exceedance is what must not happen."""
         return self.word == "survive"
 
+    def missed(self, exceeded: Array | float) -> Array:
+        """Probability that the aim is missed, from that of exceedance."""
+        if self.survive:
+            return np.asarray(exceeded)
+        return np.asarray(1.0 - exceeded)
+
+    def keeps(self, exceeded: Array | float, limit: Limit) -> Flags:
+        """Whether probabilities of exceedance keep the target of a limit."""
+        if self.survive:
+            return np.asarray(exceeded <= limit.allowable)
+        return np.asarray(exceeded >= limit.allowable)
+
     @cached_property
     def groups(self) -> tuple[tuple[Limit, ...], ...]:
         """Limits by the tests behind them: those on the same tests are one failure mode, carried
@@ -78,10 +90,9 @@ class Aim:
         groups: dict[object, list[Limit]] = {}
         for limit in self.limits:
             groups.setdefault(tests_behind(limit) or limit.name, []).append(limit)
-        ordered = (
-            sorted(group, key=lambda limit: limit.fracture is False) for group in groups.values()
-        )
-        return tuple(tuple(group) for group in ordered)
+        for group in groups.values():
+            group.sort(key=lambda limit: limit.fracture is False)
+        return tuple(tuple(group) for group in groups.values())
 
     def same_tests(self, first: Limit, second: Limit) -> bool:
         """Whether two limits carry over the same tests."""
@@ -121,7 +132,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Doubt:
+class Doubt(Alternative):
     """An alternative with its curve along a line.
 
     single, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with
@@ -132,14 +143,10 @@ class Doubt:
         the whole range keeps it
     """
 
-    code: DoubtCode
-    limit: Limit
-    detail: str
-    allowed: float
     single: Array
     curve: Array
     error: Array
-    margin: float | None = None
+    margin: float | None
     opposite: Array | None = None
 
     @property
@@ -244,19 +251,16 @@ def others_survive(aim: Aim, line: Line) -> dict[str, Array]:
     """
     if not aim.survive:
         return {}
-    exceeded: dict[str, Array] = {}
+    stands: dict[str, Array] = {}
     leaders: dict[str, str] = {}
-    for group in aim.groups:
+    for group in (*aim.groups, *((mode.limit,) for mode in aim.modes)):
         counted = [limit for limit in group if means_fracture(limit)]
         if counted:
             leaders |= {limit.name: counted[0].name for limit in group}
-            exceeded[counted[0].name] = line.exceedance(line.state(counted[0]), aim.word)
-    for mode in aim.modes:
-        leaders[mode.limit.name] = mode.limit.name
-        exceeded[mode.limit.name] = line.exceedance(line.state(mode.limit), aim.word)
+            stands[counted[0].name] = 1.0 - line.exceedance(line.state(counted[0]), aim.word)
     held: dict[str, Array] = {}
     for name, leader in leaders.items():
-        others = [1.0 - rows for key, rows in exceeded.items() if key != leader]
+        others = [rows for key, rows in stands.items() if key != leader]
         if others:
             held[name] = np.prod(others, axis=0)
     return held
@@ -295,20 +299,33 @@ class Curves:
         failure modes.
         """
         if limit.name not in self._bases:
-            self._bases[limit.name] = self.by_strengths(limit, ())[:, 0]
+            self._bases[limit.name] = self.by_strengths(limit)[:, 0]
         return self._bases[limit.name]
 
-    def by_strengths(self, limit: Limit, laws: Sequence[Law], *, tied: bool = True) -> Array:
+    def middle(self, limit: Limit) -> Array:
+        """The mean exceedance (K,) of a limit with the other failure modes."""
+        return np.asarray(self.base(limit)[1].mean(axis=1))
+
+    def margin(self, limit: Limit, curve: Array) -> float | None:
+        """Where a curve (K,) of a limit crosses its target, as `Line.crossing` has it; None at the
+        plan.
+        """
+        if len(curve) < 2:
+            return None
+        kept, aim = self.aim.keeps(curve, limit), self.aim
+        return self.line.crossing(curve, kept, limit.allowable, keeps_below=aim.survive)
+
+    def by_strengths(self, limit: Limit, laws: Sequence[Law] = (), *, tied: bool = True) -> Array:
         """The mean exceedance (2, laws, K, R) of a limit, alone and with the other failure modes,
         by each of some strengths; by its own where there are none.
         """
-        state, hold = self.line.state(limit), self._held.get(limit.name)
+        state = self.line.state(limit)
         if not tied:
             state = replace(state, tie=None)
-        strengths = [state.strength, *laws][min(len(laws), 1) :]
+        hold = self._held.get(limit.name)
         others = np.zeros(1) if hold is None else self.line.means(1.0 - hold)
-        means = []
-        for strength in strengths:
+        means, strengths = [], [state.strength, *laws]
+        for strength in strengths[bool(laws) :]:
             rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)
             alone = joint = self.line.means(rows)
             if hold is not None:
@@ -318,25 +335,31 @@ class Curves:
 
     def computed(self, limit: Limit) -> Doubt:
         """The limit as the study has it, at the unsafe end of the numerical interval."""
-        alone, joint = (self._ends(means) for means in self.base(limit))
-        return self._doubt(COMPUTATION, limit, "", [alone, joint], self.base(limit)[1])
+        base = self.base(limit)
+        ends = [self._ends(means) for means in base]
+        return self._doubt(Alternative(code=COMPUTATION, limit=limit), ends, base[1])
 
     def _ends(self, means: Array) -> Array:
-        pairs = zip(means, self.line.samples, strict=True)
-        return np.array([self._end(row, sample) for row, sample in pairs])
-
-    def _end(self, means: Array, sample: Sample) -> float:
-        """The unsafe end of the numerical interval of a probability, of its replicates (R,)."""
-        p, q = float(means.mean()), float((1.0 - means).mean())
-        if means.size < 2:
-            return p
-        ends = probability_ends(p, q, spread(means), means.size, float(sample.size))
-        return ends[1] if self.aim.survive else ends[0]
+        """The unsafe ends (K,) of the numerical intervals of probabilities (K, R)."""
+        if means.shape[1] < 2:
+            return means[:, 0]
+        ends = [
+            probability_ends(
+                float(row.mean()),
+                float((1.0 - row).mean()),
+                spread(row),
+                row.size,
+                float(sample.size),
+            )
+            for row, sample in zip(means, self.line.samples, strict=True)
+        ]
+        return np.array(ends)[:, int(self.aim.survive)]
 
     def assumed(self, mode: AssumedMode) -> Doubt:
         """A failure mode by itself, its strength at the middle of the library's range."""
         alone = self.base(mode.limit)[0]
-        return self._doubt(ASSUMED, mode.limit, "", [alone.mean(axis=1)] * 2, alone)
+        by_library = Alternative(code=ASSUMED, limit=mode.limit)
+        return self._doubt(by_library, [alone.mean(axis=1)] * 2, alone)
 
     def otherwise(self, alternative: Alternative) -> Doubt:
         """A limit with an alternative, at the unsafe end of what its strengths give.
@@ -347,8 +370,7 @@ class Curves:
         limit, laws = alternative.limit, alternative.laws
         if len(laws) < 2:
             rows = self.by_strengths(limit, laws, tied=alternative.tied)[:, 0]
-            means = rows.mean(axis=2)
-            return self._doubt(alternative.code, limit, alternative.detail, means, rows[1])
+            return self._doubt(alternative, rows.mean(axis=2), rows[1])
         few = self.few.by_strengths(limit, laws)
         ends = np.quantile(few.mean(axis=3), self._unsafe, axis=1)
         near = int(np.argmin(np.abs(score(ends[1]) - score(limit.allowable))))
@@ -356,35 +378,26 @@ class Curves:
         every = self.by_strengths(limit, [laws[law]])[:, 0]
         unsafe = self._shifted(limit, few, few[:, law], every, self._unsafe)
         opposite = self._shifted(limit, few, few[:, law], every, 1.0 - self._unsafe)[0][1]
-        doubt = self._doubt(alternative.code, limit, alternative.detail, *unsafe)
-        return replace(doubt, opposite=opposite)
+        return replace(self._doubt(alternative, *unsafe), opposite=opposite)
 
-    def contacts_yield(self, limit: Limit, others: Sequence[Alternative]) -> list[Doubt]:
-        """A limit where contacts yield, by its own strength and by the alternatives to it; empty
+    def contacts_yield(self, limit: Limit, others: Sequence[Alternative]) -> Iterator[Doubt]:
+        """A limit where contacts yield, by its own strength and by the alternatives to it; none
         where none would.
         """
         if self.yielding is None:
-            return []
+            return
         limits = {judged.name: judged for judged in self.yielding.design.judged.limits}
         aim = replace(self.aim, limits=tuple(limits[asked.name] for asked in self.aim.limits))
-        curves, few, every = (
-            Curves(aim=aim, line=self.yielding),
-            self.few.base(limit),
-            self.base(limit),
-        )
-        doubts = []
-        for detail, laws in [
-            ("", ()),
-            *((other.detail, other.laws) for other in others if other.laws),
-        ]:
-            rows = curves.by_strengths(limits[limit.name], laws)
-            unsafe = self._shifted(limit, rows, few, every, self._unsafe)
-            doubts.append(self._doubt(CONTACT, limit, detail, *unsafe))
-        return doubts
+        curves, few = Curves(aim=aim, line=self.yielding), self.few.base(limit)
+        strengths = [other for other in others if other.laws]
+        for other in (Alternative(code=CONTACT, limit=limit), *strengths):
+            rows = curves.by_strengths(limits[limit.name], other.laws)
+            unsafe = self._shifted(limit, rows, few, self.base(limit), self._unsafe)
+            yield self._doubt(replace(other, code=CONTACT), *unsafe)
 
     @property
     def _unsafe(self) -> float:
-        return ENDS[1] if self.aim.survive else ENDS[0]
+        return ENDS[int(self.aim.survive)]
 
     def _shifted(
         self, limit: Limit, means: Array, few: Array, every: Array, end: float
@@ -411,29 +424,17 @@ class Curves:
         return curves[:, :, 0], replicates[1]
 
     def _doubt(
-        self,
-        code: DoubtCode,
-        limit: Limit,
-        detail: str,
-        curves: Sequence[Array] | Array,
-        rows: Array,
+        self, alternative: Alternative, curves: Sequence[Array] | Array, rows: Array
     ) -> Doubt:
         """A doubt with its curves (K,), alone and joint, and the error that its replicates (K, R)
         show.
         """
-        margin = None
-        if len(self.line.values) > 1:
-            keeps_below = self.aim.survive
-            margin = self.line.crossing(curves[1], limit.allowable, keeps_below=keeps_below)
         return Doubt(
-            code=code,
-            limit=limit,
-            detail=detail,
-            allowed=limit.allowable,
+            **vars(alternative),
             single=curves[0],
             curve=curves[1],
             error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
-            margin=margin,
+            margin=self.margin(alternative.limit, curves[1]),
         )
 
 
@@ -441,8 +442,7 @@ def doubts_of(curves: Curves, others: Sequence[Alternative]) -> list[Doubt]:
     """Every doubt of the limits of an aim along a line."""
     doubts: list[Doubt] = []
     for limit in curves.aim.limits:
-        mine = [other for other in others if other.limit.name == limit.name]
-        doubts.append(curves.computed(limit))
-        doubts += [curves.otherwise(other) for other in mine]
-        doubts += curves.contacts_yield(limit, mine)
+        alternatives = [other for other in others if other.limit.name == limit.name]
+        doubts += [curves.computed(limit), *map(curves.otherwise, alternatives)]
+        doubts += curves.contacts_yield(limit, alternatives)
     return doubts

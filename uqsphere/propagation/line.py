@@ -7,14 +7,14 @@ their spread is the error.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.free_number import demand_factor, grid, moved
@@ -128,30 +128,25 @@ class Line:
         kept = np.add.reduceat((~lost).astype(float), self._starts, axis=1)
         return np.asarray((sums / np.maximum(kept, 1.0)).T)
 
-    def crossing(self, curve: Array, allowed: float, *, keeps_below: bool) -> float | None:
-        """The value at which a curve (K,) leaves the safe side of a probability, seen from the safe
-        end.
+    def crossing(
+        self, curve: Array, kept: Flags, allowed: float, *, keeps_below: bool
+    ) -> float | None:
+        """The value at which a curve (K,) leaves the safe side of a probability, where it is
+        `kept`, seen from the safe end.
 
         None where the safe end itself is not safe, and an infinite value where all of the range is.
         """
         from scipy.interpolate import PchipInterpolator
         from scipy.optimize import brentq
 
-        kept = curve >= allowed
-        if keeps_below:
-            kept = curve <= allowed
-        if kept.all():
+        missed = np.flatnonzero(~kept)
+        if not missed.size:
             return math.inf
-        rising = bool(curve[-1] >= curve[0])
-        from_start = rising == keeps_below
-        ordered = kept
-        if not from_start:
-            ordered = kept[::-1]
-        if not ordered[0]:
+        k = int(missed[-1]) + 1
+        if (curve[-1] >= curve[0]) == keeps_below:
+            k = int(missed[0])
+        if k in (0, len(curve)):
             return None
-        k = int(np.argmin(ordered))
-        if not from_start:
-            k = len(ordered) - k
         scores = PchipInterpolator(self.places, score(curve) - score(allowed))
         ends = float(self.places[k - 1]), float(self.places[k])
         return self.value_at(float(brentq(lambda place: float(scores(place)), *ends)))
@@ -241,9 +236,3 @@ def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
         }
         pairs = evaluated_at(line.design, model, pairs, needed)
     return replace(line, values=tuple(pairs), samples=tuple(pairs.values()))
-
-
-def counts_at(line: Line, values: Sequence[float]) -> list[int]:
-    """Points of a replicate at values of the line."""
-    pairs = dict(zip(line.values, line.samples, strict=True))
-    return [pairs[value].count for value in values]

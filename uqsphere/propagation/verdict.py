@@ -10,6 +10,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
@@ -52,19 +54,39 @@ _AT_PLAN: Final = 256
 class Judged:
     """One aim, judged.
 
-    line : along the free number; None without one
-    plan : at the plan
+    plan, line : at the plan, and along the free number; None without one
     probability : failure probability at the plan by limit: by the study's own limits
     all_modes : the same by all failure modes; empty where there are no others
     """
 
-    aim: Aim
     settling: Settling
-    line: Settled | None
     plan: Settled
+    line: Settled | None
     probability: dict[str, Estimate]
     all_modes: dict[str, Estimate]
-    planned: float | None
+
+    @property
+    def aim(self) -> Aim:
+        """What is judged."""
+        return self.plan.aim
+
+    @property
+    def settled(self) -> Settled:
+        """Along the free number, or at the plan where there is none."""
+        return self.line or self.plan
+
+    @property
+    def planned(self) -> float | None:
+        """The planned value of the free number."""
+        return planned_value(self.aim.design)
+
+    def along(self, doubt: Doubt) -> float | None:
+        """The margin of a doubt at the plan; None without one."""
+        return next((d.margin for d in self.settled.doubts if d.key == doubt.key), None)
+
+    def at_plan(self, limit: Limit) -> Estimate:
+        """The failure probability at the plan by everything that is judged."""
+        return (self.all_modes or self.probability)[limit.name]
 
 
 def judge(
@@ -76,20 +98,24 @@ def judge(
     end : when the time for more rows is over, by the monotonic clock [s]
     """
     judged: list[Judged] = []
-    yields = yielding_design(design)
+    yielding, yields, planned = None, yielding_design(design), planned_value(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word)
-        settling = Settling(design=design, model=model, others=alternatives(aim), end=end)
         if yields is not None:
-            settling = replace(settling, yielding=YieldingRows(design=yields, evaluated={}))
+            yielding = YieldingRows(design=yields, evaluated={})
+        settling = Settling(
+            design=design,
+            model=model,
+            others=alternatives(aim),
+            yielding=yielding,
+            end=end,
+        )
         head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
         plan = settling.once(aim, plan_of(design, head))
         line, settled = line_of(design, tables), None
         if line is not None:
             grows = tables.surrogate is None and tables.stopped != "interrupted"
-            settle = settling.accurately if grows else settling.once
-            settled = settle(aim, line)
-            planned = planned_value(design)
+            settled = (settling.accurately if grows else settling.once)(aim, line)
             if grows and planned is not None and _fails_between(settled, plan, planned):
                 with suppress(Interrupted):
                     line = refined(settled.line, model, {planned: plan.line.rows.count})
@@ -100,13 +126,11 @@ def judge(
         by_study = Curves(aim=replace(aim, modes=()), line=plan.line)
         judged.append(
             Judged(
-                aim=aim,
                 settling=settling,
-                line=settled,
                 plan=plan,
+                line=settled,
                 probability=_at_plan(tables, by_study),
                 all_modes=_at_plan(tables, plan.curves) if aim.modes else {},
-                planned=planned_value(design),
             )
         )
     return judged, tables
@@ -116,17 +140,16 @@ def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
     """Whether the plan misses a target on the side that the curve calls safe: the curve turns back
     between its values.
     """
-    number = settled.number
-    if number is None or not settled.line.values[0] < planned < settled.line.values[-1]:
+    number, line = settled.number, settled.line
+    if number is None or not line.values[0] < planned < line.values[-1]:
         return False
     if math.isfinite(number) and (planned < number) == settled.least:
         return False
     for limit in settled.aim.limits:
-        p = float(plan.curves.base(limit)[1].mean())
-        near = settled.line.at(settled.curves.base(limit)[1].mean(axis=1), planned)
+        p = float(plan.curves.middle(limit)[0])
+        away = abs(p - line.at(settled.curves.middle(limit), planned))
         error = spread(plan.curves.base(limit)[1][0])
-        missed = p > limit.allowable if settled.aim.survive else p < limit.allowable
-        if missed and abs(p - near) > SURE * error:
+        if not settled.aim.keeps(p, limit) and away > SURE * error:
             return True
     return False
 
@@ -158,15 +181,18 @@ def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
 def _added(estimate: Estimate, more: Array) -> Estimate:
     """A probability with what other failure modes add to it in each replicate (R,)."""
     added = from_replicates(more, estimate.method, estimate.evaluations)
-    if estimate.value is None or added.value is None:
-        if added.value is None:
-            return estimate
+    if added.value is None:
+        return estimate
+    if estimate.value is None:
         return added
-    value = min(max(estimate.value + added.value, 0.0), 1.0)
+    value = float(np.clip(estimate.value + added.value, 0.0, 1.0))
     low = (estimate.low or 0.0) + (added.low or 0.0)
     high = (1.0 if estimate.high is None else estimate.high) + (added.high or 0.0)
     return replace(
-        estimate, value=value, low=min(max(low, 0.0), value), high=max(min(high, 1.0), value)
+        estimate,
+        value=value,
+        low=float(np.clip(low, 0.0, value)),
+        high=float(np.clip(high, value, 1.0)),
     )
 
 
@@ -175,39 +201,33 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
 
 def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     """The decision of an aim, as the results have it."""
-    settled = judged.line or judged.plan
-    design, aim, governing = judged.aim.design, judged.aim, settled.governing
-    lead = governing.limit.name
-    if governing.code == ASSUMED:
-        lead = aim.limits[0].name
+    settled, aim, governing = judged.settled, judged.aim, judged.settled.governing
+    subject = aim.design.subject(governing.limit)
+    lead = aim.limits[0] if governing.code == ASSUMED else governing.limit
     caveats = caveats_of(settled, judged.settling.yielding, checks)
     verdict = _verdict(judged, caveats)
-    alone, number, blocked_by = settled, None, ""
-    if judged.line is not None:
-        if aim.modes:
-            alone = judged.settling.once(replace(aim, modes=()), judged.line.line)
-        number = alone.number
-        if judged.line.number is None:
-            blocked_by = design.subject(governing.limit)
+    alone = settled
+    if judged.line is not None and aim.modes:
+        alone = judged.settling.once(replace(aim, modes=()), settled.line)
     target = all_modes = None
     if any(limit.has_target for limit in aim.limits):
         target = governing.limit.target
     if judged.all_modes:
-        all_modes = _range(judged.all_modes[lead])
+        all_modes = _range(judged.all_modes[lead.name])
     return types.Decision(
         aim=aim.word,
         limits=[limit.name for limit in aim.limits],
         modes=[mode.called for mode in aim.modes],
         verdict=verdict,
         target=target,
-        governing=design.subject(governing.limit),
+        governing=subject,
         use=_use(judged),
-        blocked_by=blocked_by,
-        own=number,
-        probability=_range(judged.probability[lead]),
+        blocked_by=subject if judged.line is not None and settled.number is None else "",
+        own=alone.number,
+        probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
-        curve=_curve(settled, governing.limit),
-        band=_band(settled),
+        curve=_points(settled, [settled.curves.middle(lead)]),
+        band=_points(settled, _band(settled)),
         doubts=_certificate(judged),
         caveats=caveats,
         library=_library(judged, alone),
@@ -223,19 +243,17 @@ def _range(estimate: Estimate) -> types.Range:
 
 def _use(judged: Judged) -> types.Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
-    settled, free = judged.line, judged.aim.design.study.margins
-    if settled is None or free is None or settled.number is None:
+    settled, free = judged.settled, judged.aim.design.study.margins
+    number, planned, factor = settled.use, judged.planned, None
+    if number is None or free is None:
         return None
-    number = settled.number
-    if math.isinf(number):
-        return None
-    factor = None
-    planned = judged.planned
     if planned and number > 0.0 and planned > 0.0:
         factor = number / planned
         if settled.least:
             factor = planned / number
-    best = _best_estimate(settled)
+    curves = settled.curves
+    own = [curves.margin(limit, curves.middle(limit)) for limit in settled.aim.limits]
+    best = settled.most_conservative(own)
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
     ends = [margin for margin in margins if margin is not None and math.isfinite(margin)]
     return types.Use(
@@ -248,63 +266,40 @@ def _use(judged: Judged) -> types.Use | None:
     )
 
 
-def _best_estimate(settled: Settled) -> float | None:
-    """The number by the curves as the study has them, without any doubt."""
-    aim, line = settled.aim, settled.line
-    crossings = [
-        line.crossing(
-            settled.curves.base(limit)[1].mean(axis=1), limit.allowable, keeps_below=aim.survive
-        )
-        for limit in aim.limits
-    ]
-    numbers = [value for value in crossings if value is not None]
-    if len(numbers) < len(crossings):
-        return None
-    return max(numbers) if settled.least else min(numbers)
-
-
-def _curve(settled: Settled, limit: Limit) -> list[types.CurvePoint]:
-    """The failure probability along the line, with the other failure modes."""
-    if len(settled.line.values) < 2:
-        return []
-    if not any(limit is asked for asked in settled.aim.limits):
-        limit = settled.aim.limits[0]
-    means = settled.curves.base(limit)[1].mean(axis=1)
-    if not settled.aim.survive:
-        means = 1.0 - means
-    return [
-        types.CurvePoint(at=at, value=float(p))
-        for at, p in zip(settled.line.values, means, strict=True)
-    ]
-
-
-def _band(settled: Settled) -> list[types.CurvePoint]:
-    """What the tests leave open of the failure probability along the line: of the doubt that
-    governs, else of the first one by tests.
+def _band(settled: Settled) -> list[Array]:
+    """What the tests leave open of the exceedance along the line: of the doubt that governs, else
+    of the first one by tests.
     """
-    by_tests = [doubt for doubt in settled.doubts if doubt.opposite is not None]
-    by_tests.sort(key=lambda doubt: doubt.key != settled.governing.key)
-    if len(settled.line.values) < 2 or not by_tests:
+    key = settled.governing.key
+    for doubt in sorted(settled.doubts, key=lambda doubt: doubt.key != key):
+        if doubt.opposite is not None:
+            return [doubt.curve, doubt.opposite]
+    return []
+
+
+def _points(settled: Settled, curves: Sequence[Array]) -> list[types.CurvePoint]:
+    """The failure probability along the line, from curves of exceedance: one of values, or both
+    ends.
+    """
+    if len(settled.line.values) < 2 or not curves:
         return []
-    ends = [by_tests[0].curve, by_tests[0].opposite]
-    points = []
-    for k, at in enumerate(settled.line.values):
-        low, high = sorted(float(end[k]) for end in ends if end is not None)
-        if not settled.aim.survive:
-            low, high = 1.0 - high, 1.0 - low
-        points.append(types.CurvePoint(at=at, value=None, low=low, high=high))
-    return points
+    names = ("value",) if len(curves) == 1 else ("low", "high")
+    rows = np.sort([settled.aim.missed(curve) for curve in curves], axis=0).T.tolist()
+    return [
+        types.CurvePoint(at=at, **{"value": None, **dict(zip(names, row, strict=True))})
+        for at, row in zip(settled.line.values, rows, strict=True)
+    ]
 
 
 def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
     """What the library's range of a failure mode that governs would make of the number."""
-    settled = judged.line
-    if settled is None or settled.governing.code != ASSUMED:
+    settled, aim = judged.settled, judged.aim
+    if judged.line is None or settled.governing.code != ASSUMED:
         return None
     name = settled.governing.limit.name
-    mode = next(mode for mode in settled.aim.modes if mode.limit.name == name)
+    mode = next(mode for mode in aim.modes if mode.limit.name == name)
     weak, strong = (
-        judged.settling.once(settled.aim.with_strength(name, law), settled.line).number
+        judged.settling.once(aim.with_strength(name, law), settled.line).number
         for law in (mode.weak, mode.strong)
     )
     return types.LibraryRange(
@@ -318,9 +313,7 @@ def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
 def _certificate(judged: Judged) -> list[types.Doubt]:
     """What the number rests on: a row for each limit and doubt."""
     at_plan = {doubt.key: doubt for doubt in _rows(judged.plan)}
-    if judged.line is None:
-        return [_row(judged, None, doubt) for doubt in at_plan.values()]
-    return [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in _rows(judged.line)]
+    return [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in _rows(judged.settled)]
 
 
 def _rows(settled: Settled) -> Iterator[Doubt]:
@@ -330,47 +323,39 @@ def _rows(settled: Settled) -> Iterator[Doubt]:
             yield settled.curves.assumed(mode)
 
 
-def _row(judged: Judged, along: Doubt | None, at_plan: Doubt | None) -> types.Doubt:
-    settled, aim = judged.line or judged.plan, judged.aim
-    doubt = along or at_plan
-    assert doubt is not None
+def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
+    settled, aim, limit = judged.settled, judged.aim, doubt.limit
     note: types.MarginNote = ""
-    if along is not None and along.margin is None:
+    if judged.line is not None and doubt.margin is None:
         note = "nowhere"
-    elif along is not None and math.isinf(along.margin or 0.0):
+    elif doubt.margin == math.inf:
         note = "everywhere"
-    at_number, number, at_plan_range = types.Range(), settled.number, types.Range()
-    if along is not None and number is not None and math.isfinite(number):
-        at_number = _failure_range(aim, settled.line.at(doubt.curve, number))
+    at_number = at_plan_range = types.Range()
+    if settled.use is not None:
+        at_number = _failure(aim, settled.line.at(doubt.curve, settled.use))
     if at_plan is not None:
-        at_plan_range = _failure_range(aim, float(at_plan.curve[0]))
+        at_plan_range = _failure(aim, at_plan.curve[0])
     code, option = doubt.code, doubt.detail
-    if code == COMPUTATION and _is_carrier(aim, doubt.limit):
-        code = CARRIER
-        option = option or doubt.limit.quantity
+    # tests that are carried over in another way than by the limit that counts as fracture
+    if code == COMPUTATION and any(limit in group[1:] for group in aim.groups):
+        code, option = CARRIER, option or limit.quantity
     return types.Doubt(
         code=code,
-        subject=aim.design.subject(doubt.limit),
+        subject=aim.design.subject(limit),
         option=option,
-        target=doubt.limit.target,
+        target=limit.target,
         margin=doubt.margin,
         margin_note=note,
         at_number=at_number,
         at_plan=at_plan_range,
         governs=doubt.key == settled.governing.key,
-        counts=doubt.code != ASSUMED or any(doubt.limit is mode.limit for mode in aim.modes),
-        tests=number_of_tests(strength_of(doubt.limit)),
+        counts=doubt.code != ASSUMED or any(limit is mode.limit for mode in aim.modes),
+        tests=number_of_tests(strength_of(limit)),
     )
 
 
-def _is_carrier(aim: Aim, limit: Limit) -> bool:
-    """Whether a limit carries tests over in another way than the limit that counts as fracture."""
-    return any(limit in group[1:] for group in aim.groups)
-
-
-def _failure_range(aim: Aim, exceedance: float) -> types.Range:
-    """A failure probability from that of exceedance."""
-    return types.Range(value=exceedance if aim.survive else 1.0 - exceedance)
+def _failure(aim: Aim, exceedance: float) -> types.Range:
+    return types.Range(value=float(aim.missed(exceedance)))
 
 
 # --- verdict and remedy ---------------------------------------------------------------------------
@@ -378,18 +363,16 @@ def _failure_range(aim: Aim, exceedance: float) -> types.Range:
 
 def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWord:
     """The verdict at the plan: met where every doubt keeps its target, not met where none does."""
-    if not any(limit.has_target for limit in judged.aim.limits):
+    limits = judged.aim.limits
+    if not any(limit.has_target for limit in limits):
         return "no target"
     if caveats:
         return "not established"
     kept = [_keeps(judged, doubt) for doubt in judged.plan.doubts]
     if all(kept):
         return "met"
-    estimates = judged.all_modes or judged.probability
-    missed = [
-        target_met(estimates[limit.name], limit.target) is False for limit in judged.aim.limits
-    ]
-    if any(missed) and not any(kept):
+    met = [target_met(judged.at_plan(limit), limit.target) for limit in limits]
+    if False in met and not any(kept):
         return "not met"
     return "undecided"
 
@@ -398,22 +381,14 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     """Whether the plan keeps the target under a doubt: by its margin, else by the probability at
     the plan.
     """
-    if judged.line is not None and judged.planned is not None:
-        along = next((other for other in judged.line.doubts if other.key == doubt.key), doubt)
-        if along.margin is not None:
-            if math.isinf(along.margin):
-                return True
-            if judged.line.least:
-                return judged.planned >= along.margin
-            return judged.planned <= along.margin
-    limit = doubt.limit
+    margin, planned, limit = judged.along(doubt), judged.planned, doubt.limit
+    if margin is not None and planned is not None:
+        if judged.settled.least and margin != math.inf:
+            return planned >= margin
+        return planned <= margin
     if doubt.code == COMPUTATION:
-        estimates = judged.all_modes or judged.probability
-        return target_met(estimates[limit.name], limit.target) is True
-    curve = float(doubt.curve[0])
-    if judged.aim.survive:
-        return curve <= limit.allowable
-    return curve >= limit.allowable
+        return target_met(judged.at_plan(limit), limit.target) is True
+    return bool(judged.aim.keeps(doubt.curve[0], limit))
 
 
 #: the remedy of each doubt
@@ -437,37 +412,34 @@ def _remedy(
     judged: Judged, verdict: types.VerdictWord, caveats: Sequence[types.Caveat]
 ) -> types.Remedy:
     """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
-    settled = judged.line or judged.plan
-    governing, design = settled.governing, judged.aim.design
-    subject = design.subject(governing.limit)
+    settled, line, best = judged.settled, judged.line, judged.settling.best
+    governing = settled.governing
+    subject = judged.aim.design.subject(governing.limit)
     if verdict == "no target":
         return types.Remedy(code="set a target", subject=subject)
-    for held, cure in _CURES.items():
+    for code, cure in _CURES.items():
         for caveat in caveats:
-            if caveat.code == held:
+            if caveat.code == code:
                 return types.Remedy(code=cure, subject=caveat.subject)
-    if judged.line is not None and governing.code != ASSUMED:
-        number, others = judged.line.number, None
-        if number is None and len(judged.aim.limits) > 1:
-            others = judged.settling.best(judged.line)
-        if number is None or math.isinf(number):
-            return types.Remedy(code="widen the range", subject="margins.between", at_best=others)
+    at_best = None
+    if line is not None and governing.code != ASSUMED and line.use is None:
+        if line.number is None and len(judged.aim.limits) > 1:
+            at_best = best(line)
+        return types.Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":
         return types.Remedy(code="nothing")
-    at_best = None
-    if judged.line is not None:
-        at_best = judged.settling.best(judged.line)
-    code = _REMEDIES.get(governing.code)
-    if code is None and verdict == "undecided":
-        code = "tighten the accuracy"
-    if code is None and any(caveat.code == "synthetic tests" for caveat in caveats):
-        code = "replace the synthetic tests"
-    if code is None:
-        code, at_best = "change the plan", None
+    remedy = _REMEDIES.get(governing.code)
+    if remedy is None and verdict == "undecided":
+        remedy = "tighten the accuracy"
+    if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):
+        remedy = "replace the synthetic tests"
     gains: list[types.TestsGain] = []
-    if code == "test more" and judged.line is not None:
-        gains = gains_of(judged.line)
-    return types.Remedy(code=code, subject=subject, at_best=at_best, gains=gains)
+    if remedy is not None and line is not None:
+        at_best = best(line)
+        if remedy == "test more":
+            gains = gains_of(line)
+    remedy = remedy or "change the plan"
+    return types.Remedy(code=remedy, subject=subject, at_best=at_best, gains=gains)
 
 
 # --- rows of answers ------------------------------------------------------------------------------
@@ -486,58 +458,48 @@ def assumed_answers(judged: Sequence[Judged]) -> Answers:
     answers = Answers()
     for aim in judged:
         for doubt in aim.plan.doubts:
-            _doubt_answers(answers, aim, doubt)
+            if doubt.code in _TEXTS or doubt.opposite is not None:
+                _doubt_answers(answers, aim, doubt)
     return answers
 
 
 def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
-    design, survive = judged.aim.design, judged.aim.survive
-    subject, runs = design.subject(doubt.limit), judged.plan.line.rows.size
-    margins = design.study.margins
-    at = ""
-    if doubt.code in _TEXTS:
-        name = doubt.detail
-        if name == "weibull":
-            name = "Weibull"
+    aim, limit, law = judged.aim, doubt.limit, strength_of(doubt.limit)
+    subject, margins = aim.design.subject(limit), aim.design.study.margins
+    if doubt.opposite is None:
+        name = doubt.detail.replace("weibull", "Weibull")
         at = "assumed: " + _TEXTS[doubt.code].format(name)
         if doubt.code == CONTACT and name:
             at += f", {name} strength"
-        p = float(doubt.single[0])
-        if not survive:
-            p = 1.0 - p
-        answers.row(subject, "failure_probability", at, p, unit="1", runs=runs, method="epistemic")
-    if doubt.code == TESTS and doubt.opposite is not None:
-        law = strength_of(doubt.limit)
+        value, low, high, note = float(aim.missed(doubt.single)[0]), None, None, ""
+    else:
         at = f"tests: {doubt.detail}"
         if isinstance(law, Law) and law.family.name == doubt.detail:
             at = "tests"
-        low, high = sorted((float(doubt.curve[0]), float(doubt.opposite[0])))
-        base = float(judged.plan.curves.base(doubt.limit)[1].mean())
-        if not survive:
-            low, high, base = 1.0 - high, 1.0 - low, 1.0 - base
-        answers.row(
-            subject,
-            "failure_probability",
-            at,
-            min(max(base, low), high),
-            low,
-            high,
-            unit="1",
-            runs=runs,
-            method="epistemic",
-            note="95 % range over the strengths that the tests allow, with the other failure modes",
-        )
-    if judged.line is None or margins is None or not at:
-        return
-    along = next((other for other in judged.line.doubts if other.key == doubt.key), None)
-    if along is not None and along.margin is not None and math.isfinite(along.margin):
+        low, high = sorted(float(aim.missed(end)[0]) for end in (doubt.curve, doubt.opposite))
+        value = float(np.clip(aim.missed(judged.plan.curves.middle(limit))[0], low, high))
+        note = "95 % range over the strengths that the tests allow, with the other failure modes"
+    answers.row(
+        subject,
+        "failure_probability",
+        at,
+        value,
+        low,
+        high,
+        unit="1",
+        runs=judged.plan.line.rows.size,
+        method="epistemic",
+        note=note,
+    )
+    margin = judged.along(doubt)
+    if margins is not None and margin is not None and math.isfinite(margin):
         answers.row(
             subject,
             "margin",
             at,
-            along.margin,
+            margin,
             unit=lookup(margins.solve).unit,
-            runs=judged.line.line.rows.size,
+            runs=judged.settled.line.rows.size,
             method="epistemic",
             note="conservative end, with the other failure modes",
         )
