@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from inspect import getdoc
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -152,48 +154,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
 
-    def add(
-        name: str, command: Callable[[argparse.Namespace], int | None], text: str, *examples: str
-    ) -> argparse.ArgumentParser:
-        heading = "example" if len(examples) == 1 else "examples"
+    def add(command: Callable[[argparse.Namespace], int | None]) -> argparse.ArgumentParser:
+        """The parser of a command, whose docstring has its help and its examples."""
+        text, *lines = (getdoc(command) or " ").splitlines()
+        examples = lines[1:]
+        heading = "example:" if len(examples) == 1 else "examples:"
         added = commands.add_parser(
-            name,
-            help=text,
-            description=f"{text[:1].upper()}{text[1:]}.",
-            epilog="\n".join(
-                [f"{heading}:", *(f"  uqsphere {name} {e}".rstrip() for e in examples)]
-            ),
+            command.__name__[1:],
+            help=text[:1].lower() + text[1:-1],
+            description=text,
+            epilog="\n  ".join([heading, *examples]),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         added.set_defaults(command=command)
         return added
 
-    new = add(
-        "new", _new, "write a commented study to start from", "", "granite", "ishigami -o mine.toml"
-    )
+    new = add(_new)
     template = new.add_argument(
         "template", nargs="?", metavar="TEMPLATE", help="a shipped study (default: list them)"
     )
     template.completer = lambda **_: _templates()  # type: ignore[attr-defined]
     new.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write")
-    check = add(
-        "check",
-        _check,
-        "validate a study; print inputs and strengths as read, and the expected cost of a run",
-        "rock.toml",
-        "rock.toml --set sphere.radius='12 mm'",
-        "- < rock.toml",
-    )
+    check = add(_check)
     _with_study(check)
-    run = add(
-        "run",
-        _run,
-        "run a study; write its results and its report",
-        "rock.toml",
-        "rock.toml --out slower --set striker.speed.mean='0.4 m/s'",
-        "ishigami.toml --model ishigami.py:ishigami -j 4",
-        "ishigami.toml --model ishigami.py:ishigami --dask tcp://head:8786",
-    )
+    run = add(_run)
     _with_study(run)
     _with_model(run)
     run.add_argument(
@@ -207,13 +191,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--json", action="store_true", help="print results.json instead of the summary"
     )
-    sweep = add(
-        "sweep",
-        _sweep,
-        "run a study for each value of one or two keys, and tabulate the number to use",
-        'chute.toml --over target.thickness="10 mm, 15 mm, 25 mm"',
-        'chute.toml --over sphere.radius="8 mm, 10 mm" --over impact.angle="60 deg, 90 deg"',
-    )
+    sweep = add(_sweep)
     _with_study(sweep)
     _with_model(sweep)
     sweep.add_argument(
@@ -227,53 +205,27 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument(
         "--out", type=Path, metavar="DIR", help="directory of the sweep (default: FILE-sweep)"
     )
-    report = add("report", _report, "write the report again from stored results", "rock-results")
+    report = add(_report)
     report.add_argument("folder", type=Path, metavar="DIR")
-    compare = add(
-        "compare",
-        _compare,
-        "compare runs: decisions first, then settings that differ and answers that changed",
-        "rock-results slower",
-        "rock-results slower --csv changes.csv",
-    )
+    compare = add(_compare)
     compare.add_argument("folders", type=Path, nargs="+", metavar="DIR")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers to a file")
-    history = add(
-        "history",
-        _history,
-        "one impact over time, every number at its mean: forces, pressures, gauges, x-t diagram",
-        "rock.toml",
-        "rock.toml --out rock-history",
-    )
+    history = add(_history)
     _with_study(history)
     history.add_argument(
         "--out", type=Path, metavar="DIR", help="directory for the table and the figures"
     )
-    verify = add(
-        "verify",
-        _verify,
-        "check a results directory against its checksums",
-        "rock-results",
-        "rock-results --again",
-    )
+    verify = add(_verify)
     verify.add_argument("folder", type=Path, metavar="DIR")
     verify.add_argument(
         "--again", action="store_true", help="repeat the run and compare its answers"
     )
     verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="user model (black box)")
-    listing = add(
-        "list", _list, "list materials, quantities, criteria or distributions", "materials"
-    )
+    listing = add(_list)
     listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
-    schema = add(
-        "schema",
-        _schema,
-        "print the JSON schema of a study file, for editors, or of results",
-        "> study.json",
-        "results > results.json",
-    )
+    schema = add(_schema)
     schema.add_argument("what", nargs="?", choices=("study", "results"), default="study")
-    bench = add("bench", _bench, "time the integrator against others at equal error", "--rows 256")
+    bench = add(_bench)
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
     bench.add_argument(
         "--study",
@@ -455,6 +407,13 @@ def _templates() -> dict[str, Path]:
 
 
 def _new(options: argparse.Namespace) -> None:
+    """Write a commented study to start from.
+
+    uqsphere new
+    uqsphere new granite
+    uqsphere new ishigami -o mine.toml
+    """
+
     from uqsphere.documents import suggestion
 
     shipped = _templates()
@@ -475,29 +434,30 @@ def _new(options: argparse.Namespace) -> None:
     for path in sorted(source.parent.iterdir()):
         if path.suffix in (".csv", ".py") and path.name.encode() in files[target]:
             files[target.parent / path.name] = path.read_bytes()
-    for place, content in files.items():
-        if place.exists() and not (place.is_file() and place.read_bytes() == content):
+    kept = [place for place in files if place.exists()]
+    for place in kept:
+        if not place.is_file() or place.read_bytes() != files[place]:
             raise UsageError(
                 f"{place} exists with other content: rename it, or choose another directory "
                 "with -o; nothing was written"
             )
     for place, content in files.items():
-        if place.exists():
+        if place in kept:
             print(f"{place} is already there")
         else:
             place.write_bytes(content)
             print(f"wrote {place}")
-    print(f"next: {_next_command(options.template, target)}")
-
-
-def _next_command(template: str, target: Path) -> str:
-    """A command that works on a file that `new` has written."""
-    if template in LAB_TEMPLATES:
-        return f"{LAB_TEMPLATES[template]} {target}"
-    return f"uqsphere check {target}"
+    print(f"next: {LAB_TEMPLATES.get(options.template, 'uqsphere check')} {target}")
 
 
 def _check(options: argparse.Namespace) -> None:
+    """Validate a study; print inputs and strengths as read, and the expected cost of a run.
+
+    uqsphere check rock.toml
+    uqsphere check rock.toml --set sphere.radius='12 mm'
+    uqsphere check - < rock.toml
+    """
+
     from uqsphere.models.scene import check_scene
     from uqsphere.report.study import cost, described
 
@@ -509,6 +469,14 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Run a study; write its results and its report.
+
+    uqsphere run rock.toml
+    uqsphere run rock.toml --out slower --set striker.speed.mean='0.4 m/s'
+    uqsphere run ishigami.toml --model ishigami.py:ishigami -j 4
+    uqsphere run ishigami.toml --model ishigami.py:ishigami --dask tcp://head:8786
+    """
+
     from uqsphere.propagation import run
     from uqsphere.propagation.progress import watched
 
@@ -548,6 +516,12 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _sweep(options: argparse.Namespace) -> int:
+    """Run a study for each value of one or two keys, and tabulate the number to use.
+
+    uqsphere sweep chute.toml --over target.thickness="10 mm, 15 mm, 25 mm"
+    uqsphere sweep chute.toml --over sphere.radius="8 mm, 10 mm" --over rig.angle="60 deg, 90 deg"
+    """
+
     from uqsphere.models.black_box import read_model
     from uqsphere.report.sweep import (
         finished_run,
@@ -613,12 +587,23 @@ def _points_here(
 
 
 def _report(options: argparse.Namespace) -> None:
+    """Write the report again from stored results.
+
+    uqsphere report rock-results
+    """
+
     from uqsphere.report import write_page
 
     print(f"wrote {write_page(options.folder)}")
 
 
 def _compare(options: argparse.Namespace) -> None:
+    """Compare runs: decisions first, then settings that differ and answers that changed.
+
+    uqsphere compare rock-results slower
+    uqsphere compare rock-results slower --csv changes.csv
+    """
+
     from uqsphere.report.compare import compare, comparison_text
     from uqsphere.results import open_run
 
@@ -631,6 +616,12 @@ def _compare(options: argparse.Namespace) -> None:
 
 
 def _history(options: argparse.Namespace) -> None:
+    """One impact over time, every number at its mean: forces, pressures, gauges, x-t diagram.
+
+    uqsphere history rock.toml
+    uqsphere history rock.toml --out rock-history
+    """
+
     from uqsphere.report.history import history, history_rows, write_history
     from uqsphere.results.folder import locked
 
@@ -655,11 +646,9 @@ def _differ_by_rounding(before: Sequence[Any], after: Sequence[Any]) -> bool:
         if row.unit == "1":
             ends.append(1e-6)
         slack = 1e-9 * max(ends, default=0.0)
-        for key in type(row).model_fields:
-            first = getattr(row, key)
-            second = getattr(again, key)
+        for first, second in zip(vars(row).values(), vars(again).values(), strict=True):
             if isinstance(first, float) and isinstance(second, float):
-                if not abs(first - second) <= max(slack, 1e-9 * abs(first)):
+                if not math.isclose(first, second, abs_tol=slack):
                     return False
             elif first != second:
                 return False
@@ -667,6 +656,12 @@ def _differ_by_rounding(before: Sequence[Any], after: Sequence[Any]) -> bool:
 
 
 def _verify(options: argparse.Namespace) -> None:
+    """Check a results directory against its checksums.
+
+    uqsphere verify rock-results
+    uqsphere verify rock-results --again
+    """
+
     from uqsphere.errors import FolderError
     from uqsphere.results import open_run
     from uqsphere.results.folder import damaged_files
@@ -703,12 +698,23 @@ def _verify(options: argparse.Namespace) -> None:
 
 
 def _list(options: argparse.Namespace) -> None:
+    """List materials, quantities, criteria or distributions.
+
+    uqsphere list materials
+    """
+
     from uqsphere.report.study import listing
 
     print(listing(options.what))
 
 
 def _schema(options: argparse.Namespace) -> None:
+    """Print the JSON schema of a study file, for editors, or of results.
+
+    uqsphere schema > study.json
+    uqsphere schema results > results.json
+    """
+
     if options.what == "results":
         from uqsphere.results.types import Results
 
@@ -721,6 +727,11 @@ def _schema(options: argparse.Namespace) -> None:
 
 
 def _bench(options: argparse.Namespace) -> None:
+    """Time the integrator against others at equal error.
+
+    uqsphere bench --rows 256
+    """
+
     from uqsphere.bench import bench_study_text, bench_text
 
     if options.study is None:

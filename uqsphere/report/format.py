@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from itertools import chain
-from typing import Final, Protocol
+from typing import Final
 
 from uqsphere.quantities import (
     format_estimate,
@@ -18,6 +18,7 @@ from uqsphere.quantities import (
 )
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
+    Answer,
     Decision,
     InputEntry,
     LimitEntry,
@@ -29,22 +30,13 @@ from uqsphere.results.types import (
 from uqsphere.units import UNITS
 
 DASH: Final = "–"
+#: a number with its interval
+Estimated = Answer | Range
 _UNITS: Final = sorted({*chain(*UNITS.values())} - {""}, key=len)
 #: a number in front of its unit, with a blank that may break
 _SPLIT: Final = re.compile(
     r"(?<=\d) (?=(?:%|" + "|".join(re.escape(unit) for unit in _UNITS[::-1]) + r")(?![\w/]))"
 )
-
-
-class Estimated(Protocol):
-    """A number with its interval: an answer, a range, a point of a curve."""
-
-    @property
-    def value(self) -> float | None: ...
-    @property
-    def low(self) -> float | None: ...
-    @property
-    def high(self) -> float | None: ...
 
 
 def table_of(results: Results) -> Answers:
@@ -94,8 +86,7 @@ def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
     if row is None:
         return DASH
     if row.value is None:
-        note = getattr(row, "note", "")
-        return f"{DASH} ({note})".removesuffix(" ()")
+        return f"{DASH} ({row.note})".removesuffix(" ()")
     return format_estimate(row.value, row.low, row.high, name, most)
 
 

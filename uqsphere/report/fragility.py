@@ -7,7 +7,6 @@ crosses a curve and no legend is needed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
@@ -48,8 +47,7 @@ ASSUMED: Final[tuple[Any, float]] = ((0, (5, 2)), 1.4)
 JOINT: Final[tuple[Any, float]] = ("-.", 2.0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Curve:
+class Curve(NamedTuple):
     """Probability of exceedance over the free number, of a limit or of failure modes together.
 
     x : values of the free number (n,) [SI]; p : probabilities (n,)
@@ -68,14 +66,13 @@ class Curve:
         from scipy.special import ndtri
 
         finite = np.isfinite(self.p)
+        if finite.sum() < 2:
+            return np.full(len(x), np.nan)
         places = self.x[finite]
         y = ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
         if logarithmic:
             places, x = np.log(places), np.log(x)
-        if len(places) < 2:
-            return np.full(len(x), np.nan)
-        inside = np.clip(x, places[0], places[-1])
-        return np.asarray(PchipInterpolator(places, y)(inside))
+        return np.asarray(PchipInterpolator(places, y)(np.clip(x, places[0], places[-1])))
 
 
 class _Label(NamedTuple):
@@ -91,30 +88,31 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     grey, one that governs in red.  Of too many, those that are exceeded most often.
     """
     answers = table_of(results)
+    points = dict[str, list[tuple[Any, ...]]]()
     often = dict[str, float]()
     for row in answers:
         if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
+            points.setdefault(row.subject, []).append((row.at, row.value))
             p = answers.get(row.subject, Kind.EXCEEDANCE_PROBABILITY)
             often[row.subject] = (p and p.value) or 0.0
     kept = sorted(often, key=lambda subject: -often[subject])[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = list[Curve]()
-    for subject in [subject for subject in often if subject in kept]:
-        colour = GREY
-        style = ASSUMED
+    for subject in points:
+        look = GREY, ASSUMED
+        if subject not in kept:
+            continue
         if subject.startswith("limits."):
-            colour = next(hues)
-            style = LIMIT
+            look = next(hues), LIMIT
         elif subject in governing:
-            colour = RED
-        points = [(row.at, row.value) for row in answers.where(subject, Kind.CURVE)]
-        x, p = np.array(points, dtype=float).T
-        curves.append(Curve(name=label(subject), x=x, p=p, colour=colour, style=style))
+            look = RED, ASSUMED
+        x, p = np.array(points[subject], dtype=float).T
+        curves.append(Curve(label(subject), x, p, *look))
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:
             x, p, *_ = _ends(decision.curve)
-            curves.append(Curve(name="all failure modes", x=x, p=p, colour=INK, style=JOINT))
+            curves.append(Curve("all failure modes", x, p, INK, JOINT))
     return curves
 
 
@@ -144,11 +142,9 @@ def draw_fragility(
     curves = curves_of(results, limit)
     assert free is not None
     planned = planned_value(free)
-    used = list[Decision]()
-    if limit is None:
-        used = [decision for decision in results.decisions if decision.use is not None]
+    used = [decision for decision in results.decisions if decision.use and limit is None]
     unit, factor = display_unit(free.path, planned or free.high)
-    places = [decision.use.value for decision in used if decision.use is not None]
+    places = [decision.use.value for decision in used if decision.use]
     if planned is not None:
         places.append(planned)
     low, high = _ends_of_interest(free, curves, places)
@@ -187,7 +183,7 @@ def _ends_of_interest(
 ) -> tuple[float, float]:
     """The part of the range in which a curve is inside the frame, with plan and numbers to use."""
     inside = [curve.x[(curve.p > LOWEST) & (curve.p < HIGHEST)] for curve in curves]
-    shown = np.concatenate([np.array(places), *inside])
+    shown = np.concatenate([places, *inside])
     shown = shown[(shown >= free.low) & (shown <= free.high)]
     if len(shown) < 2 or shown.max() <= shown.min():
         return free.low, free.high
@@ -214,14 +210,14 @@ def _draw_curves(
 ) -> tuple[list[_Label], list[_Label]]:
     """Draw the curves; names of those that leave the frame above, and of those at its right."""
     logarithmic = axes.get_xscale() == "log"
-    x = np.linspace(*axes.get_xlim(), 400)
-    if logarithmic:
-        x = np.geomspace(*axes.get_xlim(), 400)
+    spaced = np.geomspace if logarithmic else np.linspace
+    x = spaced(*axes.get_xlim(), 400)
     bottom, top = axes.get_ylim()
     above = []
     right = []
     for curve in curves:
-        y, (dashes, width) = curve.scores(x / factor, logarithmic=logarithmic), curve.style
+        y = curve.scores(x / factor, logarithmic=logarithmic)
+        dashes, width = curve.style
         axes.plot(x, y, linestyle=dashes, lw=width, color=curve.colour, zorder=2 + width)
         outside = np.flatnonzero((y[:-1] < top) != (y[1:] < top))
         if bottom < y[-1] < top:
@@ -252,12 +248,10 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
         points = np.array(limits[tested[0]].test_points or np.empty((2, 0)))
         places = points[0] * factor
         shares = ndtri(np.clip(points[1], LOWEST, HIGHEST))
-        stopped = np.zeros(len(places), dtype=bool)
-        if len(points) > 2:
-            stopped = points[2] > 0.0
+        stopped = points[2:].any(axis=0)
         for chosen, marker, fill in ((~stopped, "o", colour), (stopped, ">", "white")):
-            dots = axes.plot(places[chosen], shares[chosen], marker, ms=5, mec=colour, mfc=fill)
-            dots[0].set_zorder(5)
+            x, y = places[chosen], shares[chosen]
+            axes.plot(x, y, marker, ms=5, mec=colour, mfc=fill, zorder=5)
         return
 
 
@@ -295,13 +289,9 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    frame = 1.0
-    ticks = 0.0
-    sign = 1.0
+    frame, ticks, sign = 1.0, 0.0, 1.0
     if edge == "below":  # the ticks have their numbers first
-        frame = 0.0
-        ticks = -19.0 / 72.0
-        sign = -1.0
+        frame, ticks, sign = 0.0, -19.0 / 72.0, -1.0
     shift = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
     coordinates = axes.get_xaxis_transform() + shift
     ends: list[float] = []
@@ -309,15 +299,9 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         place = float(axes.transData.transform((at, 0.0))[0])
         width = LETTER * len(text)
         # left of the leader; right of it where there is no room
-        start = place - width - 4.0
-        stop = place
-        side = "right"
-        gap = -3.0
+        start, stop, side, gap = place - width - 4.0, place, "right", -3.0
         if start <= 0.0:
-            start = place
-            stop = place + width + 4.0
-            side = "left"
-            gap = 3.0
+            start, stop, side, gap = place, place + width + 4.0, "left", 3.0
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         if row == len(ends):
             ends.append(stop)

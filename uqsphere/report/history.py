@@ -42,7 +42,6 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from uqsphere.mechanics.as_printed import PaperLine
     from uqsphere.mechanics.history import FieldView
 
 
@@ -124,17 +123,11 @@ def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
         rows.append(("further changes of contact", str(len(course.changes) - 6)))
     if course.later_peak is not None:
         pressure = format_value(course.later_peak.pressure, "p_max", 5)
-        rows.append(
-            (
-                "largest contact pressure after the first loss of contact",
-                f"{pressure} at {_when(course.later_peak.time)}",
-            )
-        )
+        text = f"{pressure} at {_when(course.later_peak.time)}"
+        rows.append(("largest contact pressure after the first loss of contact", text))
     if RIGS[study.rig].by_wave:
         balanced = equilibrium(course)
-        text = _when(balanced)
-        if balanced == 0.0:
-            text = "always"
+        text = "always" if balanced == 0.0 else _when(balanced)
         rows.append(("time to force equilibrium (forces within 5 % of their mean)", text))
         for bar in BARS:
             tension = first_tension(course.motion, bar)
@@ -144,24 +137,19 @@ def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
             rows.append((f"first tension in the {bar} bar", text))
         for record in course.gauges:
             for waves in record.overlaps[:2]:
-                text = f"{waves.first} and {waves.second}, {_when(waves.begin)} to "
-                text += _when(waves.end)
+                span = f"{_when(waves.begin)} to {_when(waves.end)}"
+                text = f"{waves.first} and {waves.second}, {span}"
                 rows.append((f"waves overlap at the gauge {record.name}", text))
-    return [
-        *rows,
-        *(_paper_text(row) for row in paper_lines(study)),
-        ("end of the evaluation window", _when(course.record_end)),
-        ("end of the time series", _when(course.horizon)),
-    ]
-
-
-def _paper_text(row: PaperLine) -> tuple[str, str]:
-    """A formula of the paper as printed, beside the corrected one."""
-    corrected = "no value"
-    if row.corrected is not None:
-        corrected = f"{row.corrected:.4g} {row.unit}".rstrip()
-    printed = f"{row.printed:.4g} {row.unit}".rstrip()
-    return f"paper: {row.name}", f"printed {printed}, corrected {corrected} ({row.note})"
+    for line in paper_lines(study):
+        corrected = "no value"
+        if line.corrected is not None:
+            corrected = f"{line.corrected:.4g} {line.unit}".rstrip()
+        printed = f"{line.printed:.4g} {line.unit}".rstrip()
+        text = f"printed {printed}, corrected {corrected} ({line.note})"
+        rows.append((f"paper: {line.name}", text))
+    rows.append(("end of the evaluation window", _when(course.record_end)))
+    rows.append(("end of the time series", _when(course.horizon)))
+    return rows
 
 
 def _when(time: float | None) -> str:
@@ -190,25 +178,32 @@ def write_history(study: Study, course: History, folder: Path) -> list[str]:
 def _pictures(study: Study, course: History) -> dict[str, Picture]:
     """The figures of a scene by name."""
     time = 1e6 * course.time
-    curves = dict[str, list[tuple[str, Array, Array]]]()
-    for what, factor in (("force [kN]", 1e-3), ("pressure [GPa]", 1e-9)):
-        columns = (getattr(course, f"{what.partition(' ')[0]}_{face}") for face in "ab")
-        curves[f"contact {what}"] = [
-            (f"face {face}", time, factor * column)
-            for face, column in zip("AB", columns, strict=True)
-        ]
-    if course.gauges:
-        curves["strain [um/m], tension positive"] = [
-            (record.name, 1e6 * record.time, 1e6 * record.strain) for record in course.gauges
-        ]
     pictures = {}
-    for name, (label, lines) in zip(
-        ("forces", "pressures", "gauges"), curves.items(), strict=False
+    for name, label, lines in (
+        (
+            "forces",
+            "contact force [kN]",
+            [("face A", time, 1e-3 * course.force_a), ("face B", time, 1e-3 * course.force_b)],
+        ),
+        (
+            "pressures",
+            "contact pressure [GPa]",
+            [
+                ("face A", time, 1e-9 * course.pressure_a),
+                ("face B", time, 1e-9 * course.pressure_b),
+            ],
+        ),
+        (
+            "gauges",
+            "strain [um/m], tension positive",
+            [(record.name, 1e6 * record.time, 1e6 * record.strain) for record in course.gauges],
+        ),
     ):
-        draw = partial(_draw_lines, lines=lines, label=label, end=1e6 * course.record_end)
-        largest = max(float(abs(y).max()) for _, _, y in lines)
-        text = f"{label} over time: {largest:.4g} at most"
-        pictures[name] = Picture(capital(label), text, svg(draw))
+        if lines:
+            draw = partial(_draw_lines, lines=lines, label=label, end=1e6 * course.record_end)
+            largest = max(abs(y).max() for _, _, y in lines)
+            text = f"{label} over time: {largest:.4g} at most"
+            pictures[name] = Picture(capital(label), text, svg(draw))
     if RIGS[study.rig].by_wave:
         view = view_field(course, places=150, times=150)
         largest = 1e-6 * float(np.abs(view.stress).max())

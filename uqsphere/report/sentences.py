@@ -167,7 +167,8 @@ class _Writer:
         if self.decision.use is not None:
             return f"Use {self.allowed(self.decision.use.value)}"
         if self.free is None or self.decision.target is None:
-            return capital(self.event(self.governing_range()))
+            p = plain_probability(joint_event(self.decision))
+            return f"{capital(self.event_name())} {p}"
         if self.kept_everywhere():
             return f"Use any value between {self.ends()}"
         return "No value to use"
@@ -244,18 +245,11 @@ class _Writer:
             return "The target is kept in the whole range."
         return f"The target is not crossed between {self.ends()}."
 
-    def event(self, p: Range) -> str:
-        """A failure probability as the probability of fracture."""
-        return f"{self.event_name()} {plain_probability(as_event(self.decision, p))}"
-
     def event_name(self) -> str:
         limits = self.results.study.limits
         if any(limits[name].fracture for name in self.decision.limits if name in limits):
             return "fracture probability"
         return "probability of exceedance"
-
-    def governing_range(self) -> Range:
-        return self.decision.all_modes or self.decision.probability
 
     def at_the_plan(self) -> str:
         """The probability at the plan, by all modes and by the study's limits, and the target."""
@@ -264,8 +258,7 @@ class _Writer:
         if self.free is not None and self.free.planned is not None:
             text += " at the planned value"
         by_study = as_event(decision, decision.probability)
-        joint = as_event(decision, decision.all_modes or decision.probability)
-        together = plain_probability(joint)
+        together = plain_probability(joint_event(decision))
         alone = plain_probability(by_study)
         if decision.all_modes is None:
             text += f": {probability(by_study)}"
@@ -323,6 +316,11 @@ _REMEDIES: Final = {
     "replace the synthetic tests": "Replace the synthetic tests by measured ones",
     "leave the model's range": "Choose a plan within the model's range: {subject}",
 }
+
+
+def joint_event(decision: Decision) -> Range:
+    """The probability of exceedance at the plan, by all failure modes."""
+    return as_event(decision, decision.all_modes or decision.probability)
 
 
 def as_event(decision: Decision, p: Range) -> Range:

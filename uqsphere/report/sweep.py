@@ -23,10 +23,10 @@ from uqsphere.report.figures import COLOURS, Picture, picture_svg
 from uqsphere.report.format import capital, plain_probability, short, with_unit
 from uqsphere.report.page import render
 from uqsphere.report.sentences import (
-    as_event,
     chart_title,
     decision_text,
     exceedance_name,
+    joint_event,
     plain_name,
 )
 from uqsphere.report.tables import PageTable, columns
@@ -126,7 +126,7 @@ def _grid(over: Sequence[str]) -> dict[str, list[str]]:
 def _name(values: Mapping[str, str]) -> str:
     """The name of a point's folder.
 
-    >>> _name({"target.thickness": "10 mm", "impact.angle": "60 deg"})
+    >>> _name({"target.thickness": "10 mm", "rig.angle": "60 deg"})
     'thickness-10-mm_angle-60-deg'
     """
     parts = []
@@ -250,8 +250,7 @@ def _each(
         if point.name in runs:
             results = runs[point.name].results
             for decision in results.decisions:
-                p = as_event(decision, decision.all_modes or decision.probability)
-                yield point, results, decision, p
+                yield point, results, decision, joint_event(decision)
 
 
 def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:

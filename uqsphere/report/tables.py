@@ -33,6 +33,7 @@ from uqsphere.report.sentences import (
     damage_modes,
     doubt_text,
     exceedance_name,
+    joint_event,
     listed,
 )
 from uqsphere.results.answers import Answers
@@ -196,7 +197,7 @@ def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
         own = format_conservative(decision.own, path, least=least)
         rows.append(("your own limits", p, "", "", own, "", "", ""))
     if use is not None:
-        p = probability(as_event(decision, decision.all_modes or decision.probability))
+        p = probability(joint_event(decision))
         number = format_conservative(use.value, path, least=least)
         best = value(use.best.value, path)
         span = value_range(use.best.low, use.best.high, path)
