@@ -134,12 +134,11 @@ def test_a_head_and_the_rows_that_continue_it_are_the_whole() -> None:
 
 def test_every_stream_of_random_numbers_is_listed_once_where_they_are_made() -> None:
     package = Path(points.__file__).parents[1]
-    tasks = {
-        task
-        for file in package.rglob("*.py")
-        if file.name != "points.py"
-        for task in re.findall(r'task(?:: str)? ?= ?f?"([^"{]+)"', file.read_text(encoding="utf-8"))
-    }
+    # a task is given by its keyword, or in its place to `draw` and `normals` of uq.rare
+    pattern = re.compile(r'(?:task(?:: str)? ?= ?|\b(?:draw|normals)\([^"\n]*)f?"([^"{]+)"')
+    sources = [file for file in package.rglob("*.py") if file.name != "points.py"]
+    tasks = {task for file in sources for task in pattern.findall(file.read_text("utf-8"))}
     missing = [task for task in sorted(tasks) if task not in (points.__doc__ or "")]
     assert len(tasks) > 15
+    assert {"wide look", "adapt", "importance", "least sure", "few"} <= tasks
     assert not missing
