@@ -92,12 +92,14 @@ def exact(value: float, method: str = "one evaluation, nothing random") -> Estim
     return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
 
 
-def absent(reason: str, method: str, evaluations: int) -> Estimate:
-    """An answer that cannot be given, and why."""
+def absent(reason: str, method: str, evaluations: int, *, below: float | None = None) -> Estimate:
+    """An answer that cannot be given, and why; of a probability what it is below, if that is
+    known.
+    """
     return Estimate(
         value=None,
-        low=None,
-        high=None,
+        low=None if below is None else 0.0,
+        high=below,
         std_error=None,
         method=method,
         evaluations=evaluations,

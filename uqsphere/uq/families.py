@@ -71,6 +71,10 @@ class Family:
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
     observed: Callable[[Law], Form] | None = None
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # a family is known by its name
+        return family_of, (self.name,)
+
     @property
     def keys(self) -> tuple[str, ...]:
         """Every key of the parameters, without lower and upper, in the order of the

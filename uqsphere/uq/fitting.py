@@ -482,21 +482,20 @@ def fitted_law(
         raise LawError("the observations hold values that are not finite numbers", "column")
     elif values[0] == values[-1]:
         raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
-    if how in ("kde", "steps"):
-        if how == "kde" and values.size > MOST_KERNELS:
-            raise LawError(
-                f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit"
-            )
-        width = {"bandwidth": bandwidth(values) if how == "kde" else 0.0}
-        law = Law(
-            family=FAMILIES["empirical"],
-            parameters=width,
-            lower=a,
-            upper=b,
-            data=tuple(values.tolist()),
-        )
-        return checked(law)
-    family, least, largest = FAMILIES[how], float(values[0]), float(values[-1])
+    if how == "kde" and values.size > MOST_KERNELS:
+        raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
+    family = FAMILIES.get(how, FAMILIES["empirical"])
+    law = Law(
+        family=family,
+        lower=a,
+        upper=b,
+        data=tuple(values.tolist()),
+        censored=tuple(sorted(censored)),
+    )
+    if family.observed is not None:
+        width = bandwidth(values) if how == "kde" else 0.0
+        return checked(replace(law, parameters={"bandwidth": width}))
+    least, largest = float(values[0]), float(values[-1])
     if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if family.bounded and not a < least <= largest < b:
@@ -505,13 +504,6 @@ def fitted_law(
         )
     if family.positive and least <= 0.0:
         raise LawError(f"{how} needs positive observations, the smallest is {least:g}", "fit")
-    law = Law(
-        family=family,
-        lower=a,
-        upper=b,
-        data=tuple(values.tolist()),
-        censored=tuple(sorted(censored)),
-    )
     try:
         law = _likeliest(law, unbiased)
     except ValueError as error:
@@ -524,19 +516,16 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     ValueError.
     """
     name, ends = law.family.name, (law.lower, law.upper)
-    kind = LOCATION_SCALE.get(name)
-    if kind is None:
-        return replace(
-            law, parameters=law.family.parameters(OTHERS[name](np.array(law.data), *ends), *ends)
-        )
-    tests = series_behind(law)
-    location, spread = _best(tests, kind)
-    shape = kind.shape(spread)
-    if unbiased:
-        shape = shape * unbiasing(kind, tests.leaving)
-    return replace(
-        law, parameters=law.family.parameters(kind.parameters(location, kind.shape(shape)), *ends)
-    )
+    if name in OTHERS:
+        keys = OTHERS[name](np.array(law.data), *ends)
+    else:
+        kind, tests = LOCATION_SCALE[name], series_behind(law)
+        location, spread = _best(tests, kind)
+        shape = kind.shape(spread)
+        if unbiased:
+            shape = shape * unbiasing(kind, tests.leaving)
+        keys = kind.parameters(location, kind.shape(shape))
+    return replace(law, parameters=law.family.parameters(keys, *ends))
 
 
 def law_of_known_modulus(

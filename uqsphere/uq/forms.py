@@ -71,9 +71,7 @@ def truncated(form: Form, a: float, b: float) -> Form:
         (below_a, below_b), (above_a, above_b) = (
             tail.tolist() for tail in form.tails(np.array([a, b]))
         )
-    mass = above_a - above_b
-    if above_a >= 0.5:
-        mass = below_b - below_a
+    mass = below_b - below_a if above_a >= 0.5 else above_a - above_b
 
     def tails(y: Array) -> tuple[Array, Array]:
         below, above = form.tails(y)
@@ -274,7 +272,7 @@ def form_of(name: str, law: Any, key: str) -> Form:
         other.
     """
     mean, variance = map(float, law.stats(moments="mv"))
-    missing, orders = math.inf, []
+    missing = math.inf
     if not math.isfinite(mean):
         missing = 1.0
     elif not math.isfinite(variance):
@@ -286,10 +284,7 @@ def form_of(name: str, law: Any, key: str) -> Form:
         moments=(mean, math.sqrt(variance)),
     )
     check_tails(form, name, key)
-    for quantile in (law.ppf, law.isf):
-        far = np.abs(quantile(np.array([1e-6, 1e-12])))
-        orders.append(missing if far[1] > _HEAVY * far[0] else math.inf)
-    return replace(form, orders=(orders[0], orders[1]))
+    return _with_orders(form, lambda growth: missing)
 
 
 def by_functions(distribution: Any) -> Form:
@@ -309,11 +304,19 @@ def by_functions(distribution: Any) -> Form:
         pdf=function("pdf"),
     )
     check_tails(form, f"{type(distribution).__name__} of chaospy", "")
-    orders = []
-    for p in (np.array([1e-6, 1e-12]), np.array([1.0 - 1e-6, 1.0 - 1e-12])):
-        growth = math.log10(max(np.divide(*np.abs(inverse(p))[::-1]), 1.0))
-        # p^(-1/order): of a tail that falls faster the quantiles grow little
-        orders.append(round(6.0 / growth, 3) if growth > math.log10(_HEAVY) else math.inf)
+    # p^(-1/order): of a tail that falls faster the quantiles grow little
+    return _with_orders(form, lambda growth: round(6.0 / math.log10(growth), 3))
+
+
+def _with_orders(form: Form, order: Callable[[float], float]) -> Form:
+    """The form with the orders of its tails: of a heavy one by how much its quantile grows from
+    1e-6 to 1e-12.
+    """
+    near, orders = np.array([1e-6, 1e-12]), [math.inf, math.inf]
+    for tail, probabilities in enumerate(((near, 1.0 - near), (1.0 - near, near))):
+        start, end = np.abs(form.quantile(*probabilities))
+        if end > _HEAVY * start:
+            orders[tail] = order(end / start)
     return replace(form, orders=(orders[0], orders[1]))
 
 

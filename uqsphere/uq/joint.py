@@ -370,7 +370,8 @@ def make_joint(
     >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)])
     <Joint of a, b, c, dependent>
     """
-    pairs, blocks = dict[tuple[int, int], float](), list[tuple[tuple[int, ...], Copula]]()
+    pairs, blocks = set[tuple[int, ...]](), list[tuple[tuple[int, ...], Copula]]()
+    correlation = np.eye(len(names))
     for tie in dependences:
         if unknown := [name for name in tie.of if name not in names]:
             raise LawError(
@@ -381,10 +382,12 @@ def make_joint(
         if math.isfinite(copula.dof):
             blocks.append((tuple(columns), copula))
             continue
-        for i, j in combinations(sorted(columns), 2):
-            if (i, j) in pairs:
-                raise LawError(f"the dependence of {names[i]} and {names[j]} is given twice", "of")
-            pairs[i, j] = copula.correlation[0, 1]
+        for pair in combinations(sorted(columns), 2):
+            if pair in pairs:
+                first, second = (names[column] for column in pair)
+                raise LawError(f"the dependence of {first} and {second} is given twice", "of")
+            pairs.add(pair)
+            correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
     tied = sorted(set(chain.from_iterable(pairs)))
     taken = list(chain(tied, *(columns for columns, _ in blocks)))
     twice = [names[column] for column in taken if taken.count(column) > 1]
@@ -395,16 +398,13 @@ def make_joint(
             "of",
         )
     if tied:
-        gaussian = np.eye(len(tied))
-        for (i, j), rho in pairs.items():
-            a, b = tied.index(i), tied.index(j)
-            gaussian[a, b] = gaussian[b, a] = rho
-        if (smallest := float(np.linalg.eigvalsh(gaussian)[0])) < _SMALLEST:
+        gaussian = Copula(correlation=correlation).among(tied)
+        if (smallest := float(np.linalg.eigvalsh(gaussian.correlation)[0])) < _SMALLEST:
             raise LawError(
                 "the dependences cannot hold together: the correlation matrix is not positive "
                 "definite "
                 f"(least eigenvalue {smallest:.3g}); weaken or remove some of them",
                 "spearman",
             )
-        blocks.insert(0, (tuple(tied), Copula(correlation=gaussian)))
+        blocks.insert(0, (tuple(tied), gaussian))
     return Joint(names=tuple(names), laws=tuple(laws), blocks=tuple(blocks))

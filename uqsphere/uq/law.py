@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import FAMILIES, Family, family_named, family_of
+from uqsphere.uq.families import FAMILIES, Family, family_named
 from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, no_density, truncated
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
@@ -58,12 +58,9 @@ class Law:
             ends = f" on [{self.lower:.6g}, {self.upper:.6g}]"
         return f"<Law {self.family.name}({numbers}){ends}>"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # a family is known by its name, and is not sent along
-        return _named, (
-            self.family.name,
-            {part.name: getattr(self, part.name) for part in fields(self)[1:]},
-        )
+    def __getstate__(self) -> dict[str, object]:
+        # what is kept beside the fields is computed again
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
     # --- probabilities and quantiles --------------------------------------------------------------
 
@@ -246,10 +243,6 @@ class Law:
         return make_law(
             self.family.name, {**self.given, "mean": mean}, ratio * self.lower, ratio * self.upper
         )
-
-
-def _named(name: str, state: Mapping[str, object]) -> Law:
-    return Law(family=family_of(name), **state)  # type: ignore[arg-type]
 
 
 def make_law(

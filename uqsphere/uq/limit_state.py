@@ -153,9 +153,10 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
         counts = kept
         if bound:
             counts = np.full(replicates, float(n))
-        unsure = late | (broken & bound)
+        lost = broken & bound
+        unsure = late | lost
         # exceedance and its complement, where as little as possible exceeds, and as much
-        least = below, np.where(broken & bound, 1.0, above)
+        least = below, above + lost
         most = np.where(unsure, 1.0, below), np.where(unsure, 0.0, above)
         if aim == "break":
             least, most = (most[1], most[0]), (least[1], least[0])

@@ -16,7 +16,7 @@ Bachoc and Depecker, SIAM/ASA J. UQ 8, 2020, 693).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from itertools import permutations
 
@@ -44,9 +44,9 @@ MOST_EXACT, ORDERS = 6, 64
 
 def closed_effects(
     function: Callable[[Array, int], Array], joint: Joint, *, points: int = 512, seed: int = 0
-) -> Callable[[tuple[int, ...]], tuple[float, Array]]:
+) -> Callable[[tuple[int, ...]], Array]:
     """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a
-    set of inputs owns: value and deviations (R,) of the replicates from it."""
+    set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
     d, designs = len(joint.names), []
     for r in range(REPLICATES):
         normals = special.ndtri(
@@ -59,9 +59,9 @@ def closed_effects(
     centre, unit = float(every.mean()), float(every.std())
 
     @cache
-    def closed(subset: tuple[int, ...]) -> tuple[float, Array]:
+    def closed(subset: tuple[int, ...]) -> Array:
         if len(subset) in (0, d):
-            return float(len(subset) > 0), np.zeros(REPLICATES)
+            return np.append(float(len(subset) > 0), np.zeros(REPLICATES))
         rows = []
         for r, (base, fresh, y, apart) in enumerate(designs):
             z = function(joint.redrawn(subset, base, fresh), r)
@@ -69,10 +69,8 @@ def closed_effects(
             rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
         plain, small, square = np.array(rows).T
         # a small effect by differences, whose noise is small with it
-        value, off = ratio_of_means(
-            plain if plain.mean() > LARGE * square.mean() else small, square
-        )
-        return float(value), off
+        shared = plain if plain.mean() > LARGE * square.mean() else small
+        return np.append(*ratio_of_means(shared, square))
 
     return closed
 
@@ -98,35 +96,27 @@ def dependent_shares(
         nothing = [absent("the output does not vary", METHOD, n)] * d
         return {"shapley": nothing, "first": list(nothing), "total": list(nothing)}
     closed = closed_effects(function, joint, points=points, seed=seed)
-    effects = [(0.0, np.zeros(REPLICATES))] * d
-    orders = _orders(d, seed)
+    orders, effects = _orders(d, seed), np.zeros((d, 1 + REPLICATES))
     for order in orders:
         held: tuple[int, ...] = ()
         for i in order:
             more = tuple(sorted((*held, i)))
-            (after, after_off), (before, before_off) = closed(more), closed(held)
-            value, off = effects[i]
-            effects[i] = (
-                value + (after - before) / len(orders),
-                off + (after_off - before_off) / len(orders),
-            )
+            effects[i] += (closed(more) - closed(held)) / len(orders)
             held = more
-    first = [closed((i,)) for i in range(d)]
-    rest = [closed((*range(i), *range(i + 1, d))) for i in range(d)]
 
-    def answers(pairs: Sequence[tuple[float, Array]]) -> list[Estimate]:
-        estimates = []
-        for value, off in pairs:
-            estimate, e = from_replicates(value + off, METHOD, n, value), response.error
-            noise = student(n) * 2.0 * math.sqrt(max(value * (1.0 - value), e) * e / n)
-            half = math.hypot(estimate.half_width, noise) + e + 1e-15
-            estimates.append(estimate.spanning(value - half, value + half))
-        return estimates
+    def answer(effect: Array) -> Estimate:
+        value, e = float(effect[0]), response.error
+        estimate = from_replicates(value + effect[1:], METHOD, n, value)
+        noise = student(n) * 2.0 * math.sqrt(max(value * (1.0 - value), e) * e / n)
+        half = math.hypot(estimate.half_width, noise) + e + 1e-15
+        return estimate.spanning(value - half, value + half)
 
+    every = tuple(range(d))
+    rest = [closed(every[:i] + every[i + 1 :]) for i in every]
     return {
-        "shapley": answers(effects),
-        "first": answers(first),
-        "total": answers([(1.0 - value, -off) for value, off in rest]),
+        "shapley": [answer(effect) for effect in effects],
+        "first": [answer(closed((i,))) for i in every],
+        "total": [answer(closed(every) - effect) for effect in rest],
     }
 
 

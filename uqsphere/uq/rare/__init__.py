@@ -230,7 +230,7 @@ def _bound(single: Estimate) -> Estimate:
         f"subset simulation gives {single.value:.2g} and no second method certifies it; it is "
         f"below {high:.2g}"
     )
-    return replace(single, value=None, low=0.0, high=high, std_error=None, reason=reason)
+    return absent(reason, single.method, single.evaluations, below=high)
 
 
 def _from_few(evaluator: Evaluator, accuracy: float) -> RareAnswer:
@@ -268,9 +268,9 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
     low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / count), REPLICATES, total)
     high = min(max(high, p + unseen) + float(np.isnan(mass).mean()), 1.0)
     method = "randomised quasi-Monte Carlo"
-    nothing = absent(f"no failure in {total} runs: it is below {high:.2g}", method, evaluator.count)
-    estimate = replace(nothing, low=low, high=high)
+    reason = f"no failure in {total} runs: it is below {high:.2g}"
+    estimate = absent(reason, method, evaluator.count, below=high)
     if p > 0.0:
-        estimate = replace(estimate, value=p, std_error=error, reason=None)
+        estimate = replace(estimate, value=p, low=low, std_error=error, reason=None)
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate=estimate, warning=warning)

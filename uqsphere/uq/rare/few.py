@@ -50,42 +50,41 @@ def by_kriging(evaluator: Evaluator, search: Search, accuracy: float) -> Estimat
     plain = draw(evaluator, standard_normal(d), int(PLAIN * allowed), "defensive share")
     wide = draw(evaluator, wide_mixture(d), 6 + 2 * d, "wide look")
     shown = evaluator.values(plain.points, plain.answers)
-    # a few of the plain sample, and later those on which the surrogate is wrong
-    points = np.concatenate([wide.points, plain.points[:FITTED]])
-    values = np.concatenate([evaluator.values(wide.points, wide.answers), shown[:FITTED]])
-    rest, of_rest = plain.points[FITTED:], shown[FITTED:]
+    points = np.concatenate([wide.points, plain.points])
+    values = np.concatenate([evaluator.values(wide.points, wide.answers), shown])
+    # a few of the plain sample are fitted to, and later those on which the surrogate is wrong
+    fitted, rest = np.split(np.arange(len(points)), [len(wide.points) + FITTED])
     last = evaluator.budget - max(FRESH * evaluator.left, LEAST_FRESH)
     lengths: Array | None = None
     while True:
-        usable = np.isfinite(values)
+        usable = fitted[np.isfinite(values[fitted])]
         if evaluator.failed or not np.ptp(values[usable]) > 0.0:
             return None  # a plain sample says what can be said
         surrogate = fit_kriging(points[usable], values[usable], lengths)
         lengths = surrogate.lengths
-        wrong = np.flatnonzero((surrogate.mean(rest) < 0.0) != (of_rest < 0.0))[:FITTED]
-        if wrong.size and len(points) < MOST_POINTS:
-            points = np.concatenate([points, rest[wrong]])
-            values = np.concatenate([values, of_rest[wrong]])
-            rest, of_rest = np.delete(rest, wrong, axis=0), np.delete(of_rest, wrong)
+        wrong = rest[(surrogate.mean(points[rest]) < 0.0) != (values[rest] < 0.0)][:FITTED]
+        if wrong.size and fitted.size < MOST_POINTS:
+            fitted, rest = np.append(fitted, wrong), np.setdiff1d(rest, wrong)
             continue
         model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
         predicted, draws = search(model, 0.1)
         if draws is None:
             # nothing fails on the surrogate: where it is least sure of that
             counts, around = wide_mixture(d).drawn(1024)
-            places = around.moved(model.normals(d, 1024, "least sure", len(points)), counts)
+            places = around.moved(model.normals(d, 1024, "least sure", fitted.size), counts)
         else:
             around, places = draws.mixture, draws.points.reshape(-1, d)
         doubt = _doubtful_mass(evaluator, surrogate, around, places)
         value = predicted.value or 0.0
         if value > 0.5 and evaluator.left >= allowed / 2:
             return None
-        batch = int(min(len(points) // 10, last - evaluator.count, MOST_POINTS - len(points)))
+        batch = int(min(fitted.size // 10, last - evaluator.count, MOST_POINTS - fitted.size))
         if batch < 1 or float(doubt.mean()) < 0.3 * accuracy * value:
             break
         chosen = _spread_out(places, doubt, lengths, batch)
+        fitted = np.append(fitted, len(points) + np.arange(batch))
         points = np.concatenate([points, chosen])
-        values = np.concatenate([values, evaluator.values(chosen)])
+        values = np.append(values, evaluator.values(chosen))
     predicted, draws = search(replace(model, budget=LAST_LOOK), accuracy)
     estimate, size = None, shown.size
     if draws is not None and predicted.value:
@@ -94,8 +93,7 @@ def by_kriging(evaluator: Evaluator, search: Search, accuracy: float) -> Estimat
         failures = float(np.nansum(evaluator.mass(shown)))
         high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
         reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
-        none = absent(reason, METHOD, evaluator.count)
-        return replace(none, low=0.0, high=high, high_unseen=high)
+        return replace(absent(reason, METHOD, evaluator.count, below=high), high_unseen=high)
     return replace(estimate, high_unseen=min((estimate.high or 1.0) + count_bound(size), 1.0))
 
 

@@ -379,8 +379,8 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> Imp
     value = float(rows.mean())
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
-        none = absent("no failure among the points", method, evaluations)
-        return ImportanceAnswer(estimate=replace(none, low=0.0, high=high))
+        none = absent("no failure among the points", method, evaluations, below=high)
+        return ImportanceAnswer(estimate=none)
     error = max(spread(rows), 1e-12 * value)
     if not evaluator.integrated:
         error = max(error, HARD * float(np.std(weights)) / math.sqrt(weights.size))

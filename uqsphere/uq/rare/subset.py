@@ -81,14 +81,16 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
         nothing = absent("the budget does not suffice for the first level", method, 0)
         return SubsetAnswer(estimate=nothing, failures=failures[0], levels=0)
     shares = probability[~np.isnan(probability)]
-    value, low, high, error, reason = None, 0.0, 1.0, None, None
+    low, high = 0.0, 1.0
     if not shares.size:
         # no failure was seen: the level that was reached bounds the probability from above
         high = count_bound(count * REPETITIONS)
         if level:
             high = min(1.0, 3.0 * float(reached.mean()))
         reason = f"no failure was reached; its probability is below {high:.2g}"
-    elif shares.size < REPETITIONS:
+        nothing = absent(reason, method, spent, below=high)
+        return SubsetAnswer(estimate=nothing, levels=level, failures=failures[0])
+    if shares.size < REPETITIONS:
         # some repetitions reached a failure domain that others did not: their answers are worlds
         # apart
         value, error = float(shares.sum()) / REPETITIONS, float(shares.max())
@@ -104,7 +106,6 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
         std_error=error,
         method=method,
         evaluations=spent,
-        reason=reason,
     )
     return SubsetAnswer(estimate=estimate, levels=level, failures=np.concatenate(failures))
 
