@@ -115,6 +115,9 @@ _ALL_UNITS: Final = {"", "-", *_SPELLED} | {
     unit for unit in chain(*UNITS.values()) if not unit.isdigit()
 }
 
+#: units of US customary tables that no key takes
+_FOREIGN_UNITS: Final = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
+
 
 class TableError(UsageError):
     """A table cannot be used: every fault, one a line; `key` is what the caller named the first bad
@@ -695,10 +698,16 @@ def are_units(row: list[str]) -> bool:
     texts = [cell.strip("[]() ") for cell in row]
     if set(texts) <= _ALL_UNITS:
         return any(row)
-    # one of them may be misspelled, which the column tells
-    like = [text for text in texts if any(nearest_unit(text, name) for name in UNITS)]
+    # one of them may be misspelled, or have a factor, which the column tells
     certain = any(len(text) > 1 and text in _ALL_UNITS for text in texts)
-    return certain and all(text in _ALL_UNITS or text in like for text in texts)
+    return certain and all(text in _ALL_UNITS or _is_like_a_unit(text) for text in texts)
+
+
+def _is_like_a_unit(text: str) -> bool:
+    """Whether a cell is a unit that is misspelled, unknown here, or multiplied by a factor."""
+    bare = _FACTOR.sub("", text).strip()
+    likely = bare in _ALL_UNITS | _FOREIGN_UNITS or any(nearest_unit(bare, name) for name in UNITS)
+    return likely and bare != ""
 
 
 # --- workbooks, encodings -------------------------------------------------------------------------

@@ -173,6 +173,8 @@ FAULTY = {
     "columns divided by bars": ("D|F\n1|2\n", "divide columns by commas, semicolons or tabs"),
     "a decimal comma in one column": ("F\n14,9\n15,1\n", "A decimal comma between commas?"),
     "a decimal comma between commas": ("D,F\n14,9,7,42\n", "line 2: more cells than headings"),
+    "a unit of another system in a row": ("F,D\nkips,in\n3,1\n", "'kips' is not a unit of this"),
+    "a factor in a row of units": ("F,D\n10 kN,mm\n3,1\n", "has the factor '10'. Multiply"),
     "no such column": ("D,G\n1,2\n", "the column 'F' is not in 't.csv', which has 'D', 'G'"),
     "a column twice": ("F,F\n1,2\n", "'F' is twice or more in"),
     "headings alone": ("D,F\n", "no row below its headings"),
@@ -205,7 +207,7 @@ def test_faults_name_their_lines(text: str, said: str, tmp_path: Path) -> None:
 
     def read() -> None:
         table = read_table(tmp_path / "t.csv")
-        table.numbers("F", key="force")
+        table.numbers("F", "force" if "mm" in text or "kips" in text else "number", key="force")
         table.finish()
 
     with pytest.raises(TableError) as caught:

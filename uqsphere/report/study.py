@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +16,13 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
 
+if TYPE_CHECKING:
+    from uqsphere.propagation.design import Design
+
 #: probabilities of the ends of the range that is printed of a random number
 ENDS = np.array([0.05, 0.95])
 #: model runs of a trial run, and what its analyses, figures and report take beside model runs [s]
-TRIAL_RUNS, REPORT_SECONDS = 1400, 2.0
+TRIAL_RUNS, REPORT_SECONDS = 1400, 4.0
 
 
 def described(study: Study) -> str:
@@ -123,8 +128,12 @@ def _shape(law: Law) -> str:
 
 def cost(study: Study) -> str:
     """The expected cost of a whole run, from a short trial run; of a user model, its bounds."""
-    from uqsphere.propagation import run
-    from uqsphere.propagation.grow import first_rows
+    from threadpoolctl import threadpool_limits
+
+    from uqsphere.models.model import Model
+    from uqsphere.propagation.design import Design
+    from uqsphere.propagation.grow import first_rows, grow
+    from uqsphere.propagation.verdict import judge
 
     first = first_rows(study)
     budget = study.analysis.budget
@@ -139,25 +148,28 @@ def cost(study: Study) -> str:
     few = study.analysis.model_copy(
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
     )
-    each = _seconds_per_run(study)  # compiles the integrator, once
-    accuracy = run(replace(study, analysis=few)).results.accuracy
-    runs = accuracy.reached[-1].runs
-    error = max(accuracy.reached[-1].error or 0.0, 1.0)
+    design = Design.of(replace(study, analysis=few))
+    each = _seconds_per_run(design)  # compiles the integrator, once
+    began = time.monotonic()
+    with threadpool_limits(limits=1, user_api="blas"), Model(design.judged) as model:
+        tables = grow(design, model, seconds=budget.time)
+        _, tables = judge(design, model, tables, began + budget.time)
+    took = time.monotonic() - began
+    runs, error = tables.reached[-1]
+    error = max(error or 0.0, 1.0)
     # the error falls with the runs n as n^(-1) to n^(-3/4)
     ends = []
     for power in (1.0, 4.0 / 3.0):
         needed = min(max(first, runs * error**power), budget.evaluations)
-        seconds = accuracy.seconds + needed * each + REPORT_SECONDS
+        seconds = took + needed * each + REPORT_SECONDS
         ends.append((f"{float(f'{needed:.2g}'):,.0f}", f"{float(f'{seconds:.2g}'):,g}"))
-    total, took = (" to ".join(dict.fromkeys(texts)) for texts in zip(*ends, strict=True))
-    return f"{start}: about {total} in total, {took} s with analysis and report."
+    total, lasts = (" to ".join(dict.fromkeys(texts)) for texts in zip(*ends, strict=True))
+    return f"{start}: about {total} in total, {lasts} s with analysis and report."
 
 
-def _seconds_per_run(study: Study) -> float:
+def _seconds_per_run(design: Design) -> float:
     from uqsphere.models.model import Model
-    from uqsphere.propagation.design import Design
 
-    design = Design.of(study)
     with Model(design.judged, threads=1) as model:
         names = design.inputs
         rows = np.zeros((1, 0))

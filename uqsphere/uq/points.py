@@ -21,7 +21,7 @@ The streams of a study's seed, by the names of their tasks:
 from __future__ import annotations
 
 import hashlib
-from copy import deepcopy
+from copy import copy
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -86,7 +86,7 @@ def sobol_points(
     # from 1000 dimensions on the scrambling matrices of 52-bit points would fill the memory
     bits = 52 if dimension < 1000 else 30
     # a copy: drawing moves a sequence on
-    sequence = deepcopy(_sequence(dimension, bits, seed, task, replicate))
+    sequence = copy(_sequence(dimension, bits, seed, task, replicate)).reset()
     # SciPy warns of a first draw of other than a power of two
     points = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
     return points[start:] + 0.5 ** (bits + 1)
