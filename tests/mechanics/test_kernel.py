@@ -7,18 +7,20 @@ rounding.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
+import numba
 import numpy as np
 import pytest
 from scenes import EXAMPLE, scaled_scene
 
-from uqsphere.mechanics.integrator import compiled as compiled_module
-from uqsphere.mechanics.integrator import events, faces, kernel, searches, step
+from uqsphere.mechanics.integrator import events, faces, incoming, kernel, lanes, records
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
-from uqsphere.mechanics.integrator.tracked import LANES
+from uqsphere.mechanics.integrator.tracked import LANE, LANES
 from uqsphere.mechanics.outputs import SceneAnswers
 from uqsphere.mechanics.scene import Scene, answered
 
@@ -148,7 +150,7 @@ def test_a_row_depends_on_nothing_but_the_row(finite: bool) -> None:
     together = solve(scene, tolerance=1e-4, threads=1)
     _same_bits(together, solve(scene, tolerance=1e-4, threads=3), slice(None))
     shuffled = np.random.default_rng(8).permutation(count)
-    for rows in (shuffled, np.arange(13, 300), np.array([5])):
+    for rows in (shuffled, np.arange(count)[::-1], np.arange(13, 300), np.array([5])):
         part = Scene(
             columns={name: column[rows] for name, column in scene.columns.items()},
             infinite=scene.infinite,
@@ -341,19 +343,25 @@ def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
 
 
 def test_every_function_is_compiled_in_one_form() -> None:
-    """None is compiled for other arguments, but for series of lanes, of faces and of the one step
-    that is searched.
-    """
+    """None is compiled for other arguments, but for series of lanes and of a kept step."""
     solve(random_scene(1, 1))
-    for module in (events, faces, kernel, searches, step):
+    for module in (events, faces, incoming, kernel, lanes, records):
         for function in vars(module).values():
             if hasattr(function, "py_func") and function.overloads:
                 assert len(function.overloads) <= 3, function.__name__
 
 
-def test_a_numba_that_is_not_known_compiles_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled_module, "_TRIED", ())
-    monkeypatch.setattr(compiled_module, "_compilers", compiled_module._compilers.__wrapped__)
-    square = compiled_module.compiled(lambda x: x * x)
-    more = compiled_module.compiled(lambda x: square(x) + 1.0, entry=True)
-    assert more(3.0) == 10.0
+@pytest.mark.parametrize("name", ["_c7", "reach", "survey", "fit_echoes"])
+def test_the_hot_loops_are_vectorised(name: str) -> None:
+    """A loop that LLVM leaves scalar costs a factor of four, and nothing else would say so."""
+    processor = llvmlite.binding.get_host_cpu_features()
+    if not processor.get("avx"):
+        pytest.skip("this processor has no wide vectors")
+    signature = (numba.from_dtype(LANE), numba.int64)[: 2 if name.startswith("_c") else 1]
+    settings: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+    made = numba.njit(signature, **settings)(getattr(lanes, name).py_func)
+    text = "\n".join(made.inspect_asm().values())
+    arithmetic = r"\tv(?:add|sub|mul|div|sqrt|fn?m(?:add|sub)\d+){}\b"
+    wide = len(re.findall(arithmetic.format("pd") + ".*%[yz]mm", text))
+    single = len(re.findall(arithmetic.format("sd"), text))
+    assert wide > 4 * (single + 1), (wide, single)

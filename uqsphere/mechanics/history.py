@@ -370,14 +370,14 @@ def trace(
 
 
 def _record_end(found: Motion, tolerance: float) -> float:
-    """End of the record [s] that a batch has of the row of a motion."""
+    """End of the record [s] that a batch has of the row of a motion, if it wants all of it."""
     scene = replace(found.scene.at(slice(found.row, found.row + 1)), demands={})
     answers = solve(
         scene,
         fidelity=found.fidelity,
         tolerance=tolerance,
         threads=1,
-        quantities=("P_max", "contact_duration"),
+        quantities=("P_max", "contact_duration", "time_to_first_loss"),
     )
     return float(np.fmin(answers.record[0], found.horizon))
 

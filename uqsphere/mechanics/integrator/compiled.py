@@ -13,30 +13,24 @@ import os
 import pickle
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 #: files with compiled code, or with numbers that it takes in
 _SOURCES = (
-    "branches",
     "compiled",
     "events",
     "faces",
     "incoming",
     "kernel",
+    "lanes",
     "records",
-    "searches",
-    "step",
     "tracked",
-    "vectors",
 )
-#: versions of numba whose inside `_compilers` knows
-_TRIED = ("0.68.",)
 #: may be written by others
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -120,87 +114,16 @@ def _keep(folder: Path, function: Any) -> None:
     function._cache._cache_file = Kept(str(folder), base, None)
 
 
-@lru_cache(maxsize=1)
-def _compilers() -> tuple[Any, Any] | None:
-    """numba's compiler of inner functions, and of those that Python calls; None for a numba it was
-    not tried with.
-
-    numba optimises and translates every function with all that it calls, so that what is at the
-    bottom goes through LLVM a dozen times: half of the time of a first run.  Here an inner function
-    is optimised by itself, and the outermost one takes in all that it reaches and translates it
-    once.  Another numba compiles in its own, slower way.
-    """
-    if not metadata.version("numba").startswith(_TRIED):
-        return None
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler, Flags
-
-    class Library(JITCodeLibrary):
-        outermost = False
-
-        def finalize(self) -> None:
-            if self.outermost:
-                for (
-                    one
-                ) in self._linking_libraries:  # which grows to all that is called at any depth
-                    known = self._linking_libraries
-                    known += [other for other in one._linking_libraries if other not in known]
-                super().finalize()
-            else:
-                self._optimize_final_module()
-                self._finalize_dynamic_globals()
-                self._finalized = True
-
-        def _optimize_functions(
-            self, module: Any
-        ) -> None:  # the passes over the module do the same again
-            module.data_layout = self._codegen._data_layout
-
-        def get_pointer_to_function(self, name: str) -> int:
-            return int(super().get_pointer_to_function(name)) if self.outermost else 0
-
-        @property
-        def codegen(self) -> Any:
-            return (
-                super().codegen if self.outermost else SimpleNamespace(set_env=lambda *given: None)
-            )
-
-    class Settings(Flags):
-        """Looked up with every operation: compared by a text that is made once."""
-
-        text = ""
-
-        def __hash__(self) -> int:
-            self.text = self.text or str(self.values())
-            return hash(self.text)
-
-        def __eq__(self, other: object) -> bool:
-            return self is other or (isinstance(other, Settings) and hash(self) == hash(other))
-
-    class Inner(Compiler):
-        outermost = False
-
-        def __init__(self, *given: Any, **named: Any) -> None:
-            super().__init__(*given, **named)
-            library = Library(self.state.targetctx.codegen(), "uqsphere")
-            library.enable_object_caching()
-            library.outermost = self.outermost
-            self.state.library, self.state.flags = library, Settings(self.state.flags)
-
-    class Outermost(Inner):
-        outermost = True
-
-        def compile_extra(self, function: Any) -> Any:
-            collects = gc.isenabled()
-            # what numba makes lives to the end: looking for what does not takes a tenth of the time
-            gc.disable()
-            try:
-                return super().compile_extra(function)
-            finally:
-                if collects:
-                    gc.enable()
-
-    return Inner, Outermost
+@contextlib.contextmanager
+def without_collection() -> Iterator[None]:
+    """No looking for garbage while something is compiled: what numba makes lives to the end."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 @contextlib.contextmanager
@@ -217,42 +140,34 @@ def _cache_in(folder: Path) -> Iterator[None]:
 
 
 def compiled(
-    function: Callable[..., Any] | None = None, *, entry: bool = False, **options: Any
+    function: Callable[..., Any] | None = None, *, entry: bool = False, inline: bool = False
 ) -> Any:
-    """``numba.njit`` that releases the GIL and keeps its result on disk; never fastmath, which
-    breaks isnan.
+    """``numba.njit`` that releases the GIL and keeps its result on disk; of fastmath no more than
+    fused multiplication and addition.
 
-    entry: whether Python calls it, too; others need no way in from there.
+    entry: whether Python calls it, too; others need no way in from there.  inline: written into
+    the one function that calls it, which saves a compilation.
     """
     if function is None:
-        return lambda wrapped: compiled(wrapped, entry=entry, **options)
+        return lambda wrapped: compiled(wrapped, entry=entry, inline=inline)
     import numba
 
-    folder = cache_folder()
     # nothing is allocated in compiled code, so that numba need not count the owners of arrays
-    options |= {"nogil": True, "error_model": "numpy", "_nrt": False}
-    if (compilers := _compilers()) is not None:
-        options["pipeline_class"] = compilers[entry]
-    options |= (
-        {"cache": folder is not None}
-        if entry
-        else {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    )
-    made: Any
-    if entry and folder is not None:
-        with _cache_in(folder):
-            made = numba.njit(**options)(function)
-    else:
-        made = numba.njit(**options)(function)
-    if folder is not None and entry:
-        _keep(folder, made)
-    ask = made.get_call_template
-
-    def once(given: Iterable[Any], named: Any) -> Any:
-        """Compiled once for all numbers of a kind: numba would compile it anew for every
-        constant.
-        """
-        return ask([numba.types.unliteral(kind) for kind in given], named)
-
-    made.get_call_template = once
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": {"contract"},
+        "_nrt": False,
+        "no_rewrites": True,
+    }
+    if inline:
+        options["inline"] = "always"
+    folder = cache_folder() if entry else None
+    if not entry:
+        options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    if folder is None:
+        return numba.njit(**options)(function)
+    with _cache_in(folder):
+        made: Any = numba.njit(**options | {"cache": True})(function)
+    _keep(folder, made)
     return made

@@ -1,9 +1,9 @@
-"""What happens inside the steps of a row: loss of contact, touch, threshold crossings, the end of
-the record.
+"""What happens inside the step of a lane: loss of contact, touch, change of branch, largest values.
 
-`look` says for all lanes in which steps anything can happen; only those are searched by
-`after_step`, on the series of the step, so that an event is located far better than the steps are
-long.  `finish` sums up a row whose record has ended.
+Everything here is plain code for one lane.  Bounds of both approaches (`lanes.survey`) say in which
+steps nothing can happen; only the others are searched, on the series of the step, so that an event
+is located far better than the steps are long.  What is searched is s.piece, the part of the series
+that belongs to the lane, in powers of theta.
 """
 
 from __future__ import annotations
@@ -12,16 +12,13 @@ import math
 
 import numpy as np
 
-from uqsphere.mechanics.integrator import searches, tracked
+from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
+    ARMED,
     approach_at,
     face_force,
     face_yielded,
-    largest_approach,
-    largest_force,
-    most_stored,
-    on_virgin_loading,
     stored_energy,
 )
 from uqsphere.mechanics.integrator.incoming import heard
@@ -32,7 +29,7 @@ from uqsphere.mechanics.integrator.tracked import (
     FACE_B,
     KINDS,
     LANES,
-    LINEAR,
+    MASSLESS,
     MEAN,
     ORDER,
     PAIR,
@@ -42,91 +39,302 @@ from uqsphere.mechanics.integrator.tracked import (
     WAVE,
     End,
 )
-from uqsphere.mechanics.integrator.vectors import (
-    apart,
-    curves_at,
-    elementwise,
-    larger,
-    part,
-    root_of,
-    row,
-    size_of,
-    smaller,
-    values_at,
-    where,
-)
+
+#: Runge-Kutta steps over a touch
+_TOUCH_STEPS = 4
+#: change of a place, as a share of the trial step, below which a search is over
+_SETTLED = 1e-8
+
+
+# --- one root, one turn, one passage
 
 
 @compiled
-def begin(s, j):
-    """Nothing is known yet of the row of a lane."""
-    apart()
-    for kind in range(KINDS):
-        s.peak[kind, j] = 0.0
+def value_of(series, m, theta):
+    """Value of a column of a series inside a step."""
+    total = 0.0
+    for k in range(ORDER, -1, -1):
+        total = total * theta + series[k, m]
+    return total
+
+
+@compiled
+def take_piece(s, j):
+    """Put the step of a lane where it is searched."""
+    s.lane = j
     for face in range(2):
-        s.touched[face, j], s.x_first[face, j], s.other[face, j], s.carried[face, j] = (
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-        )
-    s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
-    s.grazed[j], s.blur[j] = math.nan, 0.0
-    s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0
-    s.counted[j], s.counted_peak[j] = 0.0, 0.0
+        for k in range(TERMS):
+            s.piece[face, k] = s.x[k, face * LANES + j]
 
 
 @compiled
-def _both_below(s, level, theta):
-    """First theta in [0, theta] at which both approaches lie below `level`, or NaN."""
-    apart()
-    at = 0.0
-    for _ in range(8 * POINTS):
-        found = at
-        for face in range(2):
-            found = searches.passage(s, face, level, -1.0, found, theta)
-            if math.isnan(found):
-                return found
-        if found == at:
-            return found
-        at = found
-    return math.nan
+def approach_of(s, face, theta):
+    """Approach of a face inside the step that is searched, and its derivative by theta."""
+    x, rate = s.piece[face, ORDER], 0.0
+    for k in range(ORDER - 1, -1, -1):
+        rate = rate * theta + x
+        x = x * theta + s.piece[face, k]
+    return x, rate
 
 
 @compiled
-def _faces(s, j):
-    """Loss of contact or touch of either face in a step: theta at which the step ends, and the face
-    or -1.
+def _both(s, kind, x_a, x_b, rate_a, rate_b):
+    """Value and derivative of a function of both faces from the approaches and their
+    derivatives.
     """
-    apart()
-    ends, met = s.theta[j], -1
-    for face in range(2):
-        start, rate = s.piece[0, face], s.piece[1, face]
-        pressed = start > 0.0
-        # a face that touches at the start, or is pressed and has not touched before, meets nothing
-        if (pressed and s.touched[face, j] == 0.0) or (start == 0.0 and rate >= 0.0):
-            continue
-        level, sign = (s.near[j], -1.0) if pressed else (0.0, 1.0)
-        if not searches.may_pass(s, face, sign, s.theta[j] / POINTS, level):
-            continue
-        if pressed:
-            _note_graze(s, j, face, ends)
-        # a face that left at the start of this step is clear of zero a little later
-        clear = 1e-3 * ends if start == 0.0 and rate < 0.0 else 0.0
-        found = searches.passage(s, face, 0.0, sign, clear, ends)
-        if not math.isnan(found):
-            ends, met = found, face
-    if met >= 0 and s.piece[0, met] > 0.0 and math.isnan(s.lost[j]):
-        s.lost[j] = s.time[j] + ends * s.h[j]
-        _note_loss(s, j, met, ends)
-    return ends, met
+    if kind in (ENERGY, SHARE):
+        (a, slope_a), (b, slope_b) = (
+            stored_energy(s, s.lane, x_a),
+            stored_energy(s, LANES + s.lane, x_b),
+        )
+    else:
+        (a, slope_a), (b, slope_b) = face_force(s, s.lane, x_a), face_force(s, LANES + s.lane, x_b)
+    of_a, of_b = 1.0, 1.0
+    if kind == DIFFERENCE:
+        of_b = -1.0
+    elif kind == MEAN:
+        of_a, of_b = 0.5, 0.5
+    elif kind == SHARE:
+        of_a, of_b = s.chi[s.lane], s.chi[LANES + s.lane]
+    return of_a * a + of_b * b, of_a * slope_a * rate_a + of_b * slope_b * rate_b
 
 
 @compiled
-def _note_loss(s, j, face, ends):
+def _measure(s, kind, theta):
+    """Value and derivative of one of the functions that are followed inside the step."""
+    if kind <= FACE_B:
+        return approach_of(s, kind, theta)
+    x_a, rate_a = approach_of(s, FACE_A, theta)
+    x_b, rate_b = approach_of(s, FACE_B, theta)
+    return _both(s, kind, x_a, x_b, rate_a, rate_b)
+
+
+@compiled
+def highest_between(left, left_slope, right, right_slope):
+    """What a function can reach between two ends: where the tangents meet, and a fifth for
+    bends.
+    """
+    top = max(left, right)
+    if left_slope > 0.0 > right_slope:
+        top += 1.2 * left_slope * right_slope / (right_slope - left_slope)
+    return top
+
+
+@compiled
+def root(s, face, level, sign, a, b):
+    """theta between a and b at which sign (approach - level) rises through 0, by Newton's
+    method.
+    """
+    theta = b
+    for _ in range(60):
+        x, rate = approach_of(s, face, theta)
+        off, slope = sign * (x - level), sign * rate
+        if off == 0.0:
+            break
+        if off > 0.0:
+            b = theta
+        else:
+            a = theta
+        following = theta - off / slope
+        if not a <= following <= b:
+            following = 0.5 * (a + b)
+        change, theta = abs(following - theta), following
+        if change < 1e-12:
+            break
+    return theta
+
+
+@compiled
+def turn(s, kind, a, b, slope_a, slope_b):
+    """theta between a and b at which the slope of what is followed changes sign, as at the ends."""
+    for _ in range(60):
+        theta = b - slope_b * (b - a) / (slope_b - slope_a)
+        if not min(a, b) < theta < max(a, b):
+            theta = 0.5 * (a + b)
+        if abs(theta - b) < _SETTLED:
+            return theta
+        _, slope = _measure(s, kind, theta)
+        if (slope < 0.0) != (slope_b < 0.0):
+            a, slope_a = b, slope_b
+        else:
+            slope_a *= 0.5
+        b, slope_b = theta, slope
+        if slope == 0.0:
+            break
+    return b
+
+
+@compiled
+def passage(s, face, level, sign, begin, end):
+    """First theta from `begin` to `end` at which sign (approach - level) >= 0, or inf."""
+    width = (end - begin) / POINTS
+    left, left_slope = 0.0, 0.0
+    for i in range(POINTS + 1):
+        b = begin + i * width if i < POINTS else end
+        x, rate = approach_of(s, face, b)
+        right, right_slope = sign * (x - level), sign * rate * width
+        a = b - width
+        if right >= 0.0:
+            return root(s, face, level, sign, a, b) if i > 0 else begin
+        if (
+            i > 0
+            and left_slope > 0.0 > right_slope
+            and highest_between(left, left_slope, right, right_slope) >= 0.0
+        ):
+            top = turn(s, face, a, b, sign * left_slope, sign * right_slope)
+            if sign * (approach_of(s, face, top)[0] - level) >= 0.0:
+                return root(s, face, level, sign, a, top)
+        left, left_slope = right, right_slope
+    return math.inf
+
+
+@compiled
+def _summit(s, kind, end, known):
+    """Largest value in [0, end] of what is followed and its theta, or `known` and -1 if that is
+    larger.
+
+    Of the difference of the forces the size counts.
+    """
+    j, width, place, signed = s.lane, end / POINTS, -1.0, kind == DIFFERENCE
+    left, left_slope = 0.0, 0.0
+    for i in range(POINTS + 1):
+        if kind <= FACE_B:
+            m = kind * LANES + j
+            right, right_slope = s.at[i, m], s.rate[i, m]
+        else:
+            b = LANES + j
+            right, right_slope = _both(s, kind, s.at[i, j], s.at[i, b], s.rate[i, j], s.rate[i, b])
+        if (abs(right) if signed else right) > known:
+            known, place = abs(right), i * width
+        sign = -1.0 if signed and left + right < 0.0 else 1.0
+        bound = highest_between(
+            sign * left, sign * left_slope * width, sign * right, sign * right_slope * width
+        )
+        if i > 0 and bound > max(known, max(sign * left, sign * right)):
+            peak = turn(s, kind, (i - 1) * width, i * width, left_slope, right_slope)
+            value = sign * _measure(s, kind, peak)[0]
+            if value > known:
+                known, place = value, peak
+        left, left_slope = right, right_slope
+    return known, place
+
+
+# --- events
+
+
+@compiled
+def is_quiet(s, j):
+    """Whether no contact or branch can change in the step of a lane, no record end, and nothing
+    that is followed grow.
+    """
+    for face in range(2):
+        m = face * LANES + j
+        top, floor = s.top[m], s.floor[m]
+        if s.touched[face, j] == 0.0:
+            return False
+        if (floor <= s.near[j]) if s.x[0, m] > 0.0 else (top > 0.0):
+            return False
+        if s.has_laws and (
+            s.spring[m] == 0.0
+            or top >= (s.largest[m] - s.dent[m]) * (1.0 - ARMED)
+            or (top > s.peak[face, j] and not face_yielded(s, m))
+        ):
+            return False
+        if not s.has_laws and top > s.peak[FACE_A, j]:
+            return False
+    return max(s.floor[j], s.floor[LANES + j]) >= s.low[j]
+
+
+@compiled
+def _first_event(s, j):
+    """theta at which the step of a lane ends, and why: its series, a contact or a branch that
+    changes.
+    """
+    ends = s.theta[j]
+    for face in range(2):
+        m, at = face * LANES + j, math.inf
+        if s.x[0, m] > 0.0:
+            if s.touched[face, j] > 0.0 and s.floor[m] <= s.near[j]:
+                _note_graze(s, j, face, ends)
+                at = passage(s, face, 0.0, -1.0, 0.0, ends)
+        elif (s.x[0, m] < 0.0 or s.x[1, m] < 0.0) and s.top[m] > 0.0:
+            # a face that left at the start of this step is clear of zero a little later
+            at = passage(s, face, 0.0, 1.0, 0.0 if s.x[0, m] < 0.0 else 1e-3 * ends, ends)
+        if at <= ends:
+            ends, s.why[j], s.side[j] = at, End.CONTACT, face
+        if s.has_laws and not s.touching[j]:
+            at = _virgin_end(s, face, ends) if s.spring[m] == 0.0 else _spring_end(s, face, ends)
+            if at < ends or (at == ends and s.why[j] == End.SERIES):
+                ends, s.why[j], s.side[j] = at, End.BRANCH, face
+    if s.why[j] == End.CONTACT and s.x[0, s.side[j] * LANES + j] > 0.0 and math.isnan(s.lost[j]):
+        s.lost[j] = s.time[j] + ends * s.h[j]
+        _note_loss(s, j, ends)
+    return ends
+
+
+@compiled
+def _spring_end(s, face, end):
+    """theta at which a spring is at its largest approach so far again, or inf."""
+    m = face * LANES + s.lane
+    largest = s.largest[m] - s.dent[m]
+    if s.top[m] < largest * (1.0 - ARMED):
+        return math.inf
+    if s.x[0, m] < largest * (1.0 - ARMED):
+        return passage(s, face, largest, 1.0, 0.0, end)
+    # from its largest approach a spring goes down, but for a dip of a turn that hardly was one
+    width, i = end / POINTS, 1
+    while i <= POINTS and approach_of(s, face, i * width)[0] <= largest * (1.0 + ARMED):
+        i += 1
+    if i > POINTS:
+        return math.inf
+    # where it turns the slope is zero but for rounding
+    begin = (i - 1) * width if i > 1 else 1e-3 * width
+    x, rate = approach_of(s, face, begin)
+    if rate < 0.0:
+        begin = turn(s, face, begin, i * width, rate, approach_of(s, face, i * width)[1])
+        x, _ = approach_of(s, face, begin)
+    return root(s, face, largest, 1.0, begin, i * width) if x < largest else begin
+
+
+@compiled
+def _virgin_end(s, face, end):
+    """theta at which a face on virgin loading turns, or inf."""
+    width, left, bow_left = end / POINTS, s.piece[face, 1], 2.0 * s.piece[face, 2]
+    for i in range(1, POINTS + 1):
+        begin, theta = (i - 1) * width, i * width
+        right, bow = 0.0, 0.0
+        for k in range(ORDER, 0, -1):
+            bow = bow * theta + right
+            right = right * theta + k * s.piece[face, k]
+        if left > 0.0:
+            if right > 0.0 and bow_left < 0.0 < bow:
+                # a fall that may be over before the next point: where the rate is least
+                low, high = begin, theta
+                for _ in range(30):
+                    if highest_between(-left, -bow_left * width, -right, -bow * width) <= 0.0:
+                        break
+                    middle = 0.5 * (low + high)
+                    rate, bend = 0.0, 0.0
+                    for k in range(ORDER, 0, -1):
+                        bend = bend * middle + rate
+                        rate = rate * middle + k * s.piece[face, k]
+                    if rate <= 0.0:
+                        return turn(s, face, begin, middle, left, rate)
+                    low, high = (middle, high) if bend < 0.0 else (low, middle)
+            if right <= 0.0:
+                return turn(s, face, begin, theta, left, right)
+        left, bow_left = right, bow
+    return math.inf
+
+
+@compiled
+def _note_loss(s, j, ends):
     """How far the error of the approach moves a loss of contact; whether it may undo it."""
-    apart()
-    rate, bow = searches.curve(s, face, True, ends)
+    face = s.side[j]
+    rate, bow = 0.0, 0.0
+    for k in range(ORDER, 0, -1):
+        bow = bow * ends + rate
+        rate = rate * ends + k * s.piece[face, k]
     s.blur[j] = s.faint[j] * s.h[j] / -rate
     # how deep a gap opens before the approach turns, or the waves jump
     depth = -rate * ((s.stop[j] - s.time[j]) / s.h[j] - ends)
@@ -143,437 +351,110 @@ def _note_graze(s, j, face, ends):
     """When the approach of a face first comes so near to zero, before any loss, that its error may
     decide on one.
     """
-    apart()
     if s.wanted & tracked.TO_THE_END and math.isnan(s.lost[j]) and math.isnan(s.grazed[j]):
-        s.grazed[j] = s.time[j] + s.h[j] * searches.passage(s, face, s.faint[j], -1.0, 0.0, ends)
+        at = passage(s, face, s.faint[j], -1.0, 0.0, ends)
+        s.grazed[j] = s.time[j] + s.h[j] * at if at < math.inf else math.nan
 
 
 @compiled
-def _largest(s, j, ends):
-    """The largest values of a step into the trackers that the lane's flags name; s.places: where,
-    see `after_step`.
-    """
-    apart()
-    known = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
-    if s.flags[j] & (1 << FACE_A):
+def _both_below(s, level, end):
+    """First theta in [0, end] at which both approaches lie below `level`, or inf."""
+    at = 0.0
+    for _ in range(8 * POINTS):
+        before = at
         for face in range(2):
-            if s.has_laws and face_yielded(s, face * LANES + j):
-                s.places[face] = -1.0
-                continue
-            # faces that are alike share the largest approach so far
-            least, to = (s.peak[face, j], face) if s.has_laws else (known, 0)
-            s.peak[to, j], s.places[face] = searches.largest(s, j, face, ends, least)
-            known = max(known, s.peak[to, j])
-    for kind in range(DIFFERENCE, KINDS):
-        if s.flags[j] & (1 << kind):
-            s.peak[kind, j] = searches.largest(s, j, kind, ends, s.peak[kind, j])[0]
-    return known
+            at = passage(s, face, level, -1.0, at, end)
+            if at == math.inf:
+                return at
+        if at == before:
+            return at
+    return math.inf
 
 
 @compiled
 def after_step(s, j):
-    """Bring the trackers that a lane's flags name up to date with its step; the theta at which it
-    ends.
+    """Bring what is followed of a row up to date with its step; the share of the trial step at
+    which it ends.
 
-    s.why and s.side receive what ends it, if anything does.  s.places (2,) receive the theta of a
-    face's largest approach so far, or -1: one that has yielded is at its deepest on virgin loading.
+    s.why and s.side receive what ends it.
     """
-    apart()
-    searches.take_piece(s, j)
-    ends, before, met = s.theta[j], s.time[j], -1
-    if s.flags[j] & tracked.SOMETHING:
-        ends, met = _faces(s, j)
-        if met >= 0:
-            s.why[j], s.side[j] = End.CONTACT, met
-    if ends < s.theta[j]:
-        searches.survey(s, ends)
-    known = _largest(s, j, ends)
-    least = max(50.0 * s.error[j], 2.0 * s.requested) * s.size[0, j]  # above it a face has touched
-    for face in range(2):
-        if s.grid[face, 0, POINTS] > least:
-            s.touched[face, j] = 1.0
-        if not heard(s, j, s.back[j]):
-            s.x_first[face, j] = s.peak[face, j]
-    if s.low[j] > 0.0:  # the record ends below a share of the largest approach
-        found = _both_below(s, s.low[j] if s.by_law[j] else s.share * known, ends)
-        if not math.isnan(found):
-            ends, s.why[j] = found, End.RECORD
-            if s.lost[j] > before + ends * s.h[j]:  # a loss after the record's end is none
+    ends, echoed = s.theta[j], heard(s, j, s.back[j])
+    s.places[0], s.places[1] = -1.0, -1.0
+    quiet, kinds = is_quiet(s, j), _may_grow(s, j) if s.wanted & OF_BOTH else 0
+    if not quiet or kinds:
+        take_piece(s, j)
+    if not quiet:
+        ends = _first_event(s, j)
+        if ends < s.theta[j]:
+            for i in range(POINTS + 1):
+                for face in range(2):
+                    m = face * LANES + j
+                    s.at[i, m], s.rate[i, m] = approach_of(s, face, ends * i / POINTS)
+        highest = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
+        for face in range(2):
+            m = face * LANES + j
+            if s.has_laws and face_yielded(s, m):
+                # on virgin loading it is at its deepest at the end
+                s.places[face] = ends if s.spring[m] == 0.0 else -1.0
+            else:
+                # faces that are alike share the largest approach so far
+                to = face if s.has_laws else FACE_A
+                s.peak[to, j], s.places[face] = _summit(s, face, ends, s.peak[to, j])
+                highest = max(highest, s.peak[to, j])
+            # above it a face has touched
+            if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[2 * face, j]:
+                s.touched[face, j] = 1.0
+        if not echoed:
+            s.x_first[FACE_A, j], s.x_first[FACE_B, j] = s.peak[FACE_A, j], s.peak[FACE_B, j]
+    for kind in range(DIFFERENCE, KINDS):
+        if kinds & (1 << kind):
+            s.peak[kind, j] = _summit(s, kind, ends, s.peak[kind, j])[0]
+    if not quiet and s.low[j] > 0.0:  # the record ends below a share of the largest approach
+        low = s.low[j] if s.by_law[j] else s.share * highest
+        at = _both_below(s, low, ends)
+        if at <= ends:
+            ends, s.why[j], s.ended[j] = at, End.RECORD, s.time[j] + at * s.h[j]
+            if s.lost[j] > s.ended[j]:  # a loss after the record's end is none
                 s.lost[j] = math.nan
-    if ends < s.theta[j] and s.why[j] == End.BRANCH:
-        s.why[j] = End.SERIES
-    if s.why[j] == End.RECORD:
-        s.ended[j] = before + ends * s.h[j]
+    if s.rigged:
+        for face in range(2):
+            if s.places[face] >= 0.0:
+                other = value_of(s.force, (1 - face) * LANES + j, s.places[face])
+                s.other[face, j], s.chatter[j] = max(other, 0.0), s.touches[j]
+    if s.wanted & tracked.WANT_CARRIED:
+        _note_squared_forces(s, j, ends)
+    if s.wanted & tracked.WANT_DURATION:
+        _note_impulse(s, j, ends)
     return ends
 
 
-# --- What all lanes can have met in a step: the largest approach, and a warning where a search has
-# to follow. Values and slopes at a few points of the step bound what the approaches reach between
-# them.  The top of a bend is refined by Newton's iteration on the series, for all lanes together.
-# An energy argument (`no_later_peak`) says when nothing that is wanted can change any more.
-
-
-def _bounds(
-    left, right, left_slope, right_slope, width, begin, best, top, second, place, bent, floor
-):
-    """One part of a step: what the approach can reach above and below, where, and by a bend or at
-    an end.
-    """
-    left_slope, right_slope = width * left_slope, width * right_slope
-    # where the slope, taken as a straight line, passes zero
-    share = left_slope / (left_slope - right_slope)
-    rises = (left_slope > 0.0) & (right_slope < 0.0)
-    falls = (left_slope < 0.0) & (right_slope > 0.0)
-    edge, below = larger(left, right), smaller(left, right)
-    bound = where(rises, edge - 1.2 * share * right_slope, edge)
-    better = bound > top
-    return (
-        larger(best, edge),
-        where(better, bound, top),
-        larger(second, where(better, top, bound)),
-        where(better, (begin + where(rises, share, 0.0)) * width, place),
-        where(better, where(rises, 1.0 + begin, 0.0), bent),
-        smaller(floor, where(falls, below - 1.2 * share * right_slope, below)),
-    )
-
-
-def _closer(place, slope, bend, bent, width):
-    """Newton's step towards the top of a bend, within the part of the step in which it lies."""
-    low = (bent - 1.0) * width
-    kept = larger(smaller(place - 0.5 * slope / bend, low + width), low)
-    return where((bent > 0.0) & (bend < 0.0), kept, place)
-
-
-def _crowned(known, best, bound, second, at, slope, bend, bent):
-    """Largest approach so far, with the top of a face's bend; 1 if the search has to settle it."""
-    sharp = (bend < 0.0) & (size_of(0.5 * slope / bend) <= 1e-4)
-    top = where((bent > 0.0) & sharp, at - 0.25 * slope * slope / bend, best)
-    found = larger(larger(known, best), top)
-    blunt = where(bent > 0.0, where(sharp, 0.0 * best, 1.0), 0.0)
-    return found, where(bound > found, where(second > found, 1.0, blunt), 0.0)
-
-
-def _signs(top_a, top_b, floor_a, floor_b, a, b, low, near, touched_a, touched_b):
-    """What the larger approach can reach; 1 where contact may be lost or found, or the record may
-    end.
-    """
-    something = (
-        ((a > 0.0) & (floor_a <= near))
-        | ((b > 0.0) & (floor_b <= near))
-        | ((a <= 0.0) & (top_a > 0.0))
-        | ((b <= 0.0) & (top_b > 0.0))
-        | (larger(floor_a, floor_b) < low)
-        | (touched_a + touched_b < 2.0)
-    )
-    return larger(top_a, top_b), where(something, 1.0, 0.0 * a)
-
-
-_begin = elementwise(PAIR, 6, lambda at: (at, at - math.inf, at - math.inf, 0.0 * at, 0.0 * at, at))
-_bound = elementwise(PAIR, 6, _bounds)
-_refine = elementwise(PAIR, 1, _closer)
-_crown = elementwise(LANES, 2, _crowned)
-_sign = elementwise(LANES, 2, _signs)
-# both forces, what they store, and the derivatives of both
-_pressed = elementwise(
-    PAIR,
-    4,
-    lambda x, rate, spring, linear: (
-        (pressed := larger(x, 0.0)),
-        (force := where(linear > 0.0, pressed, spring * pressed * (side := root_of(pressed)))),
-        where(linear > 0.0, 0.5, 0.4 + 0.0 * x) * force * pressed,
-        force * rate,
-        where(x > 0.0, where(linear > 0.0, rate, 1.5 * spring * side * rate), 0.0),
-    )[1:],
-)
-
-
-def _span(a, b, slope_a, slope_b, sign, width, reached, left, left_slope):
-    """What |a + sign b| can reach between two points, and its value and slope at the later one."""
-    right, right_slope = a + sign * b, width * (slope_a + sign * slope_b)
-    share = 1.2 * left_slope * right_slope / (right_slope - left_slope)
-    above, below = larger(left, right), 0.0 - smaller(left, right)
-    above = where((left_slope > 0.0) & (right_slope < 0.0), above + share, above)
-    below = where((left_slope < 0.0) & (right_slope > 0.0), below - share, below)
-    return larger(reached, larger(above, below)), right, right_slope
-
-
-_spanned = elementwise(LANES, 3, _span)
-#: functions of both faces whose largest values are searched for
-_SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
+#: functions of both faces whose largest values are followed
+OF_BOTH = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
 
 
 @compiled
-def _alarmed(s):
-    """Flags of the steps that must be searched; whether an approach may be the largest of its row
-    so far.
-    """
-    apart()
-    higher = False
-    for j in range(LANES):
-        s.flags[j] = tracked.SOMETHING | 1 << FACE_A if s.alarm[j] > 0.0 else 0
-        s.known[j] = s.peak[FACE_A, j]
-        higher |= s.row[j] >= 0 and s.crest[j] > s.known[j]
-        if s.has_laws:
-            s.known[LANES + j] = s.peak[FACE_B, j]
-            higher |= s.row[j] >= 0 and s.top[LANES + j] > s.known[LANES + j]
-    return higher
-
-
-@compiled
-def look(s):
-    """What may have happened in each lane's step, as flags, and the largest approach up to its end.
-
-    s.known (PAIR,), s.crest (LANES,): largest approach of each face so far (of both where they are
-    alike), and what it may have been in this step; s.top (PAIR,): bounds of the approaches;
-    s.place, s.bent: where a bend lies.
-    """
-    apart()
-    best, second, floor, width, value = (
-        row(s.room, 0, 0),
-        row(s.room, 2, 0),
-        row(s.room, 5, 0),
-        s.width,
-        s.value,
-    )
-    slope, bend, place, bent, top = s.slope, s.bend, s.place, s.bent, s.top
-    _begin(best, top, second, place, bent, floor, row(s.at, 0, 0))
-    for i in range(POINTS):
-        _bound(
-            best,
-            top,
-            second,
-            place,
-            bent,
-            floor,
-            row(s.at, i, 0),
-            row(s.at, i + 1, 0),
-            row(s.rate, i, 0),
-            row(s.rate, i + 1, 0),
-            width,
-            1.0 * i,
-            best,
-            top,
-            second,
-            place,
-            bent,
-            floor,
-        )
-    _sign(
-        s.crest,
-        s.alarm,
-        part(top, 0),
-        part(top, LANES),
-        row(s.room, 5, 0),
-        row(s.room, 5, LANES),
-        row(s.at, 0, 0),
-        row(s.at, 0, LANES),
-        s.low,
-        s.near,
-        row(s.touched, 0, 0),
-        row(s.touched, 1, 0),
-    )
-    if _alarmed(s):
-        for k in range(3):
-            for c in range(0, PAIR, LANES):
-                curves_at(s.x, ORDER, PAIR, c, part(place, c), value, slope, bend)
-            if k < 2:
-                _refine(place, place, slope, bend, bent, width)
-        for c in range(0, PAIR, LANES):
-            face = part(s.known, c if s.has_laws else 0)
-            _crown(
-                face,
-                s.alarm,
-                face,
-                row(s.room, 0, c),
-                part(top, c),
-                row(s.room, 2, c),
-                part(value, c),
-                part(slope, c),
-                part(bend, c),
-                part(bent, c),
-            )
-            for j in range(LANES):
-                if s.alarm[j] > 0.0:
-                    s.flags[j] |= 1 << FACE_A
-    if s.wanted & _SEARCHED:
-        _look_further(s)
-
-
-@compiled
-def _look_further(s):
-    """Flags of the steps in which a function of both faces may be the largest so far."""
-    apart()
-    force, stored, power, rate = (
-        row(s.room, 0, 0),
-        row(s.room, 2, 0),
-        row(s.room, 5, 0),
-        row(s.room, 6, 0),
-    )
-    for kind in range(3):
-        for j in range(LANES):
-            s.reach[kind, j] = 0.0
-    for i in range(POINTS + 1):
-        _pressed(
-            force,
-            stored,
-            power,
-            rate,
-            row(s.at, i, 0),
-            row(s.rate, i, 0),
-            s.spring,
-            1.0 * (s.mode == LINEAR),
-        )
-        for j in range(LANES if s.has_laws else 0):
-            if s.by_law[j] and on_virgin_loading(s, j):
-                for m in range(j, PAIR, LANES):
-                    found, slope = face_force(s, m, s.at[i, m])
-                    s.room[0, m], s.room[6, m] = found, slope * s.rate[i, m]
-        for kind in range(3):
-            a, b = (2, 5) if kind == 1 else (0, 6)
-            _spanned(
-                row(s.reach, kind, 0),
-                row(s.left, kind, 0),
-                row(s.left_slope, kind, 0),
-                row(s.room, a, 0),
-                row(s.room, a, LANES),
-                row(s.room, b, 0),
-                row(s.room, b, LANES),
-                -1.0 if kind == 0 else 1.0,
-                s.width,
-                row(s.reach, kind, 0),
-                row(s.left, kind, 0),
-                row(s.left_slope, kind, 0),
-            )
-        if i == 0:
-            for kind in range(3):
-                for j in range(LANES):
-                    s.reach[kind, j] = 0.0
-    for j in range(LANES):
-        energy = most_stored(s, j) if s.by_law[j] else s.reach[1, j]
-        if s.wanted & tracked.WANT_DIFFERENCE and s.reach[0, j] > s.peak[DIFFERENCE, j]:
-            s.flags[j] |= 1 << DIFFERENCE
-        if s.wanted & tracked.WANT_ENERGY and energy > s.peak[ENERGY, j]:
-            s.flags[j] |= 1 << ENERGY
-        if s.wanted & tracked.WANT_SHARE and most_stored(s, j) > s.peak[SHARE, j]:
-            s.flags[j] |= 1 << SHARE
-        if s.wanted & tracked.WANT_MEAN and 0.5 * s.reach[2, j] > s.peak[MEAN, j]:
-            s.flags[j] |= 1 << MEAN
-
-
-@compiled
-def no_higher_approach(s, j):
-    """Whether no approach can exceed the largest so far while the incoming wave stays as it is.
-
-    With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall,
-    where phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) -
-    level)².  No approach above the one at rest can be exceeded whose phi is not below V.  Faces
-    with laws of their own are all springs now: what yields takes energy and brings none back.
-    """
-    apart()
-    level, slack = s.steady[j], 1.0 + 0.1 * s.error[j]
-    if level < 0.0:
-        return False
-    stored = 0.5 * s.mass[j] * (s.u[0, j] - level) ** 2
-    least, rest, least_phi = math.inf, level, 0.5 * level * level
-    for m in range(j, PAIR, LANES):
-        spring, reached = s.spring[m], max(s.x[0, m], 0.0)
-        if spring == 0.0:
-            return False
-        if level > 0.0 and s.mode != LINEAR:
-            rest = (level / spring) ** (2.0 / 3.0)
-            least_phi = 0.6 * level * rest
-        top = (largest_approach(s, m) - s.dent[m] if s.has_laws else s.peak[FACE_A, j]) * slack
-        if top < rest * slack:
-            return False
-        least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
-        stored += stored_energy(s, m, reached)[0] - level * reached + least_phi
-    return not least < stored
-
-
-#: mass number below which the sphere swings many times while the force dies out
-_LIGHT = 0.02
-
-
-@compiled
-def _stays_pressed(s, j):
-    """Whether no contact can be lost any more in the tail between infinite bars, whose impulse is
-    then (x_1 + x_2)/2, (Q2).
-
-    The difference of the approaches swings with the frequency sqrt(3 k sqrt(m)/mu) about their mean
-    m.  While m falls its amplitude grows no faster than 1/m^(1/8), by a half until the record ends.
-    """
-    apart()
-    b, low = LANES + j, s.low[j]
-    least = min(s.x[0, j], s.x[0, b])
-    if not (low > 0.0 and least > 0.0 and s.mass[j] < _LIGHT and s.spring[j] == s.spring[b]):
-        return False
-    stiffness = 1.0 if s.mode == LINEAR else 1.5 * s.spring[j] * math.sqrt(least)
-    swing = (s.x[0, j] - s.x[0, b]) ** 2 + 2.0 * s.mass[j] * s.u[0, j] ** 2 / stiffness
-    return 4.0 * swing < low * low
-
-
-@compiled
-def no_later_peak(s, j):
-    """Whether no largest value that is wanted can change any more while the incoming wave stays as
-    it is.
-    """
-    apart()
-    wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
-    if wanted & tracked.WANT_CONTACT or (s.steady[j] > 0.0 and wanted & _SEARCHED):
-        return False
-    if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
-        return False
-    if not no_higher_approach(s, j):
-        return False
-    if not wanted & _SEARCHED:
-        return True
-    energy, stiffest = 0.5 * s.mass[j] * s.u[0, j] ** 2, 0.0
-    for m in range(j, PAIR, LANES):
-        energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
-        stiffest = max(stiffest, s.spring[m])
-    force = math.sqrt(2.0 * energy) if s.mode == LINEAR else stiffest**0.4 * (2.5 * energy) ** 0.6
-    return not (
-        (wanted & tracked.WANT_DIFFERENCE and force > s.peak[DIFFERENCE, j] * slack)
-        or (wanted & tracked.WANT_MEAN and force > s.peak[MEAN, j] * slack)
-        or (wanted & tracked.WANT_ENERGY and energy > s.peak[ENERGY, j] * slack)
-        or (wanted & tracked.WANT_SHARE and energy > s.peak[SHARE, j] * slack)
-    )
-
-
-# --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds
-# were passed.
-
-
-@compiled
-def _first_at(s, j, made, level):
-    """Time at which the larger approach first reaches `level`.
-
-    Where faces have laws of their own `level` is a force: what approach that is follows from the
-    branch of a step.
-    """
-    apart()
-    virgin_a = approach_at(s, j, level) if s.has_laws else level
-    virgin_b = approach_at(s, LANES + j, level) if s.has_laws else level
-    for n in range(s.count[j]):
-        kept = made[j, n]
-        if kept.crest < level:
-            continue
-        end, best = min(kept.holds, s.ended[j] - kept.began) / kept.unit, math.nan
-        for face in range(2):
-            height = virgin_b if face == 1 else virgin_a
-            if s.has_laws:
-                spring = kept.spring[face]
-                height = (
-                    (level / spring) ** (2.0 / 3.0) if spring > 0.0 else height - kept.dent[face]
-                )
-            for k in range(TERMS):
-                s.piece[k, face] = kept.path[face, k]
-            found = searches.passage(s, face, height, 1.0, 0.0, end)
-            if math.isnan(best) or found < best:
-                best = found
-        if not math.isnan(best):
-            return kept.began + best * kept.unit
-    return math.nan
+def _may_grow(s, j):
+    """Functions of both faces (bits) that may be the largest so far in the step of a lane."""
+    a, b, kinds, wanted = j, LANES + j, 0, s.wanted
+    if wanted & (tracked.WANT_MEAN | tracked.WANT_DIFFERENCE):
+        force_a, force_b = face_force(s, a, s.top[a])[0], face_force(s, b, s.top[b])[0]
+        if wanted & tracked.WANT_MEAN and 0.5 * (force_a + force_b) > s.peak[MEAN, j]:
+            kinds |= 1 << MEAN
+        if wanted & tracked.WANT_DIFFERENCE:
+            apart = force_a - face_force(s, b, s.floor[b])[0]
+            apart = max(apart, force_b - face_force(s, a, s.floor[a])[0])
+            if apart > s.peak[DIFFERENCE, j]:
+                kinds |= 1 << DIFFERENCE
+    if wanted & (tracked.WANT_ENERGY | tracked.WANT_SHARE):
+        stored_a, stored_b = stored_energy(s, a, s.top[a])[0], stored_energy(s, b, s.top[b])[0]
+        if wanted & tracked.WANT_ENERGY and stored_a + stored_b > s.peak[ENERGY, j]:
+            kinds |= 1 << ENERGY
+        if (
+            wanted & tracked.WANT_SHARE
+            and s.chi[a] * stored_a + s.chi[b] * stored_b > s.peak[SHARE, j]
+        ):
+            kinds |= 1 << SHARE
+    return kinds
 
 
 #: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
@@ -584,144 +465,48 @@ _NODES, _WEIGHTS = (
 
 
 @compiled
-def _read(s, series, m):
-    """Values of a column of a series at the places s.work[0], to s.work[1]."""
-    for k in range(TERMS):
-        s.room[0, k] = series[k, m]
-    values_at(row(s.room, 0, 0), ORDER, row(s.work, 0, 0), row(s.work, 1, 0))
-
-
-_press = elementwise(
-    WAVE, 1, lambda x, spring: spring * (pressed := larger(x, 0.0)) * root_of(pressed)
-)
+def _read(s, series, m, thetas):
+    """Put the values of a column of a series at WAVE places of the step to s.work."""
+    for i in range(WAVE):
+        value = 0.0
+        for k in range(TERMS):
+            value = value * thetas[i] + series[ORDER - k, m]
+        s.work[i] = value
 
 
 @compiled
-def note_impulse(s, j, theta):
+def _note_impulse(s, j, theta):
     """Add the integral of the mean force over a step.
 
     The series of the forces err as those of the approaches do, by a share of the largest one.
     While the impulse is less than a fiftieth of that it is summed over forces of the approaches, in
     z with t = z²: smooth from a touch on.
     """
-    apart()
     impulse = 0.0
-    if s.touching[j] > 0.0 or 50.0 * s.impulse[j] < max(s.size[0, j], s.size[2, j]):
+    if s.touching[j] or 50.0 * s.impulse[j] < max(s.size[0, j], s.size[2, j]):
         for i in range(WAVE):
-            s.work[0, i] = theta * _NODES[i] * _NODES[i]
+            s.nodes[i] = theta * _NODES[i] * _NODES[i]
         for m in range(j, PAIR, LANES):
-            _read(s, s.x, m)
-            hertz = s.spring[m] > 0.0 and s.mode != LINEAR
-            if hertz:
-                _press(row(s.work, 1, 0), row(s.work, 1, 0), s.spring[m])
+            _read(s, s.x, m, s.nodes)
             for i in range(WAVE):
-                force = s.work[1, i] if hertz else face_force(s, m, s.work[1, i])[0]
-                impulse += _WEIGHTS[i] * _NODES[i] * force
+                impulse += _WEIGHTS[i] * _NODES[i] * face_force(s, m, s.work[i])[0]
     else:
-        power = 0.5
-        for k in range(TERMS):
-            impulse += (s.force[k, j] + s.force[k, LANES + j]) * power / (k + 1.0)
-            power *= theta
+        for k in range(ORDER, -1, -1):
+            mean = 0.5 * (s.force[k, j] + s.force[k, LANES + j])
+            impulse = impulse * theta + mean / (k + 1.0)
     s.impulse[j] += impulse * theta * s.h[j]
 
 
 @compiled
-def note_duration(s, j, settled):
-    """Impulse over peak of the mean force up to now, (Q1), if that peak has grown since it was last
-    noted: later contacts that press less do not count.
-
-    settled: the waves are over, and what is still pressed dies out with the impulse that (Q2) says.
-    """
-    if s.wanted & tracked.WANT_DURATION and not s.peak[MEAN, j] <= s.counted_peak[j]:
-        left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
-        s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
-        s.counted[j], s.counted_peak[j] = s.time[j], s.peak[MEAN, j]
-
-
-@compiled
-def finish(s, j, made, out):
-    """Answers of a row that has ended, in scaled variables."""
-    apart()
-    lost, parted = not math.isnan(s.lost[j]), not math.isnan(s.parted[j])
-    for face in range(2):
-        # of faces that are alike the larger is followed
-        of, other = (face, s.other[face, j]) if s.has_laws else (0, math.nan)
-        out[tracked.ANSWER_FACES + face] = (
-            largest_approach(s, face * LANES + j) if s.has_laws else s.peak[0, j]
-        )
-        out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = (
-            s.x_first[of, j],
-            other,
-        )
-    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = s.unloadings[j], s.chatter[j]
-    out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
-    out[tracked.ANSWER_X_FIRST] = max(s.x_first[0, j], s.x_first[1, j])
-    out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = s.ended[j], s.duration[j]
-    out[tracked.ANSWER_COUNTED] = s.counted[j]
-    out[tracked.ANSWER_CONTACT] = s.lost[j] if lost else s.ended[j]
-    out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
-    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = s.grazed[j], s.blur[j]
-    out[tracked.ANSWER_PARTING] = s.parted[j] if parted else s.ended[j]
-    for kind in range(DIFFERENCE, KINDS):
-        if s.wanted & (1 << (kind - 1)):
-            out[_ANSWER_OF[kind]] = s.peak[kind, j]
-    if s.wanted & tracked.WANT_CARRIED:
-        out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = (
-            s.carried[0, j],
-            s.carried[1, j],
-        )
-    if s.wanted & tracked.WANT_RISE:
-        top = largest_force(s, j) if s.has_laws else out[tracked.ANSWER_X_MAX]
-        power = 1.0 if s.mode == LINEAR or s.has_laws else 2.0 / 3.0
-        tenth, nine = (
-            _first_at(s, j, made, top * 0.1**power),
-            _first_at(s, j, made, top * 0.9**power),
-        )
-        out[tracked.ANSWER_RISE] = nine - tenth
-    out[tracked.ANSWER_SPEED] = s.u[0, j]
-    out[tracked.ANSWER_SPEEDS], out[tracked.ANSWER_SPEEDS + 1] = s.free[0, j], -s.free[0, LANES + j]
-
-
-#: columns of the answers that largest values go to
-_ANSWER_OF = (
-    tracked.ANSWER_FACES,
-    tracked.ANSWER_FACES + 1,
-    tracked.ANSWER_DIFFERENCE,
-    tracked.ANSWER_ENERGY,
-    tracked.ANSWER_SHARE,
-    tracked.ANSWER_MEAN,
-)
-
-
-# --- What is known of the faces of a row whose faces have laws of their own, and the end of a rig
-# without bars.
-
-
-@compiled
-def note_peaks(s, j):
-    """The force of the other face where a face's approach is the largest so far, at s.places; -1:
-    it is not.
-    """
-    apart()
-    for face in range(2):
-        if s.places[face] >= 0.0:
-            s.other[face, j] = max(
-                searches.value_of(s.force, (1 - face) * LANES + j, s.places[face]), 0.0
-            )
-            s.chatter[j] = s.touches[j]
-
-
-@compiled
-def note_squared_forces(s, j, theta):
+def _note_squared_forces(s, j, theta):
     """Add the integrals of both squared forces over a step up to theta."""
-    apart()
     for i in range(WAVE):
-        s.work[0, i] = theta * _NODES[i]
+        s.nodes[i] = theta * _NODES[i]
     for face in range(2):
-        _read(s, s.force, face * LANES + j)
+        _read(s, s.force, face * LANES + j, s.nodes)
         total = 0.0
         for i in range(WAVE):
-            total += _WEIGHTS[i] * s.work[1, i] * s.work[1, i]
+            total += _WEIGHTS[i] * s.work[i] * s.work[i]
         s.carried[face, j] += total * theta * s.h[j]
 
 
@@ -730,7 +515,6 @@ def next_touch(s, j):
     """How long until a gap closes while no force acts: inf if both grow for ever, NaN while a face
     is pressed.
     """
-    apart()
     closing = math.inf
     for face in range(2):
         m = face * LANES + j
@@ -740,3 +524,101 @@ def next_touch(s, j):
         if rate > 0.0:
             closing = min(closing, -s.x[0, m] / rate)
     return closing
+
+
+@compiled
+def first_at(s, j, made, level):
+    """Time at which the larger approach of a row first reaches `level`.
+
+    Where faces have laws of their own `level` is a force: what approach that is follows from the
+    branch of a step.
+    """
+    for n in range(s.count[j]):
+        kept = made[j, n]
+        if kept.crest < level:
+            continue
+        end, best = min(kept.holds, s.ended[j] - kept.began) / kept.unit, math.inf
+        for face in range(2):
+            height, spring = level, kept.spring[face]
+            if s.has_laws and spring > 0.0:
+                height = (level / spring) ** (2.0 / 3.0)
+            elif s.has_laws:
+                height = approach_at(s, face * LANES + j, level) - kept.dent[face]
+            for k in range(TERMS):
+                s.piece[face, k] = kept.path[face, k]
+            best = min(best, passage(s, face, height, 1.0, 0.0, end))
+        if best < math.inf:
+            return kept.began + best * kept.unit
+    return math.nan
+
+
+# --- The first short step from a touch, where x^(3/2) has no power series in time: Runge-Kutta
+# steps of order 4 over h.
+
+
+@compiled
+def _slopes(s, j, theta, state):
+    """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
+    x1, x2, u, w1, w2 = state
+    k = LANES + j
+    push_a, push_b = value_of(s.push, j, theta), value_of(s.push, k, theta)
+    force_a, force_b = face_force(s, j, x1)[0], face_force(s, k, x2)[0]
+    if s.mode == MASSLESS:
+        rate = 0.5 * (push_a + push_b) - force_a
+        return rate, rate, 0.0, 0.0, 0.0
+    return (
+        s.there[j] * (push_a - s.gives[j] * force_a - u + w1),
+        s.there[k] * (push_b - s.gives[k] * force_b + u + w2),
+        (force_a - force_b) * s.inverse_mu[j],
+        -s.lightness[j] * force_a,
+        -s.lightness[k] * force_b,
+    )
+
+
+@compiled
+def _moved(state, share, slopes):
+    """state + share·slopes."""
+    x1, x2, u, w1, w2 = state
+    d1, d2, du, e1, e2 = slopes
+    return x1 + share * d1, x2 + share * d2, u + share * du, w1 + share * e1, w2 + share * e2
+
+
+@compiled
+def _join(series, m, left, right):
+    """Put the cubic through values and slopes at 0 and 1 into a column of a series."""
+    (begin, rate), (end, end_rate) = left, right
+    rise = end - begin
+    series[0, m] = begin
+    series[1, m] = rate
+    series[2, m] = 3.0 * rise - 2.0 * rate - end_rate
+    series[3, m] = rate + end_rate - 2.0 * rise
+    for k in range(4, TERMS):
+        series[k, m] = 0.0
+
+
+@compiled
+def step_from_touch(s, j):
+    """Replace the series of a lane over its trial step by cubics that join both ends."""
+    b, h = LANES + j, s.h[j]
+    d, theta, part = h / _TOUCH_STEPS, 0.0, 1.0 / _TOUCH_STEPS
+    state = s.x[0, j], s.x[0, b], s.u[0, j], s.free[0, j], s.free[0, b]
+    old, begin = state, _slopes(s, j, 0.0, state)
+    slopes = begin
+    for i in range(_TOUCH_STEPS):
+        theta = i * part
+        second = _slopes(s, j, theta + 0.5 * part, _moved(state, 0.5 * d, slopes))
+        third = _slopes(s, j, theta + 0.5 * part, _moved(state, 0.5 * d, second))
+        fourth = _slopes(s, j, theta + part, _moved(state, d, third))
+        both = _moved(second, 1.0, third)
+        state = _moved(_moved(_moved(state, d / 6.0, slopes), d / 3.0, both), d / 6.0, fourth)
+        slopes = _slopes(s, j, theta + part, state)
+    _join(s.x, j, (old[0], h * begin[0]), (state[0], h * slopes[0]))
+    _join(s.x, b, (old[1], h * begin[1]), (state[1], h * slopes[1]))
+    _join(s.u, j, (old[2], h * begin[2]), (state[2], h * slopes[2]))
+    _join(s.u, b, (old[2], h * begin[2]), (state[2], h * slopes[2]))
+    _join(s.free, j, (old[3], h * begin[3]), (state[3], h * slopes[3]))
+    _join(s.free, b, (old[4], h * begin[4]), (state[4], h * slopes[4]))
+    for m in range(j, PAIR, LANES):
+        end, rate = (state[0], slopes[0]) if m == j else (state[1], slopes[1])
+        (left, by_left), (right, by_right) = face_force(s, m, s.x[0, m]), face_force(s, m, end)
+        _join(s.force, m, (left, by_left * s.x[1, m]), (right, by_right * h * rate))

@@ -35,7 +35,6 @@ from uqsphere.mechanics.integrator.tracked import (
     PAIR,
     TAIL_SHARE,
 )
-from uqsphere.mechanics.integrator.vectors import apart
 from uqsphere.mechanics.yielding import first_loading
 
 #: share of x_m by which an approach has to fall below it before it can rise through it again
@@ -64,11 +63,11 @@ def new_faces(s, lane, given):
     """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face
     stays elastic.
     """
-    apart()
     for face in range(2):
         m = face * LANES + lane
         s.dent[m], s.shift[m], s.constant[m], s.base[m] = 0.0, 0.0, 0.0, 0.0
         s.by_x[m], s.by_root[m], s.by_log[m] = 0.0, 0.0, 0.0
+        s.start[m], s.inverse[m], s.turned_at[m] = 0.0, 0.0, -1.0
         onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
         s.onset[m], s.softening[m], s.pile_up[m] = (
             onset,
@@ -83,7 +82,6 @@ def new_faces(s, lane, given):
 @compiled
 def press_on(s, m):
     """A spring whose approach rises through the largest so far: virgin loading."""
-    apart()
     s.spring[m] = 0.0
     onset, b = s.onset[m], s.softening[m]
     force, side = s.unit_force[m], math.sqrt(onset)
@@ -100,7 +98,6 @@ def let_go(s, m, above):
     """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach
     above that.
     """
-    apart()
     approach, onset = above + s.dent[m], s.onset[m]
     largest = max(approach, s.largest[m])
     force = _virgin_force(largest / onset, s.softening[m])
@@ -111,6 +108,7 @@ def let_go(s, m, above):
     s.spring[m] = s.peak_force[m] / (recovered * math.sqrt(recovered))
     s.hertz[m] = s.spring[m]
     s.shift[m], s.by_x[m], s.by_root[m], s.by_log[m], s.constant[m] = 0.0, 0.0, 0.0, 0.0, 0.0
+    s.start[m], s.inverse[m] = 0.0, 0.0
     return approach - s.dent[m]
 
 
@@ -162,6 +160,21 @@ def log_start(s, m, root):
 
 
 @compiled
+def start_series(s, m):
+    """What the series of a force needs of the start of a step: the linear contact, virgin
+    loading.
+    """
+    if s.mode == LINEAR:
+        s.hertz[m], s.by_x[m] = 0.0, 1.0 if s.x[0, m] > 0.0 else 0.0
+    elif s.spring[m] == 0.0:
+        s.start[m], s.inverse[m] = s.constant[m], 0.0
+        if s.by_log[m] != 0.0:
+            side = math.sqrt(s.x[0, m] + s.shift[m])
+            s.start[m] += s.by_log[m] * log_start(s, m, side)
+            s.inverse[m] = 1.0 / (side + s.base[m])
+
+
+@compiled
 def face_force(s, m, above):
     """Force of a face and its derivative by the approach, `above` the dent."""
     if s.spring[m] > 0.0:
@@ -199,7 +212,6 @@ def approach_at(s, m, force):
 
     Hertz and what follows the onset are convex.
     """
-    apart()
     found = (force / s.stiffness[m]) ** (2.0 / 3.0)
     for _ in range(60):
         reached, slope = _virgin(s, m, found)
@@ -272,7 +284,6 @@ def wrong_branch(s, m, length, beyond):
     rises from its largest approach but turns before it is `beyond` it, as the error of a turn may
     leave it, stays one.
     """
-    apart()
     still, x, rate, bow = STILL * length, s.x[0, m], s.x[1, m], s.x[2, m]
     if s.spring[m] == 0.0:
         return rate < -still or (rate <= still and bow < 0.0)
@@ -287,15 +298,6 @@ def most_force(s, lane):
     for m in range(lane, PAIR, LANES):
         found = max(found, face_force(s, m, s.top[m])[0])
     return found * (1.0 + 1e-9)
-
-
-@compiled
-def most_stored(s, lane):
-    """Elastic energy that a lane stores at most while its approaches stay below their bounds."""
-    found = 0.0
-    for m in range(lane, PAIR, LANES):
-        found += stored_energy(s, m, s.top[m])[0]
-    return found
 
 
 @compiled

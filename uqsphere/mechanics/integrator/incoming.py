@@ -10,120 +10,31 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial, chebyshev
-
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import LANES, ORDER, PAIR, QUEUE, TERMS, WAVE
-from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, values_at, where
-
-#: points over a step at which a wave that comes back is read
-WAVE_THETAS = 0.5 - 0.5 * np.cos(np.pi * (np.arange(WAVE) + 0.5) / WAVE)
-#: weights (point, degree) that turn the values there into Chebyshev coefficients, and (degree,
-#: power) that turn those into powers of theta
-WAVE_DEGREES = np.ascontiguousarray(
-    np.linalg.inv(chebyshev.chebvander(2.0 * WAVE_THETAS - 1.0, WAVE - 1)).T
-)
-WAVE_POWERS = np.zeros((WAVE, WAVE))
-for _k in range(WAVE):
-    WAVE_POWERS[_k, : _k + 1] = (
-        Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
-    )
-#: Chebyshev terms that are kept in any case
-WAVE_LEAST = 4
-
-
-_places = elementwise(WAVE, 1, lambda thetas, shift, stretch: shift + stretch * thetas)
-_behind = elementwise(WAVE, 1, lambda old, new, thetas, begin: where(thetas >= begin, new, old))
+from uqsphere.mechanics.integrator.lanes import WAVE_THETAS
+from uqsphere.mechanics.integrator.tracked import LANES, ORDER, QUEUE, TERMS, WAVE
 
 
 @compiled
-def add_echo(s, j, bar, made):
-    """Add the wave that comes back from the far end of a bar, theory (5), to what runs towards its
-    face.
-
-    Terms that together stay below a tenth of the error that a step may have are left out.
-    """
-    apart()
-    values, places, found, fit = (
-        row(s.work, 0, 0),
-        row(s.work, 1, 0),
-        row(s.work, 2, 0),
-        row(s.work, 3, 0),
-    )
-    begin, h, factor = s.time[j] - s.trips[bar, j], s.h[j], 2.0 * s.reflect[bar, j]
-    for step in range(s.first[bar, j], s.last[bar, j] + 1):
-        kept = made[j, step & (s.ring - 1)]
-        inverse = 1.0 / kept.unit
-        # all points are read from every step; each step keeps those behind its start
-        _places(places, WAVE_THETAS, (begin - kept.began) * inverse, h * inverse)
-        values_at(row(kept.wave, bar, 0), ORDER, places, found)
-        from_theta = (kept.began - begin) / h if step > s.first[bar, j] else -1.0
-        _behind(values, values, found, WAVE_THETAS, from_theta)
-    degrees = places
-    mix(values, WAVE_DEGREES, degrees)
-    s.misfit[j] += abs(factor) * (abs(s.work[1, WAVE - 1]) + abs(s.work[1, WAVE - 2]))
-    # terms below the error that is allowed are the joints between steps: as powers of theta they
-    # would be large
-    dropped, negligible = 0.0, 0.1 * s.error[j] * s.size[0, j] / h
-    for k in range(WAVE - 1, WAVE_LEAST - 1, -1):
-        dropped += abs(factor * s.work[1, k])
-        if dropped > negligible:
-            break
-        s.work[1, k] = 0.0
-    mix(degrees, WAVE_POWERS, fit)
-    for k in range(WAVE):
-        s.push[k, bar * LANES + j] += factor * s.work[3, k]
-
-
-def _cubic_terms(time, h, offset, c0, c1, c2, c3):
-    z = time - offset
-    first, second = c1 + z * (2.0 * c2 + z * (3.0 * c3)), c2 + z * (3.0 * c3)
-    square = h * h
-    return (
-        2.0 * (c0 + z * (c1 + z * (c2 + z * c3))),
-        2.0 * h * first,
-        2.0 * square * second,
-        2.0 * square * h * c3,
-    )
-
-
-_from_cubic = elementwise(LANES, 4, _cubic_terms)
-
-
-@compiled
-def incident(s):
-    """2 f of the pulse as a series over every lane's step, theory (4); nothing yet at face B."""
-    apart()
-    for k in range(TERMS):
-        for m in range(PAIR):
-            s.push[k, m] = 0.0
-    _from_cubic(
-        row(s.push, 0, 0),
-        row(s.push, 1, 0),
-        row(s.push, 2, 0),
-        row(s.push, 3, 0),
-        s.time,
-        s.h,
-        s.offset,
-        row(s.cubic, 0, 0),
-        row(s.cubic, 1, 0),
-        row(s.cubic, 2, 0),
-        row(s.cubic, 3, 0),
-    )
-    for j in range(LANES):
-        if s.frequency[j] > 0.0:
-            angle, phase = s.frequency[j] * s.h[j], s.frequency[j] * s.time[j]
-            s.push[0, j] = 2.0 * math.sin(phase)
-            s.push[1, j] = 2.0 * angle * math.cos(phase)
-            for k in range(2, TERMS):
-                s.push[k, j] = -s.push[k - 2, j] * angle * angle / (k * (k - 1.0))
+def incident(s, j):
+    """2 f of the pulse as a series over the step of a lane, theory (4)."""
+    h, z = s.h[j], s.time[j] - s.offset[j]
+    c_0, c_1, c_2, c_3 = s.cubic[0, j], s.cubic[1, j], s.cubic[2, j], s.cubic[3, j]
+    s.push[0, j] = 2.0 * (c_0 + z * (c_1 + z * (c_2 + z * c_3)))
+    s.push[1, j] = 2.0 * h * (c_1 + z * (2.0 * c_2 + z * (3.0 * c_3)))
+    s.push[2, j] = 2.0 * h * h * (c_2 + z * (3.0 * c_3))
+    s.push[3, j] = 2.0 * h * h * h * c_3
+    if s.frequency[j] > 0.0:
+        angle, phase = s.frequency[j] * h, s.frequency[j] * s.time[j]
+        s.push[0, j] = 2.0 * math.sin(phase)
+        s.push[1, j] = 2.0 * angle * math.cos(phase)
+        for k in range(2, TERMS):
+            s.push[k, j] = -s.push[k - 2, j] * angle * angle / (k * (k - 1.0))
 
 
 @compiled
 def enter_piece(s, j, rows):
     """Put the piece of the pulse that begins at or holds the time of a lane into it."""
-    apart()
     r, pieces, piece = s.row[j], rows.coefficients.shape[1], 0
     while piece < pieces and rows.breaks[r, piece + 1] <= s.time[j]:
         piece += 1
@@ -137,7 +48,6 @@ def enter_piece(s, j, rows):
 @compiled
 def next_break(s, j, rows):
     """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
-    apart()
     best, r = s.end[j], s.row[j]
     near = s.time[j] + 1e-13 * (1.0 + s.time[j])
     for k in range(rows.breaks.shape[1]):
@@ -156,7 +66,6 @@ def reflect_break(s, j):
     """Note that whatever happens now comes back after a round trip of each bar; False if there is
     no room.
     """
-    apart()
     for bar in range(2):
         back = s.time[j] + s.trips[bar, j]
         if back < s.end[j]:
@@ -181,10 +90,9 @@ def _ended(s, j, made, n):
 
 @compiled
 def echo_steps(s, j, made):
-    """Find the steps on which the waves left that come back during the present step; its length, if
-    need be cut.
+    """Find the steps on which the waves left that come back during the trial step, which is cut to
+    what they hold.
     """
-    apart()
     time, h, newest = s.time[j], s.h[j], s.count[j] - 1
     near = 1e-13 * (1.0 + time)
     for bar in range(2):
@@ -205,23 +113,28 @@ def echo_steps(s, j, made):
             while k < newest and _ended(s, j, made, k) < time - s.trips[bar, j] + h - near:
                 k += 1
             s.last[bar, j] = k
-    return h
+    s.h[j] = s.h[LANES + j] = h
 
 
 @compiled
-def echoes(s, j, made):
-    """The waves that come back to a lane's faces over its trial step, which is cut to what they
-    hold.
+def read_echo(s, j, bar, made):
+    """Values of the wave that comes back from the far end of a bar, theory (5), at the Chebyshev
+    points of the step.
     """
-    apart()
-    trial = echo_steps(s, j, made)
-    if trial < s.h[j]:
-        shrink = trial / s.h[j]
-        power = shrink
-        for k in range(1, TERMS):
-            s.push[k, j] *= power
-            power *= shrink
-        s.h[j] = trial
-    for bar in range(2):
-        if s.first[bar, j] >= 0:
-            add_echo(s, j, bar, made)
+    m, begin = bar * LANES + j, s.time[j] - s.trips[bar, j]
+    for step in range(s.first[bar, j], s.last[bar, j] + 1):
+        kept = made[j, step & (s.ring - 1)]
+        shift, stretch = (begin - kept.began) / kept.unit, s.h[j] / kept.unit
+        for i in range(WAVE):
+            theta = shift + stretch * WAVE_THETAS[i]
+            value = 0.0
+            for k in range(TERMS):
+                value = value * theta + kept.wave[bar, ORDER - k]
+            s.work[i] = value
+        # all points are read from every step; each step keeps those behind its start
+        from_theta = (kept.began - begin) / s.h[j] if step > s.first[bar, j] else -1.0
+        for i in range(WAVE):
+            if WAVE_THETAS[i] >= from_theta:
+                s.echo[i, m] = s.work[i]
+    s.returns[m] = 2.0 * s.reflect[bar, j]
+    s.negligible[m] = 0.1 * s.error[j] * min(s.size[0, j], s.size[2, j]) / s.h[j]

@@ -5,15 +5,18 @@ power series together, and a lane whose row has ended takes the next one.  A row
 nothing but the row, so that any slice, order or number of threads gives the same bits.
 
 A step never crosses a jump of the pulse or of one of its reflections, is never longer than a round
-trip, and ends where a face leaves or touches.  One round of `march` takes every lane one step:
+trip, and ends where a face leaves, touches or changes its branch.  One round of `march` takes every
+lane one step:
 
-    enter    idle lanes take the next rows
-    waves    how long the step may be, and what runs towards the sphere in it, theory (4) and (5)
-    expand   the motion as a power series, theory (9) or (R3); how far it holds
-    meet     where in the step a face may leave, touch, yield or be pressed deepest
-    turn     a step that does not hold is tried again, shorter; of one that holds the end, what is
-    kept and the next
-             state; a row that is decided leaves its lane
+    enter     idle lanes take the next rows
+    waves     how long the step may be; what runs towards the sphere in it, theory (4) and (5)
+    series    the motion as a power series, theory (9) or (R3); how far it holds (`lanes`)
+    holds     a step that does not hold is tried again, shorter or on the other branch of a face
+    events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
+    keep      what is read again of it: the waves that leave, the path
+    turn      the next state, or the end of the record (`records`)
+
+What a lane knows are the fields of `tracked.LANE`, with their units and who writes them.
 """
 
 from __future__ import annotations
@@ -21,9 +24,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uqsphere.arrays import Array
-from uqsphere.mechanics.integrator import events, incoming, records, step, tracked
-from uqsphere.mechanics.integrator.branches import branch_ends
+from uqsphere.arrays import Array, Places
+from uqsphere.mechanics.integrator import events, incoming, lanes, records, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
@@ -32,16 +34,16 @@ from uqsphere.mechanics.integrator.faces import (
     largest_approach,
     most_force,
     new_faces,
-    on_virgin_loading,
     press_deeper,
+    start_series,
     switch,
     tail_level,
     within_spring,
     wrong_branch,
 )
-from uqsphere.mechanics.integrator.searches import value_of
 from uqsphere.mechanics.integrator.tracked import (
     FACE_A,
+    FACE_B,
     FULL,
     LANES,
     LINEAR,
@@ -51,13 +53,17 @@ from uqsphere.mechanics.integrator.tracked import (
     TERMS,
     End,
 )
-from uqsphere.mechanics.integrator.vectors import apart
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
 GROWTH, GROWTH_ECHO = 4.0, 1.3
 #: steps a row may take at most: one that takes more has status 5
 LIMIT = 1 << 20
+#: errors allowed in one step that the series of the root may part from the root at the step's end,
+#: as the impulse of that difference over the whole step.  At 100 a light sphere between bars, whose
+#: speed errs by as much at every near loss, had P_max 27 tolerances off (campaign sweep, each
+#: quantity alone)
+_APART, _APART_IN_RIGS = 3.0, 100.0
 #: fate of a row that is not done; the others are its status
 GOES_ON = -1
 #: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy
@@ -91,15 +97,22 @@ class Rows(NamedTuple):
     speed: Array
 
 
-@compiled(entry=True)
-def march(rows, order, lanes, made, kept, out, status, steps):
-    """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS), `status` and
-    `steps` (rows,).
+class Answers(NamedTuple):
+    """What n rows come to: answers (n, tracked.ANSWERS), status (n,) and steps (n,)."""
 
-    lanes (1,): tracked.LANE with what is asked; made (LANES, room): tracked.STEP; kept (len(order),
+    answers: Array
+    status: Places
+    steps: Places
+
+
+@compiled(entry=True)
+def march(rows, order, lane, made, kept, out):
+    """Integrate rows `order` of a batch; what they come to goes to `out`.
+
+    lane (1,): tracked.LANE with what is asked; made (LANES, room): tracked.STEP; kept (len(order),
     room): tracked.PATH, the series of every row, where there is room for them.
     """
-    s, taken, live = lanes[0], 0, 0
+    s, taken, live = lane[0], 0, 0
     while True:
         for j in range(LANES if live < LANES else 0):
             while s.row[j] < 0 and taken < len(order):
@@ -107,46 +120,44 @@ def march(rows, order, lanes, made, kept, out, status, steps):
                 _enter(s, j, order[taken], rows)
                 taken += 1
                 if s.fate[j] != GOES_ON:
-                    _leave(s, j, made, out, status, steps)
+                    _leave(s, j, made, out)
         _waves(s, made)
-        virgin = _expand(s)
-        _meet(s, virgin)
+        _series(s)
         live = 0
         for j in range(LANES):
             if s.row[j] < 0:
                 continue
             if _holds(s, j):
-                ending = _events(s, j)
+                ending = events.after_step(s, j)
                 _keep(s, j, ending, made)
-                if s.keeping and s.count[j] <= kept.shape[1]:
+                if s.wanted & tracked.WANT_MOTION and s.count[j] <= kept.shape[1]:
                     _give_out(s, j, ending, kept[s.place_in_order[j], s.count[j] - 1])
                 if _turn(s, j, ending, made):
                     _jump(s, j, rows)
                 _judge(s, j)
             if s.fate[j] != GOES_ON:
-                _leave(s, j, made, out, status, steps)
+                _leave(s, j, made, out)
             live += s.row[j] >= 0
         if live == 0 and taken >= len(order):
             break
     return taken
 
 
-@compiled
-def _leave(s, j, made, out, status, steps):
+@compiled(inline=True)
+def _leave(s, j, made, out):
     """The row of a lane is done: its status, and its answers if it has any."""
-    apart()
     r = s.row[j]
-    status[r], s.row[j] = s.fate[j], -1
+    out.status[r], s.row[j] = s.fate[j], -1
     if s.fate[j] != tracked.OK:
         return
-    steps[r] = s.count[j]
+    out.steps[r] = s.count[j]
     if math.isnan(s.ended[j]):
         last = made[j, (s.count[j] - 1) & (s.ring - 1)]
         s.ended[j] = last.began + last.holds
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     pressed = min(s.x[0, j], s.x[0, LANES + j]) > 0.0
-    events.note_duration(s, j, not s.rigged and pressed and s.end[j] == math.inf)
-    events.finish(s, j, made, out[r])
+    records.note_duration(s, j, not s.rigged and pressed and s.end[j] == math.inf)
+    records.finish(s, j, made, out.answers[r])
 
 
 # --- enter
@@ -155,81 +166,74 @@ def _leave(s, j, made, out, status, steps):
 @compiled
 def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
-    apart()
-    s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1.0, GOES_ON
-    s.mass[j], s.inverse_mu[j], s.quickest[j] = rows.mass[r], 1.0 / rows.mass[r], 1.0 / rows.mass[r]
-    s.inertia[j] = rows.mass[r] if s.mode == FULL else math.inf
-    s.time[j], s.end[j], s.proposed[j], s.error[j], s.single[j] = (
-        0.0,
-        rows.horizon[r],
-        1e30,
-        s.local,
-        0,
-    )
-    s.x[0, j], s.x[0, LANES + j], s.u[0, j] = 0.0, 0.0, 0.0
-    for bar in range(2):
-        s.reflect[bar, j], s.trips[bar, j] = rows.ends[r, bar], rows.round_trips[r, bar]
-        s.head[bar, j], s.tail[bar, j], s.first[bar, j], s.last[bar, j] = 0, 0, 0, 0
+    level = rows.level[r]
+    s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1, GOES_ON
+    s.single[j], s.time[j], s.proposed[j], s.error[j] = 0, 0.0, 1e30, s.local
+    s.mass[j], s.inverse_mu[j] = rows.mass[r], 0.0 if s.mode == MASSLESS else 1.0 / rows.mass[r]
+    s.end[j], s.pulse_end[j] = rows.horizon[r], rows.pulse_end[r] * (1.0 - 1e-12)
+    s.size[0, j], s.size[1, j], s.size[2, j] = level, 0.1 * level, level
+    s.size[3, j], s.size[4, j] = 1.0, 1.0
+    new_faces(s, j, rows.laws[r])
+    s.by_law[j] = follows_law(s, j)
+    quickest, stiffest = 1.0 / rows.mass[r], 0.0
+    for face in range(2):
+        m, lightness = face * LANES + j, rows.rigs[r, tracked.RIG_LIGHTNESS, face]
+        s.reflect[face, j], s.trips[face, j] = rows.ends[r, face], rows.round_trips[r, face]
+        s.head[face, j], s.tail[face, j], s.first[face, j], s.last[face, j] = 0, 0, 0, 0
+        s.gives[m], s.lightness[m] = rows.rigs[r, tracked.RIG_GIVES, face], lightness
+        s.there[m], s.free[0, m] = (
+            rows.rigs[r, tracked.RIG_THERE, face],
+            rows.rigs[r, tracked.RIG_SPEED, face],
+        )
+        s.x[0, m], s.u[0, m] = 0.0, rows.speed[r] if s.rigged else 0.0
+        if s.rigged:
+            s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
+            s.size[3 + face, j] = 0.1 * min(1.0, lightness) if lightness > 0.0 else 1.0
+        s.touched[face, j] = 1.0 - s.there[m]
+        if s.there[m] > 0.0:
+            quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
+    s.quickest[j] = max(quickest, 1.0) * max(stiffest, 1.0) if s.rigged else quickest
+    if s.rigged:
+        s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     s.back[j] = min(s.trips[0, j], s.trips[1, j])
-    tailed = not s.rigged and s.end[j] == math.inf
-    s.fades[j] = rows.pulse_end[r] * (1.0 - 1e-12) if tailed else math.inf
-    s.pulse_end[j] = rows.pulse_end[r] * (1.0 - 1e-12)
-    s.size[0, j], s.size[1, j], s.size[2, j] = rows.level[r], 0.1 * rows.level[r], rows.level[r]
-    events.begin(s, j)
+    s.steady[j] = 1.0 if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf else -1.0
+    records.begin(s, j)
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
     s.stop[j] = incoming.next_break(s, j, rows)
-    s.on_slow[j], s.calm[j] = 0.0, step.decay_time(s, j)
-    s.steady[j] = 1.0 if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf else -1.0
-    s.by_law[j] = 0
-    if s.has_laws:
-        new_faces(s, j, rows.laws[r])
-        s.turned_at[j], s.turned_at[LANES + j] = -1.0, -1.0
-        s.by_law[j] = follows_law(s, j)
-    if s.rigged:
-        _enter_rig(s, j, rows.rigs[r], rows.speed[r])
-        if not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
-            s.fate[j] = tracked.NEVER_CLOSES
-
-
-@compiled
-def _enter_rig(s, j, given, speed):
-    """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face
-    answer a force.
-    """
-    quickest, stiffest = s.inverse_mu[j], 0.0
-    s.u[0, j] = speed
-    s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
-    for face in range(2):
-        m, lightness = face * LANES + j, given[tracked.RIG_LIGHTNESS, face]
-        s.gives[m], s.lightness[m] = given[tracked.RIG_GIVES, face], lightness
-        s.there[m], s.free[0, m] = given[tracked.RIG_THERE, face], given[tracked.RIG_SPEED, face]
-        s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
-        s.size[3 + face, j] = 0.1 * min(1.0, lightness) if lightness > 0.0 else 1.0
-        if s.there[m] == 0.0:
-            s.touched[face, j] = 1.0
-        else:
-            quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
-    s.quickest[j] = max(quickest, 1.0) * max(stiffest, 1.0)
+    if s.rigged and not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
+        s.fate[j] = tracked.NEVER_CLOSES
 
 
 # --- waves
 
 
-@compiled
+@compiled(inline=True)
 def _waves(s, made):
     """The steps that are tried, and the waves that run towards the sphere in them, theory (4) and
     (5).
     """
-    apart()
+    for k in range(TERMS):
+        for m in range(PAIR):
+            s.push[k, m] = 0.0
+    echoing = False
+    for m in range(PAIR):
+        s.returns[m], s.misfit[m] = 0.0, 0.0
     for j in range(LANES):
-        s.h[j], s.misfit[j] = 0.0, 0.0
-        if s.row[j] >= 0:
-            _try(s, j)
-    incoming.incident(s)
-    for j in range(LANES):
-        if s.row[j] >= 0 and incoming.heard(s, j, s.back[j]):
-            incoming.echoes(s, j, made)
+        if s.row[j] < 0:
+            s.h[j] = s.h[LANES + j] = 0.0
+            continue
+        _try(s, j)
+        heard = incoming.heard(s, j, s.back[j])
+        if heard:
+            incoming.echo_steps(s, j, made)
+        incoming.incident(s, j)
+        for bar in range(2 if heard else 0):
+            if s.first[bar, j] >= 0:
+                incoming.read_echo(s, j, bar, made)
+                echoing = True
+    if echoing:
+        lanes.fit_echoes(s)
 
 
 @compiled
@@ -237,8 +241,8 @@ def _try(s, j):
     """The trial step of a lane; the approaches below which a record ends, a contact may be lost or
     nearly is.
     """
-    scale = min(s.size[0, j], s.size[2, j]) if s.rigged else s.size[0, j]
-    if s.touching[j] > 0.0:
+    scale, largest = min(s.size[0, j], s.size[2, j]), max(s.size[0, j], s.size[2, j])
+    if s.touching[j]:
         # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a
         # touch
         brief = (1e2 * s.error[j] * min(1.0, 1.0 / s.quickest[j]) * scale) ** 0.4
@@ -246,63 +250,63 @@ def _try(s, j):
         smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
         s.proposed[j] = min(s.proposed[j], min(brief, smooth))
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
+    s.h[LANES + j] = s.h[j]
+    # impulse by which a step may err because the series of its root has parted from the root
+    allowed = s.mass[j] * s.size[1, j] if s.mode == FULL else math.inf
+    for face in range(2):
+        if s.lightness[face * LANES + j] > 0.0:
+            allowed = min(allowed, s.size[3 + face, j] / s.lightness[face * LANES + j])
+    parts = _APART_IN_RIGS if s.rigged else _APART
+    s.wrong_allowed[j] = math.inf if s.mode == LINEAR else parts * s.error[j] * min(scale, allowed)
     # an approach errs by less than the tolerance; in a row that is looked at again all steps may
     # err one way
-    largest = max(s.size[0, j], s.size[2, j]) if s.rigged else scale
     steps = s.count[j] if s.tolerance < s.requested else 0
     s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
-    if s.rigged and not math.isnan(
-        s.lost[j]
-    ):  # only the first loss of contact is an answer of its own
-        s.near[j] = 0.0
+    if s.rigged and not math.isnan(s.lost[j]):
+        s.near[j] = 0.0  # only the first loss of contact is an answer of its own
     s.low[j] = -math.inf
-    if s.time[j] >= s.fades[j]:
-        s.low[j] = (
-            tail_level(s, j)
-            if s.by_law[j]
-            else s.share * max(s.peak[FACE_A, j], s.peak[tracked.FACE_B, j])
-        )
+    if not s.rigged and s.end[j] == math.inf and s.time[j] >= s.pulse_end[j]:
+        peak = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
+        s.low[j] = tail_level(s, j) if s.by_law[j] else s.share * peak
 
 
-# --- expand
+# --- series
+
+
+@compiled(inline=True)
+def _series(s):
+    """The motion over the trial steps as power series, and the shares of them that hold."""
+    for j in range(LANES):
+        if s.row[j] >= 0 and (s.by_law[j] or s.mode == LINEAR):
+            start_series(s, j)
+            start_series(s, LANES + j)
+    lanes.expand(s, s.lanes)
+    lanes.reach(s)
+    for j in range(LANES):
+        if s.row[j] >= 0:
+            _choose(s, j)
+    lanes.keep_roots(s)
+    lanes.survey(s)
 
 
 @compiled
-def _expand(s):
-    """The motion over the trial steps as power series, and the shares of them that hold; whether
-    faces yield now.
+def _choose(s, j):
+    """The share of the trial step that is taken: it ends at `stop`, or halfway to it where little
+    would be left.
     """
-    apart()
-    by_law, virgin, light = False, False, s.mode == FULL and not s.rigged
-    for j in range(LANES if s.has_laws else 0):
-        if s.by_law[j] and s.row[j] >= 0:
-            by_law = True
-            virgin |= on_virgin_loading(s, j)
-    step.expand(s, by_law, virgin)
-    step.longest(s)
-    for j in range(LANES):
-        s.why[j], s.switched[j] = End.SERIES, 0
-        if s.row[j] < 0:
-            continue
-        if s.touching[j] > 0.0:
-            s.theta[j] = 1.0
-            step.step_from_touch(s, j)
-            continue
-        if s.by_law[j]:
-            s.switched[j] = _against_branch(s, j)
-            if s.switched[j]:
-                continue
-        yields = s.by_law[j] and on_virgin_loading(s, j)
-        if (
-            light
-            and s.inverse_mu[j] * step.SMALL_MU > 1.0
-            and s.time[j] >= s.calm[j]
-            and not yields
-        ):
-            step.follow_slow(s, j)
-    step.cut_at_stop(s)
-    return virgin
+    s.why[j], s.switched[j] = End.SERIES, 0
+    theta, left = min(s.theta[j], 1.0), s.stop[j] - s.time[j]
+    if s.touching[j]:
+        theta, s.wrong_allowed[j] = 1.0, math.inf
+        events.step_from_touch(s, j)
+    elif s.by_law[j]:
+        s.switched[j] = _against_branch(s, j)
+    if theta * s.h[j] >= left * (1.0 - 1e-10):
+        theta = 1.0
+    elif 2.0 * theta * s.h[j] > left:
+        theta = min(theta, 0.5 * left / s.h[j])
+    s.theta[j] = s.theta[LANES + j] = theta
 
 
 @compiled
@@ -310,7 +314,6 @@ def _against_branch(s, j):
     """Faces (bits) that what jumped has turned against their branch, unless they are at rest where
     both meet.
     """
-    apart()
     wrong = 0
     for face in range(2):
         m = face * LANES + j
@@ -320,56 +323,25 @@ def _against_branch(s, j):
     return wrong
 
 
-@compiled
-def _switch(s, j):
-    """Bring those faces to their other branch, on which the step is made again."""
-    apart()
-    s.error[j] = min(s.error[j], s.closer * s.local)
-    for face in range(2):
-        m = face * LANES + j
-        if s.switched[j] & (1 << face):
-            s.turns[m] = s.turns[m] + 1.0 if s.turned_at[m] == s.time[j] else 1.0
-            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), s.time[j]
+# --- holds
 
 
-# --- meet
-
-
-@compiled
-def _meet(s, virgin):
-    """What the steps may meet: branches that end them, doubts, and flags of what has to be
-    searched.
-    """
-    apart()
-    if s.mode != LINEAR and not s.rigged:
-        step.keep_root(s)
-    step.inside(s, virgin)
-    if s.has_laws and branch_ends(s):
-        step.inside(s, False)
-    step.speeds(s)
-    if s.mode != LINEAR:
-        step.wrong_roots(s)
-    events.look(s)
-    step.doubt(s)
-
-
-@compiled
+@compiled(inline=True)
 def _holds(s, j):
     """Whether the step of a lane holds; else it is made again, on the other branch of a face or
-    shorter, or the row given up."""
-    apart()
-    if s.has_laws:
-        if s.switched[j]:
-            _switch(s, j)
-            return False
-        reached = within_spring(s, j) if s.touching[j] > 0.0 else 1.0
+    shorter, or the row given up.
+    """
+    if s.switched[j]:
+        _switch(s, j)
+        return False
+    if s.has_laws and s.touching[j]:
+        reached = within_spring(s, j)
         if reached < 1.0:
             s.proposed[j] = reached * s.h[j]
             return False
-    crossed = s.crosses[j] > 0.0
-    if s.rigged:
-        crossed = s.touching[j] == 0.0 and s.mode != LINEAR and _root_is_wrong(s, j)
-    if not crossed and not s.unfit[j] > 0.0:
+    crossed, scale = s.excess[j] > 1.0, min(s.size[0, j], s.size[2, j])
+    misfit = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
+    if not crossed and s.theta[j] > 0.0 and not misfit > s.error[j] * scale:
         return True
     s.attempts[j] += 1
     s.proposed[j] = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
@@ -384,133 +356,49 @@ def _holds(s, j):
 
 
 @compiled
-def _root_is_wrong(s, j):
-    """Whether the impulse by which the series of a step may be off because a face nearly left is
-    too much for a rig.
-    """
-    least, impulse = min(min(s.size[0, j], s.size[2, j]), s.mass[j] * s.size[1, j]), 0.0
+def _switch(s, j):
+    """Bring faces to their other branch, on which the step is made again."""
+    s.error[j] = min(s.error[j], s.closer * s.local)
     for face in range(2):
         m = face * LANES + j
-        impulse = max(impulse, s.h[j] * s.theta[j] * s.wrong[m] * s.stiffness[m])
-        if s.lightness[m] > 0.0:
-            least = min(least, s.size[3 + face, j] / s.lightness[m])
-    return impulse > 100.0 * s.error[j] * least
+        if s.switched[j] & (1 << face):
+            s.turns[m] = s.turns[m] + 1.0 if s.turned_at[m] == s.time[j] else 1.0
+            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), s.time[j]
 
 
-# --- turn
+# --- keep and turn
 
 
-@compiled
-def _turn(s, j, ending, made):
-    """The state from which the next step of a lane starts, or the end of its row; whether the waves
-    jump.
-    """
-    apart()
-    reaches = records.approach_alone(s, j, ending)
-    before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
-    _move_on(s, j, ending)
-    at_stop = at_stop and s.why[j] < End.CONTACT
-    s.time[j] = s.stop[j] if at_stop else before + ending * s.h[j]
-    _propose(s, j, ending, at_stop)
-    done = s.why[j] == End.RECORD
-    if s.rigged and s.touching[j] == 0.0:
-        ahead = events.next_touch(s, j)
-        if ahead < math.inf:  # free flight is linear in time: one step to the touch
-            s.proposed[j] = 1.001 * ahead
-        elif ahead == math.inf:
-            s.proposed[j] = 1e30
-            done = s.time[j] >= records.echoes_have_acted(s, j)
-    left = s.why[j] == End.CONTACT and s.touching[j] == 0.0
-    if left and s.stop_at_loss and not s.rigged:
-        events.note_duration(s, j, False)
-        done = events.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made)
-    if done:
-        s.fate[j] = tracked.OK
-    elif at_stop and s.time[j] >= s.end[j]:
-        pressed = max(s.x[0, j], s.x[0, LANES + j]) > 0.0
-        s.fate[j] = tracked.STILL_PRESSED if s.rigged and pressed else tracked.OK
-    return at_stop and s.fate[j] == GOES_ON
-
-
-@compiled
-def _judge(s, j):
-    """Whether nothing that is wanted can change any more, or there is no more room."""
-    if s.fate[j] != GOES_ON:
-        return
-    if s.steady[j] >= 0.0 and s.touching[j] == 0.0 and not s.rigged and events.no_later_peak(s, j):
-        s.fate[j] = tracked.OK
-        return
-    # the first step that is read again: of the whole path, or of the waves of a round trip
-    oldest = 0 if s.store or s.keeping else s.count[j]
-    for bar in range(2):
-        if s.trips[bar, j] < math.inf and s.time[j] < s.end[j]:
-            oldest = min(oldest, max(s.first[bar, j], 0))
-    if s.count[j] - oldest >= s.capacity or s.count[j] >= LIMIT:
-        s.fate[j] = tracked.FULL_ROOM
-
-
-@compiled
-def _events(s, j):
-    """Bring what is followed of a row up to date with its step; the share of the trial step at
-    which it ends.
-    """
-    ending = s.theta[j]
-    if s.has_laws:
-        for face in range(2):
-            m = face * LANES + j
-            raised = s.known[m] > s.peak[face, j]
-            s.places[face] = (s.place[m] if s.bent[m] > 0.0 else ending) if raised else -1.0
-    if s.flags[j] != 0:
-        ending = events.after_step(s, j)
-    if s.flags[j] & (1 << FACE_A) == 0:
-        for face in range(2 if s.has_laws else 1):
-            s.peak[face, j] = s.known[face * LANES + j]
-            if not incoming.heard(s, j, s.back[j]):
-                s.x_first[face, j] = s.peak[face, j]
-    if s.rigged:
-        for face in range(2):
-            if s.spring[face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
-                s.places[face] = ending
-        events.note_peaks(s, j)
-    if s.wanted & tracked.WANT_CARRIED:
-        events.note_squared_forces(s, j, ending)
-    if s.wanted & tracked.WANT_DURATION:
-        events.note_impulse(s, j, ending)
-    return ending
-
-
-@compiled
+@compiled(inline=True)
 def _keep(s, j, ending, made):
     """Store what is read again of this step: the path, and the waves that leave, f - P/Z of theory
     (5).
     """
     n = s.count[j]
-    one = made[j, n & (s.ring - 1)]
+    step = made[j, n & (s.ring - 1)]
     s.count[j] += 1
     if (
         s.by_law[j] and s.count[j] > FREE_STEPS
     ):  # errors to one side add up: of so many steps no more than a logarithm
         s.error[j] *= 1.0 - 1.0 / s.count[j]
-    one.began, one.holds, one.unit, one.crest = s.time[j], ending * s.h[j], s.h[j], s.crest[j]
-    if s.store:
-        if s.has_laws:
-            one.crest = most_force(s, j)
+    step.began, step.holds, step.unit = s.time[j], ending * s.h[j], s.h[j]
+    if s.wanted & tracked.WANT_RISE:
+        step.crest = most_force(s, j) if s.has_laws else max(s.top[j], s.top[LANES + j])
         for face in range(2):
             m = face * LANES + j
-            one.spring[face], one.dent[face] = s.spring[m], s.dent[m]
+            step.spring[face], step.dent[face] = s.spring[m], s.dent[m]
             for k in range(TERMS):
-                one.path[face, k] = s.x[k, m]
+                step.path[face, k] = s.x[k, m]
     for bar in range(2):
         m = bar * LANES + j
         if s.time[j] + s.trips[bar, j] < s.end[j]:
             for k in range(TERMS):
-                one.wave[bar, k] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
+                step.wave[bar, k] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
 
 
-@compiled
+@compiled(inline=True)
 def _give_out(s, j, ending, path):
     """The step as a `Motion` has it."""
-    apart()
     path.start, path.length = s.time[j], ending * s.h[j]
     power, k_of = 1.0, LANES + j
     for k in range(TERMS):
@@ -522,9 +410,59 @@ def _give_out(s, j, ending, path):
         # the series of a force ends a power of the step before that of its approach: what is left
         # out at the end of the step goes to the last term, which errs by a fortieth of it inside
         m = face * LANES + j
-        left_out = face_force(s, m, value_of(s.x, m, ending))[0] - value_of(s.force, m, ending)
+        left_out = face_force(s, m, events.value_of(s.x, m, ending))[0] - events.value_of(
+            s.force, m, ending
+        )
         path.series[3 + face, TERMS - 1] += left_out
         path.series[face, 0] += s.dent[m]
+
+
+@compiled(inline=True)
+def _turn(s, j, ending, made):
+    """The state from which the next step of a lane starts, or the end of its row; whether the waves
+    jump.
+    """
+    reaches = records.approach_alone(s, j, ending)
+    before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
+    _move_on(s, j, ending)
+    at_stop = at_stop and s.why[j] < End.CONTACT
+    s.time[j] = s.stop[j] if at_stop else before + ending * s.h[j]
+    _propose(s, j, ending, at_stop)
+    done = s.why[j] == End.RECORD
+    if s.rigged and not s.touching[j]:
+        ahead = events.next_touch(s, j)
+        if ahead < math.inf:  # free flight is linear in time: one step to the touch
+            s.proposed[j] = 1.001 * ahead
+        elif ahead == math.inf:
+            s.proposed[j] = 1e30
+            done = s.time[j] >= records.echoes_have_acted(s, j)
+    left = s.why[j] == End.CONTACT and not s.touching[j]
+    if left and s.stop_at_loss and not s.rigged:
+        records.note_duration(s, j, False)
+        done = records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made)
+    if done:
+        s.fate[j] = tracked.OK
+    elif at_stop and s.time[j] >= s.end[j]:
+        pressed = max(s.x[0, j], s.x[0, LANES + j]) > 0.0
+        s.fate[j] = tracked.STILL_PRESSED if s.rigged and pressed else tracked.OK
+    return at_stop and s.fate[j] == GOES_ON
+
+
+@compiled(inline=True)
+def _judge(s, j):
+    """Whether nothing that is wanted can change any more, or there is no more room."""
+    if s.fate[j] != GOES_ON:
+        return
+    if s.steady[j] >= 0.0 and not s.touching[j] and not s.rigged and records.no_later_peak(s, j):
+        s.fate[j] = tracked.OK
+        return
+    # the first step that is read again: of the whole path, or of the waves of a round trip
+    oldest = 0 if s.wanted & tracked.WHOLE_PATH else s.count[j]
+    for bar in range(2):
+        if s.trips[bar, j] < math.inf and s.time[j] < s.end[j]:
+            oldest = min(oldest, max(s.first[bar, j], 0))
+    if s.count[j] - oldest >= s.capacity or s.count[j] >= LIMIT:
+        s.fate[j] = tracked.FULL_ROOM
 
 
 @compiled
@@ -532,13 +470,13 @@ def _move_on(s, j, ending):
     """The state at the end of a step, on the branch and with the contact that follow it."""
     why, touched = s.why[j], s.side[j] * LANES + j
     if ending < s.theta[j]:
-        s.at_u[j] = value_of(s.u, j, ending)
+        s.u_end[j] = events.value_of(s.u, j, ending)
         for m in range(j, PAIR, LANES):
-            s.at[POINTS, m] = value_of(s.x, m, ending)
-    s.touching[j], s.single[j] = 0.0, 0
+            s.at[POINTS, m] = events.value_of(s.x, m, ending)
+    s.touching[j], s.single[j] = 0, 0
     if why == End.CONTACT:
         if s.x[0, touched] <= 0.0:
-            s.touching[j], s.touches[j] = 1.0, s.touches[j] + 1.0
+            s.touching[j], s.touches[j] = 1, s.touches[j] + 1.0
         else:
             s.parted[j] = s.time[j] + ending * s.h[j]
         for m in range(j, PAIR, LANES):
@@ -552,16 +490,18 @@ def _move_on(s, j, ending):
             other = LANES + 2 * j - touched
             switch(s, other, s.at[POINTS, touched])
             s.at[POINTS, other] = s.at[POINTS, touched]
-    s.x[0, j], s.x[0, LANES + j], s.u[0, j] = s.at[POINTS, j], s.at[POINTS, LANES + j], s.at_u[j]
+    s.x[0, j], s.x[0, LANES + j] = s.at[POINTS, j], s.at[POINTS, LANES + j]
+    s.u[0, j] = s.u[0, LANES + j] = s.u_end[j]
     if s.rigged:
         for face in range(2):
             m = face * LANES + j
-            s.free[0, m] = value_of(s.free, m, ending)
+            s.free[0, m] = events.value_of(s.free, m, ending)
             s.size[3 + face, j] = max(s.size[3 + face, j], abs(s.free[0, m]))
             # what opens says nothing of the approaches
             s.size[2 * face, j] = max(s.size[2 * face, j], s.x[0, m])
     else:
         s.size[0, j] = max(s.size[0, j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
+        s.size[2, j] = s.size[0, j]
     s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
     if s.by_law[j]:
         press_deeper(s, j)
@@ -569,7 +509,7 @@ def _move_on(s, j, ending):
             s.x_first[face, j] = largest_approach(s, face * LANES + j)
 
 
-@compiled
+@compiled(inline=True)
 def _propose(s, j, ending, at_stop):
     """How long the next step may be."""
     # what an echo cut short at a joint of its steps is tried again beyond it
@@ -580,13 +520,9 @@ def _propose(s, j, ending, at_stop):
         s.proposed[j] = max(s.proposed[j], s.h[j])
 
 
-@compiled
+@compiled(inline=True)
 def _jump(s, j, rows):
     """Go on from a jump of the waves, unless too many of them are under way."""
-    apart()
-    if s.on_slow[j] > 0.0:  # what jumps sets off the fast oscillation
-        s.proposed[j] = min(s.proposed[j], math.sqrt(s.mass[j]))
-    s.on_slow[j], s.calm[j] = 0.0, s.time[j] + step.decay_time(s, j)
     s.proposed[j] *= GROWTH
     incoming.enter_piece(s, j, rows)
     if s.time[j] >= rows.breaks[s.row[j], -1] and s.back[j] == math.inf:

@@ -20,25 +20,39 @@ from __future__ import annotations
 
 import math
 
-from uqsphere.mechanics.integrator import searches
+from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.faces import face_yielded, largest_force, on_virgin_loading
+from uqsphere.mechanics.integrator.events import OF_BOTH, first_at, highest_between
+from uqsphere.mechanics.integrator.faces import (
+    face_yielded,
+    largest_approach,
+    largest_force,
+    on_virgin_loading,
+    stored_energy,
+)
 from uqsphere.mechanics.integrator.tracked import (
     CELLS,
+    DIFFERENCE,
+    ENERGY,
     FACE_A,
     FACE_B,
+    KINDS,
     LANES,
     LINEAR,
     MASSLESS,
+    MEAN,
     ORDER,
+    PAIR,
+    SHARE,
     End,
 )
-from uqsphere.mechanics.integrator.vectors import apart
 
 #: parts of a step of which a wave is bounded one by one
 _PARTS = 2
 #: cells of all round trips that are followed at most; a row that needs more goes on
 _MOST_CELLS = 4096
+#: mass number below which the sphere swings many times while the force dies out
+_LIGHT = 0.02
 
 
 @compiled
@@ -75,7 +89,6 @@ def _bound_waves(s, j, bar, made):
     s.cell_end, s.cell_wave (2, CELLS): when each cell ends, and the wave in it at most.  Returns
     how many there are, or -1 for too many.
     """
-    apart()
     trip, newest, count = s.trips[bar, j], s.count[j] - 1, 0
     begin = s.time[j] - trip
     if begin < 0.0:  # nothing has left the face before first touch
@@ -99,7 +112,7 @@ def _bound_waves(s, j, bar, made):
         for part in range(1, _PARTS + 1):
             theta = first + part * width
             right, right_slope = _wave(kept, bar, theta)
-            s.cell_wave[bar, count] = searches.highest_between(
+            s.cell_wave[bar, count] = highest_between(
                 left, width * left_slope, right, width * right_slope
             )
             s.cell_end[bar, count] = kept.began + kept.unit * theta + trip
@@ -108,7 +121,7 @@ def _bound_waves(s, j, bar, made):
 
 
 @compiled
-def _after(s, j, squeeze, drive, stiffness, length):
+def _after(s, squeeze, drive, stiffness, length):
     """s after a time under a wave, at most, by two tangents of k s^(3/2), which lie below it.
 
     The tangent at s is close at first, the one at the state of rest for long times.
@@ -137,7 +150,6 @@ def _largest_squeeze(s, j):
 
     0 where a face is yielding now.
     """
-    apart()
     if not s.has_laws:
         largest = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
         return (largest if s.mode == MASSLESS else 0.5 * largest), 1.0
@@ -158,7 +170,10 @@ def approach_alone(s, j, theta):
     other; 0 if that falls already.
     """
     m = (1 - s.side[j]) * LANES + j
-    x, slope = searches.both_of(s.x, m, theta)
+    x, slope = 0.0, 0.0
+    for k in range(ORDER, -1, -1):
+        slope = slope * theta + x
+        x = x * theta + s.x[k, m]
     if s.why[j] != End.CONTACT or s.spring[m] == 0.0 or x <= 0.0 or slope <= 0.0:
         return 0.0
     rate = slope / s.h[j]
@@ -176,57 +191,52 @@ def no_harder_squeeze(s, j, alone, made):
     alone: what the sphere reaches at the other face alone.  False where it cannot be told: while
     the pulse comes in, a face yields, or a far end has R < 0.
     """
-    apart()
     largest, stiffness = _largest_squeeze(s, j)
     squeeze = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     if s.time[j] < s.pulse_end[j] or squeeze > largest or alone > 2.0 * largest:
         return False
-    cells_a, cells_b, highest = 0, 0, 0.0
+    highest = 0.0
     for bar in range(2):
-        count = 0
+        s.cells[bar] = 0
         if s.trips[bar, j] < math.inf:
             if s.reflect[bar, j] < 0.0:
                 return False
-            count = _bound_waves(s, j, bar, made)
-        if count < 0:
+            s.cells[bar] = _bound_waves(s, j, bar, made)
+        if s.cells[bar] < 0:
             return False
         top = 0.0
-        for i in range(count):
+        for i in range(s.cells[bar]):
             top = max(top, s.cell_wave[bar, i])
-        highest += s.reflect[bar, j] * top if count > 0 else 0.0
-        if bar == 0:
-            cells_a = count
-        else:
-            cells_b = count
+        highest += s.reflect[bar, j] * top
     rest = highest if s.mode == LINEAR else (highest / stiffness) ** (2.0 / 3.0)
-    if rest <= largest or cells_a + cells_b == 0:
+    if rest <= largest or s.cells[0] + s.cells[1] == 0:
         return True
-    return _stays_below(s, j, squeeze, largest, stiffness, cells_a, cells_b)
+    return _stays_below(s, j, squeeze, largest, stiffness)
 
 
 @compiled
-def _stays_below(s, j, squeeze, largest, stiffness, cells_a, cells_b):
+def _stays_below(s, j, squeeze, largest, stiffness):
     """Whether s stays below `largest` up to the horizon under the bounds of the waves."""
-    apart()
-    time, end, at_start, alike = s.time[j], s.end[j], squeeze, False
+    time, at_start, cells_a, cells_b = s.time[j], squeeze, s.cells[0], s.cells[1]
     if cells_a == 0 or cells_b == 0:
         alike = s.reflect[1 if cells_a == 0 else 0, j] == 1.0
-    elif abs(s.trips[0, j] - s.trips[1, j]) < 1e-9 * s.trips[0, j]:
-        alike = s.reflect[0, j] == 1.0 and s.reflect[1, j] == 1.0
+    else:
+        alike = abs(s.trips[0, j] - s.trips[1, j]) < 1e-9 * s.trips[0, j]
+        alike = alike and s.reflect[0, j] == 1.0 and s.reflect[1, j] == 1.0
     weight_a, weight_b, shift_a, shift_b = s.reflect[0, j], s.reflect[1, j], 0.0, 0.0
     a, b = 0, 0
     for _ in range(_MOST_CELLS):
         until_a = s.cell_end[0, a] + shift_a if cells_a > 0 else math.inf
         until_b = s.cell_end[1, b] + shift_b if cells_b > 0 else math.inf
-        until = min(min(until_a, until_b), end)
+        until = min(min(until_a, until_b), s.end[j])
         drive = weight_a * s.cell_wave[0, a] if cells_a > 0 else 0.0
         drive += weight_b * s.cell_wave[1, b] if cells_b > 0 else 0.0
         if until > time:
-            squeeze = _after(s, j, squeeze, drive, stiffness, until - time)
+            squeeze = _after(s, squeeze, drive, stiffness, until - time)
             time = until
         if squeeze > largest:
             return False
-        if time >= end:
+        if time >= s.end[j]:
             return True
         wrapped = False
         if until_a <= time:
@@ -244,3 +254,156 @@ def _stays_below(s, j, squeeze, largest, stiffness, cells_a, cells_b):
                 return True
             at_start = squeeze
     return False
+
+
+@compiled
+def no_higher_approach(s, j):
+    """Whether no approach can exceed the largest so far while the incoming wave stays as it is.
+
+    With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall,
+    where phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) -
+    level)².  No approach above the one at rest can be exceeded whose phi is not below V.  Faces
+    with laws of their own are all springs now: what yields takes energy and brings none back.
+    """
+    level, slack = s.steady[j], 1.0 + 0.1 * s.error[j]
+    if level < 0.0:
+        return False
+    stored = 0.5 * s.mass[j] * (s.u[0, j] - level) ** 2
+    least, rest, least_phi = math.inf, level, 0.5 * level * level
+    for m in range(j, PAIR, LANES):
+        spring, reached = s.spring[m], max(s.x[0, m], 0.0)
+        if spring == 0.0:
+            return False
+        if level > 0.0 and s.mode != LINEAR:
+            rest = (level / spring) ** (2.0 / 3.0)
+            least_phi = 0.6 * level * rest
+        top = (largest_approach(s, m) - s.dent[m] if s.has_laws else s.peak[FACE_A, j]) * slack
+        if top < rest * slack:
+            return False
+        least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
+        stored += stored_energy(s, m, reached)[0] - level * reached + least_phi
+    return not least < stored
+
+
+@compiled
+def _stays_pressed(s, j):
+    """Whether no contact can be lost any more in the tail between infinite bars, whose impulse is
+    then (x_1 + x_2)/2, (Q2).
+
+    The difference of the approaches swings with the frequency sqrt(3 k sqrt(m)/mu) about their mean
+    m.  While m falls its amplitude grows no faster than 1/m^(1/8), by a half until the record ends.
+    """
+    b, low = LANES + j, s.low[j]
+    least = min(s.x[0, j], s.x[0, b])
+    if not (low > 0.0 and least > 0.0 and s.mass[j] < _LIGHT and s.spring[j] == s.spring[b]):
+        return False
+    stiffness = 1.0 if s.mode == LINEAR else 1.5 * s.spring[j] * math.sqrt(least)
+    swing = (s.x[0, j] - s.x[0, b]) ** 2 + 2.0 * s.mass[j] * s.u[0, j] ** 2 / stiffness
+    return 4.0 * swing < low * low
+
+
+@compiled
+def no_later_peak(s, j):
+    """Whether no largest value that is wanted can change any more while the incoming wave stays as
+    it is.
+    """
+    wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
+    if wanted & tracked.WANT_CONTACT or (s.steady[j] > 0.0 and wanted & OF_BOTH):
+        return False
+    if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
+        return False
+    if not no_higher_approach(s, j):
+        return False
+    if not wanted & OF_BOTH:
+        return True
+    energy, stiffest = 0.5 * s.mass[j] * s.u[0, j] ** 2, 0.0
+    for m in range(j, PAIR, LANES):
+        energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
+        stiffest = max(stiffest, s.spring[m])
+    force = math.sqrt(2.0 * energy) if s.mode == LINEAR else stiffest**0.4 * (2.5 * energy) ** 0.6
+    return not (
+        (wanted & tracked.WANT_DIFFERENCE and force > s.peak[DIFFERENCE, j] * slack)
+        or (wanted & tracked.WANT_MEAN and force > s.peak[MEAN, j] * slack)
+        or (wanted & tracked.WANT_ENERGY and energy > s.peak[ENERGY, j] * slack)
+        or (wanted & tracked.WANT_SHARE and energy > s.peak[SHARE, j] * slack)
+    )
+
+
+@compiled
+def note_duration(s, j, settled):
+    """Impulse over peak of the mean force up to now, (Q1), if that peak has grown since it was last
+    noted: later contacts that press less do not count.
+
+    settled: the waves are over, and what is still pressed dies out with the impulse that (Q2) says.
+    """
+    if s.wanted & tracked.WANT_DURATION and not s.peak[MEAN, j] <= s.counted_peak[j]:
+        left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
+        s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
+        s.counted[j], s.counted_peak[j] = s.time[j], s.peak[MEAN, j]
+
+
+@compiled
+def begin(s, j):
+    """Nothing is known yet of the row of a lane."""
+    for kind in range(KINDS):
+        s.peak[kind, j] = 0.0
+    for face in range(2):
+        s.x_first[face, j], s.other[face, j], s.carried[face, j] = 0.0, 0.0, 0.0
+    s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
+    s.grazed[j], s.blur[j] = math.nan, 0.0
+    s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0
+    s.counted[j], s.counted_peak[j] = 0.0, 0.0
+
+
+@compiled
+def finish(s, j, made, out):
+    """Answers of a row that has ended, in scaled variables."""
+    lost, parted = not math.isnan(s.lost[j]), not math.isnan(s.parted[j])
+    for face in range(2):
+        # of faces that are alike the larger is followed
+        of, other = (face, s.other[face, j]) if s.has_laws else (0, math.nan)
+        out[tracked.ANSWER_FACES + face] = (
+            largest_approach(s, face * LANES + j) if s.has_laws else s.peak[0, j]
+        )
+        out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = (
+            s.x_first[of, j],
+            other,
+        )
+    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = s.unloadings[j], s.chatter[j]
+    out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
+    out[tracked.ANSWER_X_FIRST] = max(s.x_first[0, j], s.x_first[1, j])
+    out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = s.ended[j], s.duration[j]
+    out[tracked.ANSWER_COUNTED] = s.counted[j]
+    out[tracked.ANSWER_CONTACT] = s.lost[j] if lost else s.ended[j]
+    out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
+    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = s.grazed[j], s.blur[j]
+    out[tracked.ANSWER_PARTING] = s.parted[j] if parted else s.ended[j]
+    for kind in range(DIFFERENCE, KINDS):
+        if s.wanted & (1 << (kind - 1)):
+            out[_ANSWER_OF[kind]] = s.peak[kind, j]
+    if s.wanted & tracked.WANT_CARRIED:
+        out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = (
+            s.carried[0, j],
+            s.carried[1, j],
+        )
+    if s.wanted & tracked.WANT_RISE:
+        top = largest_force(s, j) if s.has_laws else out[tracked.ANSWER_X_MAX]
+        power = 1.0 if s.mode == LINEAR or s.has_laws else 2.0 / 3.0
+        tenth, nine = (
+            first_at(s, j, made, top * 0.1**power),
+            first_at(s, j, made, top * 0.9**power),
+        )
+        out[tracked.ANSWER_RISE] = nine - tenth
+    out[tracked.ANSWER_SPEED] = s.u[0, j]
+    out[tracked.ANSWER_SPEEDS], out[tracked.ANSWER_SPEEDS + 1] = s.free[0, j], -s.free[0, LANES + j]
+
+
+#: columns of the answers that largest values go to
+_ANSWER_OF = (
+    tracked.ANSWER_FACES,
+    tracked.ANSWER_FACES + 1,
+    tracked.ANSWER_DIFFERENCE,
+    tracked.ANSWER_ENERGY,
+    tracked.ANSWER_SHARE,
+    tracked.ANSWER_MEAN,
+)

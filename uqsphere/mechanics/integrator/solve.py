@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,6 +25,7 @@ from numpy.polynomial.polynomial import polyval
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator import tracked
+from uqsphere.mechanics.integrator.compiled import without_collection
 from uqsphere.mechanics.integrator.tracked import empty_answers
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
@@ -212,8 +214,7 @@ def _laws(scene: Scene, rows: Places) -> Array:
     faces = [partner.face if partner else None for partner in scene.partners]
     if scene.by_wave and faces == [None, None]:
         return np.zeros((len(rows), 0, 2))
-    laws = np.ones((len(rows), tracked.LAWS, 2))
-    laws[:, tracked.LAW_ONSET] = np.inf
+    laws = tracked.elastic_faces(len(rows))
     for pole, (partner, face) in enumerate(zip(scene.partners, faces, strict=True)):
         if partner is None:
             continue
@@ -276,13 +277,13 @@ def march_rows(
     wanted: int = tracked.WANT_ALL,
     requested: float = 0.0,
     stop_at_loss: bool = True,
-    keep: bool = False,
 ) -> Scaled:
     """Run the kernel on all rows of `arguments`, with more room for those that run out of it.
 
-    requested: the tolerance of the answers, where `tolerance` is closer; keep: the paths.
+    wanted: bits `tracked.WANT_*`.  requested: the tolerance of the answers, where `tolerance` is
+    closer.
     """
-    from uqsphere.mechanics.integrator.kernel import Rows, march
+    from uqsphere.mechanics.integrator.kernel import Answers, Rows, march
 
     share = _LOCAL_DIFFERENCE if wanted & tracked.WANT_DIFFERENCE else _LOCAL
     finite = bool(np.isfinite(arguments["horizon"]).all())
@@ -293,59 +294,55 @@ def march_rows(
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
-    store = wanted & tracked.WANT_RISE != 0
+    keep = wanted & tracked.WANT_MOTION != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
-    n, rows = len(arguments["mass"]), Rows(**arguments)
-    answers, status, steps = (
-        empty_answers(n),
-        np.zeros(n, dtype=np.int64),
-        np.zeros(n, dtype=np.int64),
-    )
+    n = len(arguments["mass"])
+    laws = {} if has_laws else {"laws": tracked.elastic_faces(n)}
+    rigs = {} if rigged else {"rigs": tracked.two_bars(n)}
+    rows = Rows(**{**arguments, **laws, **rigs})
+    out = Answers(empty_answers(n), np.zeros(n, np.int64), np.zeros(n, np.int64))
     order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
+    settings = {
+        "mode": mode,
+        "wanted": wanted if has_laws else wanted & ~tracked.WANT_SHARE,
+        "has_laws": has_laws,
+        "rigged": rigged,
+        "stop_at_loss": stop_at_loss,
+        "tolerance": tolerance,
+        "local": local,
+        "closer": min(1.0, yielded / share),
+        "requested": requested,
+        "share": tracked.TAIL_SHARE ** (1.0 if mode == MODES["linear"] else 2.0 / 3.0),
+        "lanes": tracked.LANES,
+        "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
+        # lanes without a row
+        "row": -1,
+        "trips": np.inf,
+        "size": 1.0,
+        "wrong_allowed": 1.0,
+    }
     for capacity in _CAPACITIES:
         lanes = tracked.empty_lanes()
-        given = {
-            "mode": mode,
-            "wanted": wanted if has_laws else wanted & ~tracked.WANT_SHARE,
-            "has_laws": has_laws,
-            "rigged": rigged,
-            "stop_at_loss": stop_at_loss,
-            "store": store,
-            "keeping": keep,
-            "capacity": capacity,
-            "tolerance": tolerance,
-            "local": local,
-            "closer": min(1.0, yielded / share),
-            "requested": requested,
-            # how many steps are read again: all that there is room for, or the last one alone
-            "ring": capacity if store or keep or echoing else 1,
-            "share": tracked.TAIL_SHARE
-            if mode == MODES["linear"]
-            else tracked.TAIL_SHARE ** (2.0 / 3.0),
-            "row": -1,
-            "inverse_mu": 1.0,
-            "spring": 1.0,
-            "stiffness": 1.0,
-            "gives": 1.0,
-            "there": 1.0,
-            "trips": np.inf,
-        }
-        for name, value in given.items():
+        for name, value in settings.items():
             lanes[name] = value
+        lanes["capacity"] = capacity
+        # how many steps are read again: all that there is room for, or the last one alone
+        lanes["ring"] = capacity if wanted & tracked.WHOLE_PATH or echoing else 1
         # not set to anything: only the pages of steps that are taken ever cost memory.  With room
         # for a power of two of steps all lanes would share a few lines of the processor's cache
         made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
         kept = np.zeros((len(order), capacity if keep else 0), tracked.PATH)
-        march(rows, order, lanes, made, kept, answers, status, steps)
+        with without_collection() if not march.signatures else nullcontext():
+            march(rows, order, lanes, made, kept, out)
         if keep:
             for k, row in enumerate(order.tolist()):
-                path = kept[k, : steps[row]]
+                path = kept[k, : out.steps[row]]
                 paths[row] = path["start"].copy(), path["length"].copy(), path["series"].copy()
-        order = order[status[order] == tracked.FULL_ROOM]
+        order = order[out.status[order] == tracked.FULL_ROOM]
         if len(order) == 0:
             break
     kept_paths = tuple(path for _, path in sorted(paths.items()))
-    return Scaled(answers=answers, status=status, steps=steps, paths=kept_paths)
+    return Scaled(answers=out.answers, status=out.status, steps=out.steps, paths=kept_paths)
 
 
 def integrate(
@@ -426,12 +423,12 @@ def motions(
     """
     stop_at_loss = not scene.whole_record if stop_at_loss is None else stop_at_loss
     arguments = scaled_arguments(scene, rows)
-    wanted = wishes(quantities, scene.demands)
+    wanted = wishes(quantities, scene.demands) | tracked.WANT_MOTION
 
     def of(block: slice) -> list[Motion | int]:
         given = {name: column[block] for name, column in arguments.items()}
         found = march_rows(
-            given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss, keep=True
+            given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss
         )
         own, ends = given["laws"].shape[1] > 0, found.answers[:, tracked.ANSWER_END].tolist()
         return [

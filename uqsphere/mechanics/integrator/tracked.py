@@ -24,9 +24,8 @@ PAIR: Final = 2 * LANES
 POINTS: Final = 4
 #: points over a step at which a wave that comes back is read
 WAVE: Final = 12
-#: room for jumps that are under way in each bar; rows of working space that `step.follow_slow`
-#: needs
-QUEUE, SLOW_ROOM = 2048, 10
+#: room for jumps that are under way in each bar
+QUEUE: Final = 2048
 #: parts of a round trip in which the waves under way are bounded (`records`)
 CELLS: Final = 512
 
@@ -60,18 +59,18 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
     WANT_DURATION,
     WANT_CONTACT,
     WANT_CARRIED,
-) = (1 << k for k in range(8))
+    WANT_MOTION,
+) = (1 << k for k in range(9))
+#: all answers
 WANT_ALL = (1 << 8) - 1
+#: what reads all steps of a row again
+WHOLE_PATH = WANT_RISE | WANT_MOTION
 #: what the end of the record decides
 TO_THE_END = WANT_DURATION | WANT_CONTACT
 
 # largest values of a row so far: of each face's approach (of both where faces are alike), of the
 # difference of the forces, of the stored energy, of the sphere's share of it and of the mean force
 FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
-#: flag of a step in which a contact may be lost or found, or the record may end; the others are 1
-#: << kind
-SOMETHING = 1 << KINDS
-
 # answers of a row, scaled: approach, force difference, energy, times; of faces A and B each:
 # largest approach, that before the first echo, force of the other face at the peak of this one,
 # integral of its squared force; largest mean force and sphere's share of the stored energy; last
@@ -150,111 +149,165 @@ RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
 TAIL_SHARE = 0.01
 
 
-def _fields(
-    shape: tuple[int, ...], names: str, kind: str = "f8"
-) -> list[tuple[str, str, tuple[int, ...]]]:
-    return [(name, kind, shape) for name in names.split()]
-
-
-#: a step that is kept: when it began, how much of its series holds, the unit of its powers, the
-#: largest approach (force, where faces have laws) in it at most; waves that left the faces,
-#: approaches, spring and dent of the faces
+#: a step that is kept
 STEP: Final = np.dtype(
     [
-        *_fields((), "began holds unit crest"),
-        *_fields((2, TERMS), "wave path"),
-        *_fields((2,), "spring dent"),
+        ("began", "f8"),  # t_c; its start
+        ("holds", "f8"),  # t_c; how much of its series holds
+        ("unit", "f8"),  # t_c; the unit of its powers
+        ("crest", "f8"),  # largest approach in it at most; force, where faces have laws
+        ("wave", "f8", (2, TERMS)),  # waves that left the faces, f - P/Z of theory (5)
+        ("path", "f8", (2, TERMS)),  # approaches above the dents
+        ("spring", "f8", 2),  # stiffness of the faces; 0 on virgin loading
+        ("dent", "f8", 2),  # dents of the faces
     ]
 )
-#: a step of a motion that is asked for: start, length; x_1, x_2, u, q_1, q_2 in powers of the share
-#: of it
-PATH: Final = np.dtype([("start", "f8"), ("length", "f8"), ("series", "f8", (5, TERMS))])
+#: a step of a motion that is asked for
+PATH: Final = np.dtype(
+    [
+        ("start", "f8"),  # t_c
+        ("length", "f8"),  # t_c
+        ("series", "f8", (5, TERMS)),  # x_1, x_2, u, q_1, q_2 in powers of the share of it
+    ]
+)
 
-#: what the kernel knows of the rows in its lanes; per lane (LANES,), per face (PAIR,): those of
-#: face A first.  What is not a multiple of a vector stands last
+_LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
+#: everything the kernel knows of the rows in its lanes, one field a line: its unit if it has one,
+#: what it is, and which function writes it.  Times over t_c, approaches over alpha_c, forces over
+#: P_c, speeds over their scale (theory, section 4); "bits" count faces.  (LANES,): of a lane;
+#: (PAIR,): of a face, the faces A of all lanes first
 LANE: Final = np.dtype(
     [
-        # the row (-1: none) and its place in the order; steps taken and tried, what becomes of it;
-        # what its step may have met (bits), what ended it (End), at which face; whether an echo is
-        # read from a single step, the forces follow laws of the faces; faces (bits) on the wrong
-        # branch
-        *_fields(
-            (LANES,),
-            "row place_in_order count attempts fate flags why side single by_law switched",
-            "i8",
-        ),
-        # mu, 1/mu, mu or inf without mass; how quickly the lightest body answers; error allowed in
-        # one step; end of the record, of the pulse where the tail counts; round trip; the wave that
-        # stays, or -1
-        *_fields(
-            (LANES,), "mass inverse_mu inertia quickest error end pulse_end fades back steady"
-        ),
-        # time, length of the trial step, share of it that is taken, length to try next, next jump;
-        # 1 where it starts from a touch, is on the slow motion; when that is looked for next
-        *_fields((LANES,), "time h theta proposed stop touching on_slow calm"),
-        # approaches below which the record ends, a contact may be lost, its error may decide;
-        # bounds and doubts of a step
-        *_fields((LANES,), "low near faint crest alarm misfit crosses unfit place_of at_u rate_u"),
-        # pulse: its piece (frequency, offset, cubic); far ends: reflection, round trip; jumps under
-        # way; steps of the echo
-        *_fields((LANES,), "frequency offset"),
-        *_fields((4, LANES), "cubic"),
-        *_fields((2, LANES), "reflect trips"),
-        *_fields((2, LANES, QUEUE), "queue"),
-        *_fields((2, LANES), "head tail first last", "i8"),
-        # scales of x_1, u, x_2, U_A, -U_B
-        *_fields((5, LANES), "size"),
-        # what is followed: largest values; whether a face has touched, its largest approach before
-        # the first echo, force of the other at its peak, integral of its squared force; first loss,
-        # end, last parting, unloadings, touches in all and before the peak, impulse of the mean
-        # force, duration; when an approach first is faint, how far its error moves the loss
-        *_fields((KINDS, LANES), "peak"),
-        *_fields((2, LANES), "touched x_first other carried"),
-        *_fields(
-            (LANES,),
-            "lost ended parted unloadings touches chatter impulse duration grazed blur "
-            "counted counted_peak",
-        ),
-        # the law of a face (`faces`), and what stands at its pole: zeta, 1/mu_i, 1 or 0 where
-        # nothing does
-        *_fields(
-            (PAIR,),
-            (
-                "dent shift spring by_x by_root by_log constant base largest peak_force onset "
-                "softening pile_up"
-            ),
-        ),
-        *_fields((PAIR,), "stiffness chi unit_force hertz gives lightness there"),
-        # the series of a step: approaches, sqrt, forces, 2 f and -2 h, U_A and -U_B, logarithm; the
-        # sphere's speed
-        *_fields((TERMS, PAIR), "x root force push free log"),
-        *_fields((TERMS, LANES), "u"),
-        # approaches, derivatives and half the second ones at equal distances over the step
-        *_fields((POINTS + 1, PAIR), "at rate bow"),
-        # largest approaches known, bounds of those in a step and where they lie; turns at one time;
-        # room for recurrences
-        *_fields(
-            (PAIR,),
-            "known top place bent width value slope bend wrong turned_at turns half inverse start",
-        ),
-        # room
-        *_fields((9, PAIR), "room"),
-        *_fields((3, LANES), "reach left left_slope"),
-        *_fields((4, WAVE), "work"),
-        *_fields((TERMS, SLOW_ROOM), "slow"),
-        *_fields((2, CELLS), "cell_end cell_wave"),
-        # the step of one lane that is searched: its series, values and slopes, where its faces are
-        # pressed deepest
-        *_fields((TERMS, 2), "piece"),
-        *_fields((2, 2, POINTS + 1), "grid"),
-        *_fields((2,), "places"),
-        # of all rows: what is integrated and wanted, steps that are read again; whether faces have
-        # laws, other partners than bars stand at the poles, the record of bars ends at the first
-        # loss, paths are stored, are given out
-        *_fields((), "mode wanted ring capacity has_laws rigged stop_at_loss store keeping", "i8"),
-        # tolerance, error allowed in one step, share of it once a face has yielded, tolerance of
-        # the answers, tail's share
-        *_fields((), "tolerance local closer requested share"),
+        # the row
+        ("row", "i8", _LANE),  # its number, -1 for an idle lane; enter, leave
+        ("place_in_order", "i8", _LANE),  # its place among the rows asked for; march
+        ("count", "i8", _LANE),  # steps taken; keep
+        ("attempts", "i8", _LANE),  # steps tried again; holds
+        ("fate", "i8", _LANE),  # status it leaves with, -1 while it goes on; turn, judge
+        ("mass", "f8", _LANE),  # mu; enter
+        ("inverse_mu", "f8", _LANE),  # 1/mu, 0 without mass; enter
+        ("quickest", "f8", _LANE),  # how quickly the lightest body answers a force; enter
+        ("end", "f8", _LANE),  # t_c; end of the record at the latest; enter
+        ("pulse_end", "f8", _LANE),  # t_c; end of the incident pulse; enter
+        ("back", "f8", _LANE),  # t_c; when the first echo is back; enter
+        ("reflect", "f8", (2, LANES)),  # reflection coefficients of the far ends; enter
+        ("trips", "f8", (2, LANES)),  # t_c; round trips, inf without echo; enter
+        # the step
+        ("time", "f8", _LANE),  # t_c; where it starts; turn
+        ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echoes
+        ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
+        ("proposed", "f8", _LANE),  # t_c; what to try next; holds, turn
+        ("stop", "f8", _LANE),  # t_c; next jump of the waves, or the end; jump
+        ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep
+        ("size", "f8", (5, LANES)),  # scales of x_1, u, x_2, U_A, U_B; enter, turn
+        ("wrong_allowed", "f8", _LANE),  # impulse by which a root may be off; try_step
+        ("touching", "i8", _LANE),  # 1 where it starts from a touch; enter, turn
+        ("single", "i8", _LANE),  # 1 where an echo is read from a single step; holds
+        ("why", "i8", _LANE),  # what ends it, see End; choose, after_step
+        ("side", "i8", _LANE),  # at which face; after_step
+        ("switched", "i8", _LANE),  # bits: faces on the wrong branch; choose
+        # the waves
+        ("frequency", "f8", _LANE),  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
+        ("offset", "f8", _LANE),  # t_c; where the piece of the pulse begins; enter_piece
+        ("cubic", "f8", (4, LANES)),  # coefficients of the piece in powers of t; enter_piece
+        ("steady", "f8", _LANE),  # what runs in for ever, -1 while it may change; jump
+        ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
+        ("head", "i8", (2, LANES)),  # the first of them; next_break
+        ("tail", "i8", (2, LANES)),  # behind the last of them; reflect_break
+        ("first", "i8", (2, LANES)),  # first step an echo is read from, -1: none; echo_steps
+        ("last", "i8", (2, LANES)),  # last one; echo_steps
+        ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echoes
+        ("returns", "f8", _FACE),  # factor of it, twice R, 0 without echo; waves
+        ("negligible", "f8", _FACE),  # terms of it that may be left out; waves
+        ("degrees", "f8", (WAVE, PAIR)),  # its Chebyshev coefficients; fit_echoes
+        ("misfit", "f8", _FACE),  # its last two terms; fit_echoes
+        # the faces: law, branch, and what stands at the pole
+        ("by_law", "i8", _LANE),  # 1 where a force is no longer x^(3/2); enter, turn
+        ("stiffness", "f8", _FACE),  # factor of x^(3/2) before anything yields; new_faces
+        ("onset", "f8", _FACE),  # approach at which it yields, inf: never; new_faces
+        ("softening", "f8", _FACE),  # b of (C3); new_faces
+        ("pile_up", "f8", _FACE),  # C of (C6); new_faces
+        ("chi", "f8", _FACE),  # share of the sphere in the stored energy; new_faces
+        ("unit_force", "f8", _FACE),  # force at the onset; new_faces
+        ("spring", "f8", _FACE),  # factor of x^(3/2) above the dent, 0 on virgin loading; switch
+        ("dent", "f8", _FACE),  # x_r; let_go
+        ("largest", "f8", _FACE),  # x_m, deepest so far or the onset; let_go, press_deeper
+        ("peak_force", "f8", _FACE),  # force there; let_go
+        ("hertz", "f8", _FACE),  # force = hertz x y + by_x x + by_root y + by_log l + constant,
+        ("by_x", "f8", _FACE),  # y = sqrt(x + shift), l = ln(y + base); switch
+        ("by_root", "f8", _FACE),
+        ("by_log", "f8", _FACE),
+        ("constant", "f8", _FACE),
+        ("shift", "f8", _FACE),
+        ("base", "f8", _FACE),
+        ("start", "f8", _FACE),  # terms of that without x or y, at the start; start_series
+        ("inverse", "f8", _FACE),  # 1/(y + base) there, 0 without logarithm; start_series
+        ("half", "f8", _FACE),  # 1/(2 y) there; expand
+        ("turned_at", "f8", _FACE),  # t_c; when the branch was last found wrong; holds
+        ("turns", "f8", _FACE),  # how often at that time; holds
+        ("gives", "f8", _FACE),  # zeta, 1 for a bar; enter
+        ("lightness", "f8", _FACE),  # 1/mu_i of a body that moves freely; enter
+        ("there", "f8", _FACE),  # 0 where nothing stands at the pole; enter
+        ("side_sign", "f8", _FACE),  # +1 at A, -1 at B; march_rows
+        # the series of the step, in powers of theta
+        ("x", "f8", _SERIES),  # approaches above the dents; turn, expand
+        ("u", "f8", _SERIES),  # speed of the sphere, in both columns; turn, expand
+        ("free", "f8", _SERIES),  # U_A, -U_B; turn, expand
+        ("push", "f8", _SERIES),  # 2 f, -2 h; incident, fit_echoes
+        ("root", "f8", _SERIES),  # y; expand
+        ("force", "f8", _SERIES),  # expand
+        ("beside", "f8", _SERIES),  # x, or on virgin loading k times the terms of l; expand
+        ("wrong", "f8", _FACE),  # error of the force by its root at the step's end; keep_roots
+        ("excess", "f8", _LANE),  # impulse of that over what is allowed; keep_roots
+        ("at", "f8", (POINTS + 1, PAIR)),  # approaches at equal distances; survey
+        ("rate", "f8", (POINTS + 1, PAIR)),  # their derivatives by theta; survey
+        ("top", "f8", _FACE),  # bound of an approach above; survey
+        ("floor", "f8", _FACE),  # and below; survey
+        ("u_end", "f8", _FACE),  # u at the step's end; survey
+        # what is followed
+        ("low", "f8", _LANE),  # approach below which the record ends, -inf: none; try_step
+        ("near", "f8", _LANE),  # approach below which a contact may be lost; try_step
+        ("faint", "f8", _LANE),  # error of an approach; try_step
+        ("peak", "f8", (KINDS, LANES)),  # largest values so far, see KINDS; after_step
+        ("touched", "f8", (2, LANES)),  # 1 once a face has touched; after_step
+        ("x_first", "f8", (2, LANES)),  # largest approaches before the first echo; after_step
+        ("other", "f8", (2, LANES)),  # force of the other face at a face's peak; after_step
+        ("carried", "f8", (2, LANES)),  # integrals of the squared forces; after_step
+        ("impulse", "f8", _LANE),  # integral of the mean force; after_step
+        ("duration", "f8", _LANE),  # t_c; impulse over peak of the mean force; note_duration
+        ("counted", "f8", _LANE),  # t_c; up to when it counts; note_duration
+        ("counted_peak", "f8", _LANE),  # the peak that it counts; note_duration
+        ("lost", "f8", _LANE),  # t_c; first loss of contact; after_step
+        ("grazed", "f8", _LANE),  # t_c; when an approach was first faint before it; after_step
+        ("blur", "f8", _LANE),  # t_c; how far the error of the approach moves it; after_step
+        ("parted", "f8", _LANE),  # t_c; last loss of contact; turn
+        ("ended", "f8", _LANE),  # t_c; end of the record; after_step, leave
+        ("touches", "f8", _LANE),  # contacts found again; turn
+        ("chatter", "f8", _LANE),  # those before the largest approach; after_step
+        ("unloadings", "f8", _LANE),  # of faces that yield; switch
+        # room to work on one lane
+        ("lane", "i8"),  # the lane that is searched; take_piece
+        ("piece", "f8", (2, TERMS)),  # its series of the approaches; take_piece
+        ("places", "f8", 2),  # theta of the largest approaches of a step, -1: none; after_step
+        ("nodes", "f8", WAVE),  # places in a step that is summed over; note_impulse
+        ("work", "f8", WAVE),  # values there, or of an echo; read, read_echo
+        ("cell_end", "f8", (2, CELLS)),  # t_c; ends of the cells of waves under way; records
+        ("cells", "i8", 2),  # how many of them; records
+        ("cell_wave", "f8", (2, CELLS)),  # the waves in them at most; records
+        # of all rows, from march_rows
+        ("mode", "i8"),  # FULL, LINEAR or MASSLESS
+        ("wanted", "i8"),  # bits WANT_*
+        ("ring", "i8"),  # steps that are read again, a power of two
+        ("capacity", "i8"),  # steps there is room for
+        ("has_laws", "i8"),  # 1 where faces differ or may yield
+        ("rigged", "i8"),  # 1 where other partners than bars stand at the poles
+        ("stop_at_loss", "i8"),  # 1 where the record of bars may end at a loss of contact
+        ("share", "f8"),  # of the largest approach, below which a record ends in infinite bars
+        ("lanes", "i8"),  # LANES, as a number that the compiler does not know
+        ("tolerance", "f8"),  # of this look at the rows
+        ("requested", "f8"),  # of the answers
+        ("local", "f8"),  # error allowed in one step
+        ("closer", "f8"),  # share of it once a face has yielded
     ]
 )
 
@@ -264,6 +317,20 @@ def empty_lanes() -> Any:
     line = 64
     room = np.zeros(LANE.itemsize + line, np.uint8)
     return room[-room.ctypes.data % line :][: LANE.itemsize].view(LANE)
+
+
+def elastic_faces(rows: int) -> Array:
+    """Laws (rows, LAWS, 2) of faces that do not yield and are alike."""
+    laws = np.ones((rows, LAWS, 2))
+    laws[:, LAW_ONSET] = np.inf
+    return laws
+
+
+def two_bars(rows: int) -> Array:
+    """Rigs (rows, RIGS, 2) of two bars."""
+    rigs = np.zeros((rows, RIGS, 2))
+    rigs[:, [RIG_GIVES, RIG_THERE]] = 1.0
+    return rigs
 
 
 def empty_answers(rows: int) -> Array:

@@ -1,0 +1,276 @@
+"""What all lanes do together, in plain loops over columns: series, step lengths, nodes, echoes.
+
+The motion between two jumps of the waves is analytic as long as a pressed face stays pressed, so
+its Taylor series about the start of a step follows from recurrences for products and square roots
+(R. Barrio, Appl. Math. Comput. 163, 2005, 525; A. Jorba, M. Zou, Experimental Mathematics 14, 2005,
+99).  With theta = 0 ... 1 over the length h of the step, theory (9) and (R3) read
+
+    (k+1) x[k+1] = h (push[k] + free[k] - gives force[k] -+ u[k])     push: 2 f at A, -2 h at B
+    (k+1) u[k+1] = h/mu (force_A[k] - force_B[k])                     free: U_A, -U_B
+    2 y[0] y[k]  = x[k] - sum of y[j] y[k-j], 0 < j < k               y = sqrt(x)
+    force[k]     = sum of x[j] y[k-j], 0 <= j <= k                    force = x^(3/2)
+
+and on virgin loading (`faces`) with l = ln(y + base): k y[k] = sum of j l[j] y[k-j] + base k l[k].
+
+LLVM turns a loop over columns into vector instructions where it can see that nothing overlaps (all
+fields belong to one record), where every inner loop has a length known when compiling (one function
+for each power), and where 32 columns are enough not to be unrolled before.  Columns are the faces A
+of all lanes, then their faces B; what belongs to a lane stands in both of its columns.  Every
+column goes through the same instructions: the bits of a row do not depend on its lane.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial, chebyshev
+
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.tracked import LANES, MASSLESS, ORDER, PAIR, POINTS, TERMS, WAVE
+
+#: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section
+#: 5)
+_CIRCLE = 0.85
+#: times a step is shortened at most because the series of its root has parted from the root
+_SHORTER = 3
+
+
+def _coefficient(k):
+    """A function for the k-th coefficients of roots and forces, and the next ones of the motion."""
+    share, middle, half_way, by_power = 1.0 / (k + 1.0), k // 2, (k + 1) // 2, 1.0 / max(k, 1)
+
+    @compiled
+    def coefficient(s, lanes):
+        if k == 0:
+            for c in range(PAIR):
+                x = s.x[0, c]
+                above = x + s.shift[c]
+                root = math.sqrt(max(above, 0.0))
+                s.root[0, c] = root
+                s.half[c] = 0.5 / root if above > 0.0 else 0.0
+                s.beside[0, c] = x if s.spring[c] > 0.0 else 0.0
+                s.force[0, c] = (
+                    s.hertz[c] * (x * root) + s.by_x[c] * x + s.by_root[c] * root + s.start[c]
+                )
+        else:
+            for c in range(PAIR):
+                products = 0.0
+                for i in range(1, half_way):
+                    products += s.root[i, c] * s.root[k - i, c]
+                products *= 2.0
+                if k % 2 == 0:
+                    products += s.root[middle, c] * s.root[middle, c]
+                x = s.x[k, c]
+                root = (x - products) * s.half[c]
+                s.root[k, c] = root
+                product = s.beside[0, c] * root
+                for i in range(1, k):
+                    product += s.beside[i, c] * s.root[k - i, c]
+                log = (k * root - product) * s.inverse[c]
+                s.beside[k, c] = x if s.spring[c] > 0.0 else log
+                product += x * s.root[0, c]
+                s.force[k, c] = (
+                    s.hertz[c] * product
+                    + s.by_x[c] * x
+                    + s.by_root[c] * root
+                    + s.by_log[c] * (by_power * log)
+                )
+        if k == ORDER:
+            return
+        for c in range(PAIR):
+            h, force = s.h[c] * share, s.force[k, c]
+            rate = s.push[k, c] + s.free[k, c] - s.gives[c] * force - s.side_sign[c] * s.u[k, c]
+            s.x[k + 1, c] = h * s.there[c] * rate
+            s.free[k + 1, c] = -h * s.lightness[c] * force
+        if s.mode == MASSLESS:  # both faces move alike, and u stays 0
+            for j in range(lanes):
+                rate = 0.5 * (s.push[k, j] + s.push[k, LANES + j]) - s.force[k, j]
+                x = s.h[j] * share * rate
+                s.x[k + 1, j] = x
+                s.x[k + 1, LANES + j] = x
+        for j in range(lanes):  # a constant would be unrolled
+            u = s.h[j] * share * s.inverse_mu[j] * (s.force[k, j] - s.force[k, LANES + j])
+            s.u[k + 1, j] = u
+            s.u[k + 1, LANES + j] = u
+
+    return coefficient
+
+
+(_c0, _c1, _c2, _c3, _c4, _c5, _c6, _c7, _c8, _c9, _c10, _c11, _c12, _c13, _c14, _c15, _c16) = map(
+    _coefficient, range(TERMS)
+)
+
+
+@compiled(inline=True)
+def expand(s, lanes):
+    """The series of x, u, free, root and force from their first terms."""
+    _c0(s, lanes)
+    _c1(s, lanes)
+    _c2(s, lanes)
+    _c3(s, lanes)
+    _c4(s, lanes)
+    _c5(s, lanes)
+    _c6(s, lanes)
+    _c7(s, lanes)
+    _c8(s, lanes)
+    _c9(s, lanes)
+    _c10(s, lanes)
+    _c11(s, lanes)
+    _c12(s, lanes)
+    _c13(s, lanes)
+    _c14(s, lanes)
+    _c15(s, lanes)
+    _c16(s, lanes)
+
+
+@compiled
+def reach(s):
+    """theta up to which the last two terms of every series stay below the error allowed, times its
+    scale.
+
+    Where a face nearly leaves, x = 0 lies close to the real axis: the last terms may still be small
+    beyond the circle in which the series holds, and its radius follows from how they grow over four
+    powers.
+    """
+    o, p, n, r = ORDER, ORDER - 1, ORDER - 4, ORDER - 5
+    for a in range(LANES):
+        b = LANES + a
+        before_a, before_b = abs(s.x[p, a]), abs(s.x[p, b])
+        last_a, last_b = abs(s.x[o, a]), abs(s.x[o, b])
+        x_a, x_b, u, v_a, v_b = s.size[0, a], s.size[2, a], s.size[1, a], s.size[3, a], s.size[4, a]
+        before = max(max(before_a / x_a, before_b / x_b), abs(s.u[p, a]) / u)
+        before = max(before, max(abs(s.free[p, a]) / v_a, abs(s.free[p, b]) / v_b))
+        last = max(max(last_a / x_a, last_b / x_b), abs(s.u[o, a]) / u)
+        last = max(last, max(abs(s.free[o, a]) / v_a, abs(s.free[o, b]) / v_b))
+        error = s.error[a]
+        # theta^15 before + theta^16 last = error, by one step of a fixed-point iteration
+        t = math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (before + last + 1e-300)))))
+        t = min(t, 8.0)
+        t_4 = t * t * (t * t)
+        t_15 = t_4 * t_4 * t_4 * (t * t * t)
+        sum_15 = t_15 * (before + t * last)
+        t *= math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (sum_15 + 1e-300)))))
+        late_a, late_b = max(before_a, last_a), max(before_b, last_b)
+        early_a = max(abs(s.x[r, a]), abs(s.x[n, a]))
+        early_b = max(abs(s.x[r, b]), abs(s.x[n, b]))
+        circle_a = _CIRCLE * math.sqrt(math.sqrt(early_a / (late_a + 1e-300)))
+        circle_b = _CIRCLE * math.sqrt(math.sqrt(early_b / (late_b + 1e-300)))
+        t = min(t, circle_a) if late_a > 1e-3 * error * x_a else t
+        t = min(t, circle_b) if late_b > 1e-3 * error * x_b else t
+        # a series that has overflowed says nothing, except that the step was far too long
+        s.theta[a] = t if before + last < 1e200 else 0.0
+
+
+@compiled
+def _root_ends(s):
+    """s.wrong: by how much the force of the series of sqrt(x) differs at the step's end from that
+    of x.
+
+    Past a point where a face nearly leaves, x has two complex roots so close to the real axis that
+    the series walks between them and goes on, smoothly, with -sqrt(x).
+    """
+    for c in range(PAIR):
+        z, x, root = s.theta[c], s.x[ORDER, c], s.root[ORDER, c]
+        for k in range(1, TERMS):
+            x = x * z + s.x[ORDER - k, c]
+            root = root * z + s.root[ORDER - k, c]
+        wrong = x * abs(root - math.sqrt(max(x + s.shift[c], 0.0))) * s.stiffness[c]
+        s.wrong[c] = wrong if min(x, s.x[0, c]) > 0.0 else 0.0
+
+
+@compiled
+def keep_roots(s):
+    """Shorten the steps at whose ends the root's series has parted from the root.
+
+    s.excess: the impulse of that difference over the whole step, over what is allowed.
+    """
+    for attempt in range(_SHORTER + 1):
+        _root_ends(s)
+        shorter = False
+        for j in range(LANES):
+            wrong = max(s.wrong[j], s.wrong[LANES + j])
+            s.excess[j] = s.h[j] * s.theta[j] * wrong / s.wrong_allowed[j]
+            if attempt < _SHORTER and s.excess[j] > 1.0 and s.row[j] >= 0:
+                # if what grows is its last term
+                theta = s.theta[j] * max(0.5, 0.95 * s.excess[j] ** (-1.0 / ORDER))
+                s.theta[j] = s.theta[LANES + j] = theta
+                shorter = True
+        if not shorter:
+            break
+
+
+@compiled
+def survey(s):
+    """Approaches and rates at the nodes of every step, their bounds between them, other ends."""
+    for i in range(POINTS + 1):
+        share = i / POINTS
+        for c in range(PAIR):
+            z, x, rate = share * s.theta[c], s.x[ORDER, c], 0.0
+            for k in range(1, TERMS):
+                rate = rate * z + x
+                x = x * z + s.x[ORDER - k, c]
+            s.at[i, c] = x
+            s.rate[i, c] = rate
+    for c in range(PAIR):
+        width, top, floor = s.theta[c] / POINTS, s.at[0, c], s.at[0, c]
+        for i in range(1, POINTS + 1):
+            left, right = s.at[i - 1, c], s.at[i, c]
+            a, b = width * s.rate[i - 1, c], width * s.rate[i, c]
+            # where the tangents meet, and a fifth for bends
+            bow = 1.2 * a * b / (b - a) if a * b < 0.0 else 0.0
+            top = max(top, max(left, right) + max(bow, 0.0))
+            floor = min(floor, min(left, right) + min(bow, 0.0))
+        s.top[c] = top
+        s.floor[c] = floor
+    for c in range(PAIR):
+        u = s.u[ORDER, c]
+        for k in range(1, TERMS):
+            u = u * s.theta[c] + s.u[ORDER - k, c]
+        s.u_end[c] = u
+
+
+# --- waves that come back
+
+#: points over a step at which a wave that comes back is read
+WAVE_THETAS = 0.5 - 0.5 * np.cos(np.pi * (np.arange(WAVE) + 0.5) / WAVE)
+#: weights (degree, point) that turn the values there into Chebyshev coefficients, and (power,
+#: degree) that turn those into powers of theta
+_TO_DEGREES = np.linalg.inv(chebyshev.chebvander(2.0 * WAVE_THETAS - 1.0, WAVE - 1))
+_TO_POWERS = np.zeros((WAVE, WAVE))
+for _k in range(WAVE):
+    _TO_POWERS[: _k + 1, _k] = (
+        Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
+    )
+_TO_DEGREES = np.ascontiguousarray(_TO_DEGREES)
+#: Chebyshev terms that are kept in any case
+_LEAST = 4
+
+
+@compiled
+def fit_echoes(s):
+    """Add the waves read at Chebyshev points, s.echo times s.returns, to what runs towards the
+    faces.
+
+    Terms that together stay below s.negligible are joints between steps: as powers of theta they
+    would be large.
+    """
+    for degree in range(WAVE):
+        for c in range(PAIR):
+            total = 0.0
+            for i in range(WAVE):
+                total += _TO_DEGREES[degree, i] * s.echo[i, c]
+            s.degrees[degree, c] = total * s.returns[c]
+    for c in range(PAIR):
+        s.misfit[c] = abs(s.degrees[WAVE - 1, c]) + abs(s.degrees[WAVE - 2, c])
+        dropped = 0.0
+        for back in range(WAVE - _LEAST):
+            term = s.degrees[WAVE - 1 - back, c]
+            dropped += abs(term)
+            s.degrees[WAVE - 1 - back, c] = term if dropped > s.negligible[c] else 0.0
+    for k in range(WAVE):
+        for c in range(PAIR):
+            total = s.push[k, c]
+            for degree in range(WAVE):
+                total += _TO_POWERS[k, degree] * s.degrees[degree, c]
+            s.push[k, c] = total
