@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Final, get_args
 
 import numpy as np
@@ -12,7 +13,6 @@ from uqsphere.propagation.checks import Check, range_checks
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.doubts import ASSUMED
-from uqsphere.propagation.line import Line
 from uqsphere.results.types import Caveat, CaveatCode
 from uqsphere.study import strength_name
 
@@ -49,40 +49,38 @@ def _model_range(
     """Checks that fail in the rows that fail: those of the plan, and those of the model's range at
     the number to use, where contacts can yield by contacts that do.
     """
-    design, told = settled.aim.design, set[str]()
-    for check in checks:
-        for limit in settled.aim.limits:
-            share = check.failures.get(limit.name, 0.0)
-            if check.grade == "failure" and share > limit.target and check.name not in told:
-                told.add(check.name)
-                yield Caveat(code="model range", subject=check.name, value=share, text=check.text)
-    number, line = settled.number, settled.line
-    if design.study.black_box or number is None or not math.isfinite(number):
-        return
-    nearest = int(np.argmin(np.abs(line.places - line.place_of(number))))
-    few = line.few
-    under = Line(design=design, values=(few.values[nearest],), samples=(few.samples[nearest],))
-    if yielding is not None:
-        under = yielding.along(under) or under
-    for check in range_checks(under, settled.aim.limits, under.values[0]):
-        share = max(check.failures.values(), default=0.0)
-        if share > design.study.analysis.accuracy.probability and check.name not in told:
-            told.add(check.name)
-            yield Caveat(code="model range", subject=check.name, value=share, text=check.text)
+    study, limits, line = settled.aim.design.study, settled.aim.limits, settled.line
+    failing = {
+        check.name: (check.failures[limit.name], check.text)
+        for check in checks
+        for limit in reversed(limits)
+        if check.grade == "failure" and check.failures.get(limit.name, 0.0) > limit.target
+    }
+    if settled.use is not None and not study.black_box:
+        nearest = int(np.argmin(np.abs(line.places - line.place_of(settled.use))))
+        few = line.few
+        under = replace(few, values=few.values[nearest:][:1], samples=few.samples[nearest:][:1])
+        if yielding is not None:
+            under = yielding.along(under) or under
+        for check in range_checks(under, limits):
+            share = max(check.failures.values(), default=0.0)
+            if share > study.analysis.accuracy.probability:
+                failing.setdefault(check.name, (share, check.text))
+    for name, (share, text) in failing.items():
+        yield Caveat(code="model range", subject=name, value=share, text=text)
 
 
 def _sizes(settled: Settled) -> Iterator[Caveat]:
     """A sphere that is more than half larger or smaller than all tested ones."""
-    study = settled.aim.design.study
+    design = settled.aim.design
+    diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
     for limit in settled.aim.limits:
-        if limit.tested is None:
-            continue
-        diameter = 2.0 * study.at_means()["sphere.radius"]
-        if limit.tested.beyond(diameter) > _SIZES:
-            sizes = limit.tested.diameters or (limit.tested.diameter,)
+        tested = limit.tested
+        if tested is not None and tested.beyond(diameter) > _SIZES:
+            sizes = tested.diameters or (tested.diameter,)
             yield Caveat(
                 code="size",
-                subject=settled.aim.design.subject(limit),
+                subject=design.subject(limit),
                 value=diameter,
                 bound=min(sizes, key=lambda size: abs(size - diameter)),
             )

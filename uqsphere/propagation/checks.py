@@ -5,17 +5,16 @@ answers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.limits import failure_given_inputs, state_of
-from uqsphere.propagation.line import Line
+from uqsphere.propagation.limits import failure_given_inputs
+from uqsphere.propagation.line import Line, inputs_at, plan_of
 from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.tables import Tables, stacked
+from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import CheckEntry, Grade
 from uqsphere.study import Limit
@@ -31,28 +30,14 @@ _TIMES = {"time_to_first_loss", "contact_duration"}
 GRADES: tuple[Grade, ...] = ("ok", "note", "warning", "failure")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """One check: the share of rows that breach it, its grade, and the share of each limit's
-    failures that do.
-    """
+class Check(CheckEntry):
+    """One check, with the share of each limit's failures that breach it."""
 
-    name: str
-    text: str
-    share: float
-    grade: Grade
-    effect: str = ""
-    failures: Mapping[str, float] = field(default_factory=dict)
+    failures: Mapping[str, float] = {}
 
     def entry(self) -> CheckEntry:
         """As the results have it."""
-        return CheckEntry(
-            name=self.name,
-            text=self.text,
-            share=self.share,
-            grade=self.grade,
-            effect=self.effect,
-        )
+        return CheckEntry(**self.model_dump(exclude={"failures"}))
 
 
 def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:
@@ -64,54 +49,30 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
         for note in notes
     ]
     sample = tables.sample
-    each = max(ROWS // len(sample.scores), 1)
-    head = sample.head(min(each, sample.count))
     if not design.study.black_box:
-        rows = stacked([head.input(name).ravel() for name in design.inputs])
-        results, grades = checked_rows(design.judged, design.inputs, rows, design.columns)
-        weights = {
-            limit.name: np.ravel(failure_given_inputs(state_of(design, limit, head), limit.aim))
-            for limit in design.limits
-        }
-        for result in results:
-            if not result.grade or (
-                result.check == "grazing_contact" and _TIMES.isdisjoint(design.columns)
-            ):
-                continue
-            broken = np.resize(grades.get(result.check, np.zeros(1)), head.size) == 3
-            failures = {
-                name: float((w * broken).sum() / w.sum())
-                for name, w in weights.items()
-                if w.sum() > 0.0
-            }
-            worst = max(failures.values(), default=0.0)
-            effect = ""
+        each = max(ROWS // sample.replicates, 1)
+        plan = plan_of(design, sample.head(min(each, sample.count)))
+        for check in _breaches(plan, design.limits):
+            worst, effect = max(check.failures.values(), default=0.0), ""
             if worst:
                 effect = f"{format_probability(worst)} of the failures lie in such rows"
-            elif GRADES[result.grade] != "note":
+            elif check.grade != "note":
                 effect = "bias not quantified"
-            breached.append(
-                Check(
-                    name=result.check,
-                    text=result.text,
-                    share=float(result.share),
-                    grade=GRADES[result.grade],
-                    effect=effect,
-                    failures=failures,
-                )
-            )
+            if check.name != "grazing_contact" or not _TIMES.isdisjoint(design.columns):
+                breached.append(check.model_copy(update={"effect": effect}))
+        _, rows = inputs_at(plan)
         breached += _later_loading(design, rows) + _out_of_reach(design, rows)
     source = source_of(design, tables)
     failed = source.dropped or float(sample.failed.mean())
     if failed > 0.0:
-        policy = design.study.analysis.policy
+        effects = {"drop": "left out"}
         breached.append(
             Check(
                 name="failed_rows",
                 share=failed,
                 grade="warning",
                 text=f"{format_probability(failed)} of the model runs failed",
-                effect="left out" if policy == "drop" else "intervals widened",
+                effect=effects.get(design.study.analysis.policy, "intervals widened"),
             )
         )
     if source.refusal:
@@ -128,52 +89,55 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 effect=f"failure probabilities below {3.0 / n:.2g} are bounds",
             )
         )
-    breached += _heavy_tails(design, tables)
-    return breached
+    return breached + _heavy_tails(design, tables)
 
 
-#: checks of the contact that hold a number in rows of the worst grade
-_RANGE: Final = ("small_contact", "deep_dent", "plastic_range")
-#: those that hold it wherever faces yield that are taken for elastic, with no law of their yield
-_YIELD: Final = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
+#: grade from which a check of the contact holds a number; those of faces that yield do so wherever
+#: they are taken for elastic, with no law of their yield
+_RANGE: Final = {"small_contact": 3, "deep_dent": 3, "plastic_range": 3}
+_YIELD: Final = {"bar_yield_contact": 2, "sphere_yield_contact": 2, "face_yield": 2}
 
 
-def range_checks(line: Line, limits: Sequence[Limit], value: float | None = None) -> list[Check]:
+def range_checks(line: Line, limits: Sequence[Limit]) -> list[Check]:
     """The checks of the contact's range in the rows of a line at one value of the free number, with
     the share of each limit's failures that lie in rows beyond it.
     """
-    design, sample = line.design, line.samples[0]
-    names, columns = list(design.inputs), [sample.input(name).ravel() for name in design.inputs]
-    margins = design.study.margins
-    moves = value is not None and margins is not None and margins.limit is None
-    if moves and margins is not None and margins.solve not in names:
-        names.append(margins.solve)
-        columns.append(np.full(sample.size, value))
-    rows = stacked(columns, sample.size)
-    results, grades = checked_rows(design.judged, names, rows, design.columns)
-    limit_by_name = {limit.name: limit for limit in design.judged.limits}
-    elastic = design.study.options.get("contact.law", "hertz") == "hertz"
-    breached = []
+    holds = dict(_RANGE)
+    if line.design.study.options.get("contact.law", "hertz") == "hertz":
+        holds |= _YIELD
+    return [check for check in _breaches(line, limits, holds) if check.name in holds]
+
+
+def _breaches(
+    line: Line, limits: Sequence[Limit], grade_by_check: Mapping[str, int] | None = None
+) -> list[Check]:
+    """The checks that rows breach, with the share of each limit's failures in rows of a grade, the
+    worst where none is given.
+    """
+    design, breached = line.design, []
+    results, grades = checked_rows(design.judged, *inputs_at(line), design.columns)
+    current = {limit.name: limit for limit in design.judged.limits}
+    weights = {}
+    for limit in limits:
+        state = line.state(current[limit.name])
+        weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
     for result in results:
-        worst = 3 if result.check in _RANGE else 2
-        if result.check not in (*_RANGE, *_YIELD) or (worst == 2 and not elastic):
-            continue
-        beyond = grades.get(result.check, np.zeros(sample.size)) >= worst
-        failures = {}
-        for limit in limits:
-            state = line.state(limit_by_name[limit.name])
-            weights = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
-            if weights.sum() > 0.0:
-                failures[limit.name] = float((weights * beyond).sum() / weights.sum())
-        breached.append(
-            Check(
+        beyond = np.zeros(line.rows.size, dtype=bool)
+        if result.check in grades:
+            beyond = grades[result.check] >= (grade_by_check or {}).get(result.check, 3)
+        if result.grade:
+            check = Check(
                 name=result.check,
                 text=result.text,
-                share=float(beyond.mean()),
-                grade="failure",
-                failures=failures,
+                share=result.share,
+                grade=GRADES[result.grade],
+                failures={
+                    name: float((w * beyond).sum() / w.sum())
+                    for name, w in weights.items()
+                    if w.sum() > 0.0
+                },
             )
-        )
+            breached.append(check)
     return breached
 
 
@@ -182,10 +146,10 @@ def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
     with np.errstate(all="ignore"):
         ratio = later_loading(design.study, design.inputs, rows)
     finite = ratio[np.isfinite(ratio)]
-    harder = finite > 1.001
-    if not harder.any():
+    harder = finite[finite > 1.001]
+    if not harder.size:
         return []
-    share, median = float(harder.mean()), float(np.median(finite[harder]))
+    share, median = harder.size / finite.size, float(np.median(harder))
     whole = {limit.name: share for limit in design.fracture if limit.aim == "survive"}
     return [
         Check(
@@ -209,10 +173,8 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
     """
     hardness = hardness_of(design.study, design.inputs, rows)
     breached: list[Check] = []
-    if hardness is None:
-        return breached
     for limit in design.limits:
-        if limit.quantity not in ("p_max", "first_peak", "p_mean"):
+        if hardness is None or limit.quantity not in ("p_max", "first_peak", "p_mean"):
             continue
         law = limit.strength
         share = float(np.mean(law.sf(hardness) if isinstance(law, Law) else law > hardness))

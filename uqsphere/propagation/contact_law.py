@@ -4,7 +4,7 @@ that yield.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from uqsphere.errors import StudyError
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.line import Line
-from uqsphere.propagation.tables import stacked
+from uqsphere.propagation.line import Line, inputs_at
 from uqsphere.study import load_study
 from uqsphere.uq import Sample
 
@@ -39,11 +38,7 @@ def yielding_design(design: Design) -> Design | None:
             )
         except StudyError:  # a pressure whose meaning has to be said, or nothing that could yield
             continue
-        judged = replace(other, limits=(*other.limits, *(mode.limit for mode in design.modes)))
-        columns = dict.fromkeys(
-            [*study.analysis.quantities, *(limit.quantity for limit in judged.limits)]
-        )
-        return replace(design, study=other, judged=judged, columns=tuple(columns))
+        return Design.with_modes(other, design.modes, design.not_judged, design.evidence)
     return None
 
 
@@ -56,34 +51,25 @@ class YieldingRows:
 
     def along(self, line: Line) -> Line | None:
         """The rows of a line with contacts that yield; None where none of them has an answer."""
+        samples = []
         for value, sample in zip(line.values, line.samples, strict=True):
             if value not in self.evaluated or self.evaluated[value].count < sample.count:
                 self.evaluated[value] = self._evaluated(value, sample)
-        samples = [
-            self.evaluated[value].head(sample.count)
-            for value, sample in zip(line.values, line.samples, strict=True)
-        ]
+            samples.append(self.evaluated[value].head(sample.count))
         if any(sample.failed.all() for sample in samples):
             return None
         return Line(design=self.design, values=line.values, samples=tuple(samples))
 
     def _evaluated(self, value: float, sample: Sample) -> Sample:
-        margins, names = self.design.study.margins, list(self.design.inputs)
-        shape = sample.scores.shape[:2]
-        columns = [sample.input(name).ravel() for name in names]
-        moving = {}
-        at_plan = margins is None or margins.limit is not None or np.isnan(value)
-        if not at_plan and margins is not None and margins.solve not in names:
-            names.append(margins.solve)
-            columns.append(np.full(sample.size, value))
-            moving[margins.solve] = np.full(shape, value)
-        rows = stacked(columns, sample.size)
-        evaluated = evaluate_scene(self.design.judged, names, rows, self.design.columns)
+        design, shape = self.design, sample.scores.shape[:2]
+        names, rows = inputs_at(Line(design=design, values=(value,), samples=(sample,)))
+        evaluated = evaluate_scene(design.judged, names, rows, design.columns)
         answers = np.where(evaluated.good[:, None], evaluated.values, np.nan)
         answered = sample.with_answers(
-            self.design.columns,
+            design.columns,
             answers.reshape(*shape, -1),
             censored=evaluated.censored.reshape(*shape, -1),
             failed=~evaluated.good.reshape(shape),
         )
-        return with_test_forces(self.design, answered, moving)
+        moving = dict.fromkeys(names[len(design.inputs) :], np.full(shape, value))
+        return with_test_forces(design, answered, moving)

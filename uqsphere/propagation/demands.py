@@ -52,7 +52,10 @@ def demands_of(limit: Limit, sample: Sample) -> Array:
     """Demands (R, n) of a limit, with its model factor; those against forces of tests have it
     already.
     """
-    return sample.answer(column_of(limit)) * (1.0 if by_force(limit) else _factor(limit, sample))
+    demands = sample.answer(column_of(limit))
+    if by_force(limit):
+        return demands
+    return demands * _factor(limit, sample)
 
 
 def _factor(limit: Limit, sample: Sample) -> Array | float:
@@ -102,29 +105,17 @@ def with_test_forces(
     means = design.study.at_means()
     shape = sample.scores.shape[:2]
 
-    def column(name: str) -> Array:
-        values: Array | float
-        if name in moving:
-            values = moving[name]
-        elif name in sample.names:
-            values = sample.input(name)
-        else:
-            values = means[name]
-        return np.broadcast_to(np.asarray(values, dtype=float), shape).ravel()
-
-    for limit in design.judged.limits if limits is None else limits:
-        if not by_force(limit):
-            continue
+    drawn = {name: sample.input(name) for name in sample.names}
+    values: dict[str, Array | float] = {**means, **drawn, **moving}
+    for limit in filter(by_force, limits or design.judged.limits):
         value = sample.answer(limit.quantity) * _factor(limit, sample)
         finite = np.isfinite(value)
+        names = dict.fromkeys([*SPHERE, "sphere.radius", *_law(limit, moving, sample)])
         sphere = {
-            name.partition(".")[2]: column(name)[finite.ravel()]
-            for name in (*SPHERE, *_law(limit, moving, sample))
+            name.partition(".")[2]: np.broadcast_to(values[name], shape)[finite] for name in names
         }
         force = np.full(shape, np.nan)
-        force[finite] = _test_force(
-            limit, value[finite], sphere, column("sphere.radius")[finite.ravel()]
-        )
+        force[finite] = _test_force(limit, value[finite], sphere, sphere.pop("radius"))
         late = sample.late(limit.quantity)
         sample = replace(
             sample,

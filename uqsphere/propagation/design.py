@@ -57,16 +57,25 @@ class Design:
         answered = [mode for mode in assumed if not reasons[mode.called]]
         evidence, modes = judged_by_tests(study, answered)
         not_judged |= {entry.mode: refuted_text(entry) for entry in evidence if entry.refuted}
-        wide = _with_limits(study, [mode.limit for mode in modes])
-        columns = dict.fromkeys(
-            [*study.analysis.quantities, *(limit.quantity for limit in wide.limits)]
-        )
+        return cls.with_modes(study, modes, not_judged, evidence)
+
+    @classmethod
+    def with_modes(
+        cls,
+        study: Study,
+        modes: Sequence[AssumedMode],
+        not_judged: Mapping[str, str],
+        evidence: Sequence[EvidenceEntry],
+    ) -> Design:
+        """The design of a study with failure modes that are judged beside its limits."""
+        judged = _with_limits(study, [mode.limit for mode in modes])
+        columns = [*study.analysis.quantities, *(limit.quantity for limit in judged.limits)]
         return cls(
             study=study,
-            judged=wide,
+            judged=judged,
             modes=tuple(modes),
             not_judged=not_judged,
-            columns=tuple(columns),
+            columns=tuple(dict.fromkeys(columns)),
             evidence=tuple(evidence),
         )
 
@@ -99,11 +108,8 @@ class Design:
         """The quantities whose distributions and indices are answered: those asked for, and those
         of limits.
         """
-        return tuple(
-            dict.fromkeys(
-                [*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]
-            )
-        )
+        names = [*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]
+        return tuple(dict.fromkeys(names))
 
     @cached_property
     def explained(self) -> tuple[str, ...]:

@@ -53,21 +53,16 @@ def judged_by_tests(
         if evidence.refuted:
             continue
         weak = scaled_strength(mode.weak, evidence.raised)
-        middle = mode.limit.strength
-        assert isinstance(middle, Law)
-        if median(weak) > median(middle):
-            middle = weak
+        middle = max(mode.middle, weak, key=median)
         modes_left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
     return results, modes_left
 
 
 def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> EvidenceEntry:
-    middle = mode.limit.strength
-    assert isinstance(middle, Law)
     demands = demands_in_tests(study, series, mode)
-    weak, centre, strong = (
-        float(standing(law.cdf(demands)[None, :])[0]) for law in (mode.weak, middle, mode.strong)
-    )
+    weak, centre, strong = standing(
+        np.array([law.cdf(demands) for law in (mode.weak, mode.middle, mode.strong)])
+    ).tolist()
     refuted, raised = strong < REFUTED, 1.0
     if weak < REFUTED and not refuted:
         # the strong end of a range may be of another scatter than its weak end

@@ -34,6 +34,12 @@ class AssumedMode:
     seen: bool
     counts: bool = True
 
+    @property
+    def middle(self) -> Law:
+        """The strength that the limit has."""
+        assert isinstance(self.limit.strength, Law)
+        return self.limit.strength
+
 
 def breaks_by(limit: Limit) -> str:
     """Place of the failure mode that a limit is on, see `failure_place`.
@@ -97,13 +103,9 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
 
 def _onset(study: Study, material: Material) -> float:
     """Pressure at which the sphere begins to yield, from the study or the library; 0 if unknown."""
-    onset = study.at_means().get("sphere.onset_pressure")
-    if onset is not None:
-        return onset
     entry = material.properties.get("onset_pressure")
-    if entry is None:
-        return 0.0
-    return entry.value
+    usual = entry.value if entry else 0.0
+    return study.at_means().get("sphere.onset_pressure", usual)
 
 
 def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode:

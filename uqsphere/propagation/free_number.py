@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.arrays import Array, Values
+from uqsphere.propagation.design import number
 from uqsphere.quantities import INPUTS
 from uqsphere.study import NOTABLE, Limit, Margins, Study
-from uqsphere.uq import Law
 
 
 def values_at(margins: Margins, shares: Values) -> Array:
@@ -43,30 +43,25 @@ def grid(margins: Margins, count: int) -> list[float]:
 
 
 def moved(study: Study, value: float) -> Study:
-    """The study whose rows are sampled where its free number has a value: itself, unless it is one
-    of its numbers.
-
-    Raises LawError where a random number has no law with this mean.
-    """
-    margins = study.margins
-    if margins is None or margins.limit is not None:
-        return study
-    return with_number(study, margins.solve, value)
-
-
-def with_number(study: Study, path: str, value: float) -> Study:
-    """The study with a number at `value`: the mean of its law, or the number itself.
+    """The study with its free number at a value, the mean of its law or the number itself; the
+    study itself where that is no number of its rows.
 
     A moved law is cut where its number has no meaning if a notable share of it has come to lie
     there: a height of 12 mm with a standard deviation of 0.5 mm is never negative; one of 0.2 mm
     with the same often would be.
+
+    Raises LawError where a random number has no law with this mean.
     """
+    if study.margins is None or study.margins.limit is not None:
+        return study
+    path = study.margins.solve
     if path not in study.random:
         return replace(study, fixed={**study.fixed, path: value})
     law = study.random[path].with_mean(value)
-    low = INPUTS[path].lower if path in INPUTS else -math.inf
-    if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
-        law = replace(law, lower=low)
+    if path in INPUTS:
+        low = INPUTS[path].lower
+        if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
+            law = replace(law, lower=low)
     return replace(study, random={**study.random, path: law})
 
 
@@ -76,6 +71,4 @@ def demand_factor(margins: Margins, limit: Limit, value: float) -> float:
     """
     if margins.limit != limit.name:
         return 1.0
-    return (
-        limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength
-    ) / value
+    return number(limit.strength) / value

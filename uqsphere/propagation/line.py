@@ -19,7 +19,7 @@ from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.free_number import demand_factor, grid, moved
 from uqsphere.propagation.limits import state_of
-from uqsphere.propagation.tables import Tables, evaluate
+from uqsphere.propagation.tables import Tables, evaluate, stacked
 from uqsphere.study import Limit
 from uqsphere.uq import Law, LimitState, Sample, tails
 
@@ -164,6 +164,18 @@ class Line:
 def score(probability: Array | float) -> Array:
     """Normal score of a probability, bounded where it is 0 or 1."""
     return np.asarray(special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16)))
+
+
+def inputs_at(line: Line) -> tuple[list[str], Array]:
+    """Names and values (n, d) of the model's inputs in the rows of a line of one value."""
+    names, sample = list(line.design.inputs), line.samples[0]
+    columns = [sample.input(name).ravel() for name in names]
+    margins, value = line.design.study.margins, line.values[0]
+    at_plan = margins is None or margins.limit is not None or math.isnan(value)
+    if not at_plan and margins is not None and margins.solve not in names:
+        names.append(margins.solve)
+        columns.append(np.full(sample.size, value))
+    return names, stacked(columns, sample.size)
 
 
 def plan_of(design: Design, sample: Sample) -> Line:

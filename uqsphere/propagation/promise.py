@@ -64,23 +64,22 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     Weibull or lognormal strength, or without a number.
     """
     limits = [limit for limit in settled.aim.limits if _has_tests(limit)]
-    if not limits or settled.number is None or math.isinf(settled.number):
+    if not limits or settled.use is None:
         return []
     line, pick = settled.line, np.maximum if settled.least else np.minimum
-    places = [line.place_of(settled.ends[1])]
+    margins = [settled.ends[1]]
     for doubt in settled.doubts:
         by_tests = doubt.limit in limits and (doubt.code == COMPUTATION or doubt.detail)
         if not by_tests and doubt.margin is not None and math.isfinite(doubt.margin):
-            places.append(line.place_of(doubt.margin))
+            margins.append(doubt.margin)
+    places = [np.full(_SERIES, line.place_of(margin)) for margin in margins]
     promises = [_Promise(settled, limit) for limit in limits]
     today = max(len(tests_behind(limit)) for limit in limits)
     gains = []
     for n in sizes:
         if n > today:
             uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
-            allowed = [np.full(_SERIES, place) for place in places]
-            for promise in promises:
-                allowed += promise.places(uniforms)
+            allowed = [*places, *(place for each in promises for place in each.places(uniforms))]
             ends = np.quantile(pick.reduce(allowed), [0.1, 0.5, 0.9])
             low, middle, high = sorted(line.value_at(float(end)) for end in ends)
             gains.append(TestsGain(tests=n, low=low, median=middle, high=high))
@@ -130,7 +129,7 @@ class _Promise:
             location, scale = (part[:, None] for part in kind.maximum(logs, ones, leaving - 1.0))
             pivots = _pivots(kind, tuple(leaving.tolist()))
             centre, inverse = kind.ranked(*pivots, self.limit.allowable)
-            end = ENDS[1] if settled.least else ENDS[0]
+            end = ENDS[int(settled.least)]
             strengths = location - scale * centre, scale * inverse
             at = np.array([np.quantile(table(*strengths), end, axis=1) for table in tables]).T
             if added is not None:  # where the limit's share and the other modes make the target
@@ -157,8 +156,7 @@ class _Promise:
         """Logarithm (J,) of what series of tests multiply the middle of a mode by; infinite where
         they refute it.
         """
-        tested, middle = self.limit.tested, mode.limit.strength
-        assert isinstance(middle, Law)
+        tested = self.limit.tested
         if tested is None or not tested.forces:
             return np.zeros(len(logs))
         grid = np.linspace(logs.min(), logs.max(), _FORCES)
@@ -166,16 +164,14 @@ class _Promise:
         demands = np.log(demands_in_tests(self.settled.aim.design.study, [alike], mode))
         borne = np.repeat(logs, leaving.astype(int), axis=1)
         raised = np.log(least_factor(mode.weak, np.exp(np.interp(borne, grid, demands))))
-        raised += math.log(median(mode.weak) / median(middle))
+        raised += math.log(median(mode.weak) / median(mode.middle))
         # forces beyond what a mode can reach say nothing of it
         return np.where(raised > _range_of(mode), math.inf, np.fmax(raised, 0.0))
 
 
 def _range_of(mode: AssumedMode) -> float:
     """Logarithm of the strong end of the library's range over its middle."""
-    middle = mode.limit.strength
-    assert isinstance(middle, Law)
-    return math.log(median(mode.strong) / median(middle))
+    return math.log(median(mode.strong) / median(mode.middle))
 
 
 def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Added:
@@ -188,14 +184,9 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     held = line.means(others * stands + 1.0 - stands).mean(axis=1)
     tables = []
     for mode in modes:
-        middle, nodes = (
-            mode.limit.strength,
-            np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS),
-        )
-        assert isinstance(middle, Law)
-        rows = []
+        nodes, rows = np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS), []
         for node in nodes:
-            state = line.state(mode.limit, scaled_strength(middle, math.exp(node)))
+            state = line.state(mode.limit, scaled_strength(mode.middle, math.exp(node)))
             rows.append(line.means(line.exceedance(state, word) * stands).mean(axis=1))
         scores = score(np.array(rows))
         tables.append((RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1), nodes[-1]))
@@ -245,24 +236,22 @@ def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> lis
 
     law = strength_of(limit)
     assert isinstance(law, Law)
-    fitted, location, scale = _place_of(law)
+    (fitted, location, scale), wider = _place_of(law), math.sqrt(6.0) / math.pi
     kind = STRENGTHS[name]
-    if kind is not fitted:
-        # the same mean and standard deviation of the logarithm
-        wider = math.sqrt(6.0) / math.pi
+    # the same mean and standard deviation of the logarithm
+    if fitted.normal and not kind.normal:
         location, scale = location + _GAMMA * wider * scale, scale * wider
-        if kind.normal:
-            _, location, scale = _place_of(law)
-            location, scale = location - _GAMMA * scale, scale / wider
+    elif kind.normal and not fitted.normal:
+        location, scale = location - _GAMMA * scale, scale / wider
     below = np.array([limit.allowable])
     z = float(kind.form.quantile(below, 1.0 - below)[0])
     scales = scale * np.geomspace(0.25, 4.0, _SCALES)
     steps = np.linspace(-3.0, 3.0, _QUANTILES) * max(abs(z), 1.0) * scale
     quantiles = location + z * scale + steps
-    laws = []
-    for quantile, width in itertools.product(quantiles, scales):
-        parameters = kind.parameters(quantile - z * width, width)
-        laws.append(make_law(name, {key: float(x) for key, x in parameters.items()}))
+    laws = [
+        make_law(name, kind.parameters(float(quantile - z * width), float(width)))
+        for quantile, width in itertools.product(quantiles, scales)
+    ]
     curves = settled.curves.by_strengths(limit, laws)[0].mean(axis=2)
     table = _places(settled, score(curves), allowed).reshape(quantiles.size, scales.size, -1)
 
