@@ -173,7 +173,7 @@ def _clock(
         )
     text = f"is in {unit}" if unit else "has no unit: seconds are taken"
     changes.add("read", column.name, text)
-    time = column.checked() * UNITS["time"][unit or "s"]
+    time = column.in_seconds(asked.time_unit)
     _check_clock(time, first, place, guessed)
     return time, place
 

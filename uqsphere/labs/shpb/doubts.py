@@ -45,14 +45,6 @@ class Faces:
     velocity_b: Array
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tolerance:
-    """Sums over both faces: relative standard deviations of the gains, those of the zeros [N]."""
-
-    gains: float
-    zeros: float
-
-
 def check_striker(
     peaks: Peaks, strain: float, wave_speed: float, measured: float | None, changes: Changes
 ) -> None:
@@ -108,7 +100,7 @@ def heaviest_specimen(specimen: SpecimenTable, bar_diameter: float) -> float:
 
 
 def check_impulse(
-    peaks: Peaks, faces: Faces, tolerance: Tolerance, heaviest: float
+    peaks: Peaks, faces: Faces, gains_sd: float, zeros_sd: float, heaviest: float
 ) -> float | None:
     """Compare the impulses of both faces until B falls to half its largest force (in place).
 
@@ -117,6 +109,9 @@ def check_impulse(
     is the mean of the faces' less half of c d/dt (P_A^(2/3) - P_B^(2/3)).  M, c and g follow by
     least squares from this equation, integrated twice over time.  Impulses that differ by more than
     the gains, with and without a mass up to `heaviest` [kg], are a doubt.
+
+    gains_sd, zeros_sd : sums over both faces of the relative standard deviations of the gains, and
+        of the standard deviations of the zeros [N].
 
     Returns the mass [kg] whose inertia explains the difference, None if none does.
     """
@@ -128,7 +123,7 @@ def check_impulse(
     force_a, force_b = faces.force_a[first:last], faces.force_b[first:last]
     known = np.isfinite(force_a)
     plain = float(force_a[known].sum() / max(force_b[known].sum(), 1e-300)) - 1.0
-    allowed = NORMAL * (tolerance.gains + tolerance.zeros / largest.value)
+    allowed = NORMAL * (gains_sd + zeros_sd / largest.value)
     gains = [plain]
     if "A" in peaks:
         last = max(last, int(np.searchsorted(faces.time, peaks["A"].time)) + 1)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_closing, maximum_filter, median_filter
@@ -127,20 +127,7 @@ def _clipped(name: str, values: Array, changes: Changes) -> Flags:
 # --- the rest before the first wave ---------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rest:
-    """Where a gauge is at rest.
-
-    end : sample before which the other bar shows that it is; None where it shows that itself.
-    limit : sample before which its first wave stands.
-    """
-
-    end: int | None
-    limit: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Line:
+class _Line(NamedTuple):
     """A line through samples at rest.
 
     noise : standard deviation about the line, correlated over `memory` samples; slope : a sample,
@@ -171,21 +158,24 @@ def _line(quiet: Array, place: Array) -> _Line:
                 break
             memory += 2.0 * correlation
         slope_sd = noise * math.sqrt(memory / squares)
-    return _Line(
-        mean=mean, slope=slope, noise=noise, memory=memory, slope_sd=slope_sd, middle=middle
-    )
+    return _Line(mean, slope, noise, memory, slope_sd, middle)
 
 
-def about_rest(trace: Trace, step: float, rest: Rest, changes: Changes) -> Signal:
+def about_rest(
+    trace: Trace, step: float, rest: tuple[int | None, float], changes: Changes
+) -> Signal:
     """A gauge about its rest: baseline and drift come from the samples before its first wave.
+
+    rest : sample before which the other bar shows that it is at rest, None where it shows that
+        itself; sample before which its first wave stands.
 
     Raises UsageError for a gauge without a wave or a rest.
     """
-    name, values = trace.name, trace.strain
-    wave = _wave_above_rest(trace, step, rest)
+    name, values, end = trace.name, trace.strain, rest[0]
+    wave = _wave_above_rest(trace, step, *rest)
     count = max(wave.foot - max(3, wave.rising // 5), 0)
-    if rest.end is not None and rest.end >= _BASELINE:
-        count = max(min(count, len(values)), min(rest.end, wave.half))
+    if end is not None and end >= _BASELINE:
+        count = max(min(count, len(values)), min(end, wave.half))
     quiet, place = values[:count], np.arange(count, dtype=float)
     if count < _BASELINE:
         quiet = _rest_at_end(name, values, wave)
@@ -223,12 +213,12 @@ def about_rest(trace: Trace, step: float, rest: Rest, changes: Changes) -> Signa
     )
 
 
-def _wave_above_rest(trace: Trace, step: float, rest: Rest) -> Wave:
+def _wave_above_rest(trace: Trace, step: float, end: int | None, limit: float) -> Wave:
     """The first wave of a gauge, found about its median and then about its rest."""
     values = trace.strain
-    seen = slice(int(min(rest.limit, len(values))))
+    seen = slice(int(min(limit, len(values))))
     wave = first_wave((values - rest_of(values))[seen], step, 0.0, trace.name)
-    early = max(wave.half - 3 * wave.rising, rest.end or 0, 0)
+    early = max(wave.half - 3 * wave.rising, end or 0, 0)
     if early < 3 * _BASELINE:
         return wave
     # the scatter of the rest before the wave, about a line through it

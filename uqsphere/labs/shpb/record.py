@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.columns import Trace, Traces, read_traces
+from uqsphere.labs.shpb.columns import Traces, read_traces
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.mending import Rest, about_rest, cut_out, joined, rest_of, without_faults
-from uqsphere.labs.shpb.signals import Changes, Signal, first_stay, first_wave
+from uqsphere.labs.shpb.mending import about_rest, cut_out, joined, rest_of, without_faults
+from uqsphere.labs.shpb.signals import Changes, Signal, Stay, first_stay, first_wave
 
 #: passes of the incident bar that no pulse lasts
 _PASSES: Final = 12.0
@@ -36,18 +36,9 @@ class Record:
     start: float
     step: float
     incident: Signal
-    reflected: Signal | None
     receiving: Signal
     changes: Changes
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Incident:
-    """The incident wave before it is mended: earliest foot, first sample, length in samples."""
-
-    foot: int
-    first: int
-    length: int
+    reflected: Signal | None = None
 
 
 def load_record(document: RecordDocument, folder: Path) -> Record:
@@ -61,19 +52,23 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     step = traces.step
     mend = partial(without_faults, step=step, changes=changes)
     by_role = {role: [*map(mend, gauges)] for role, gauges in traces.by_role.items()}
-    wave = _incident_wave(by_role["incident"], step)
-    limits = _limits(document, wave, step)
+    stays = [
+        first_stay(trace.strain - rest_of(trace.strain), step, _INCIDENT, trace.name)
+        for trace in by_role["incident"]
+    ]
+    limits = _limits(document, stays, step)
     polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
     signals: dict[str, Signal] = {}
     pressing = 0.0  # sign of the incident wave in the file
     for role, gauges in by_role.items():
-        rest = Rest(end=wave.foot if role == "receiving" else None, limit=limits[role])
-        turned, names = list[Signal](), list[str]()
+        end, turned, names = None, list[Signal](), list[str]()
+        if role == "receiving":
+            end = max(min(stay.first - 2 * stay.rising for stay in stays), 0)
         for trace in gauges:
             if asked.aligned:
                 signal = cut_out(trace, step, changes)
             else:
-                signal = about_rest(trace, step, rest, changes)
+                signal = about_rest(trace, step, (end, limits[role]), changes)
             # one sign a bar: a reflected wave has the sign of its incident gauge
             sign = polarity or -signal.wave.sign
             if role == "reflected":
@@ -90,38 +85,19 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         signals[role] = joined(turned, step, limits[role], changes)
     if asked.window is not None:
         signals["incident"] = _in_window(signals["incident"], asked.window, traces)
-    return Record(
-        start=traces.start,
-        step=step,
-        incident=signals["incident"],
-        reflected=signals.get("reflected"),
-        receiving=signals["receiving"],
-        changes=changes,
-    )
+    return Record(start=traces.start, step=step, changes=changes, **signals)
 
 
-def _incident_wave(gauges: Sequence[Trace], step: float) -> _Incident:
-    """The first stay of the incident gauges above a fifth of their largest strain."""
-    stays = [
-        first_stay(trace.strain - rest_of(trace.strain), step, _INCIDENT, trace.name)
-        for trace in gauges
-    ]
-    return _Incident(
-        foot=max(min(stay.first - 2 * stay.rising for stay in stays), 0),
-        first=min(stay.first for stay in stays),
-        length=min(stay.last - stay.first + 1 for stay in stays),
-    )
-
-
-def _limits(document: RecordDocument, wave: _Incident, step: float) -> dict[str, float]:
-    """Sample before which the first wave of a signal begins: the first echo of a far end.
+def _limits(document: RecordDocument, stays: Sequence[Stay], step: float) -> dict[str, float]:
+    """Sample before which the first wave of a signal begins, the first echo of a far end, from the
+    waves of the incident gauges.
 
     Raises UsageError for a pulse longer than any striker gives.
     """
     bar, behind = document.incident_bar, document.receiving_bar
     limits = dict.fromkeys(("incident", "reflected", "receiving"), math.inf)
     passage = (bar.length or math.inf) / bar.wave_speed
-    passes = wave.length * step / passage
+    passes = min(stay.last - stay.first + 1 for stay in stays) * step / passage
     if passes > _PASSES:
         raise UsageError(
             f"the pulse lasts {passes:.0f} passes of the incident bar. Is the time in another unit "
@@ -129,8 +105,9 @@ def _limits(document: RecordDocument, wave: _Incident, step: float) -> dict[str,
         )
     if not document.record.aligned:
         delay = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed + behind.echo
-        limits["receiving"] = wave.first + delay / step
-        limits["incident"] = wave.first + 2.0 * passage / step
+        first = min(stay.first for stay in stays)
+        limits["receiving"] = first + delay / step
+        limits["incident"] = first + 2.0 * passage / step
     return limits
 
 

@@ -29,7 +29,6 @@ from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.doubts import (
     EQUILIBRIUM,
     Faces,
-    Tolerance,
     check_bending,
     check_impulse,
     check_specimen,
@@ -411,7 +410,9 @@ def _energies(
     """Energies of the waves [J], and what stays between the bars."""
     energies = {}
     for name, strain in waves.items():
-        bar = document.receiving_bar if name == "transmitted" else document.incident_bar
+        bar = document.incident_bar
+        if name == "transmitted":
+            bar = document.receiving_bar
         squares = float(np.square(strain).sum())
         energies[name] = bar.stiffness * bar.wave_speed * step * squares
     passed = energies["reflected"] + energies["transmitted"]
@@ -428,13 +429,11 @@ def _compare_faces(
     """Compare the impulses of both faces; the mass [kg] whose inertia explains their difference."""
     bar, behind = document.incident_bar, document.receiving_bar
     reflected = record.reflected or record.incident
+    gains_sd = bar.gain_sd + _gain_b(record.receiving, behind)
     zero_a = bar.stiffness * (record.incident.offset + reflected.offset)
-    tolerance = Tolerance(
-        gains=bar.gain_sd + _gain_b(record.receiving, behind),
-        zeros=zero_a + behind.stiffness * record.receiving.offset,
-    )
+    zeros_sd = zero_a + behind.stiffness * record.receiving.offset
     heaviest = heaviest_specimen(document.specimen, min(bar.diameter, behind.diameter))
-    return check_impulse(peaks, faces, tolerance, heaviest)
+    return check_impulse(peaks, faces, gains_sd, zeros_sd, heaviest)
 
 
 def _check_gauges(
