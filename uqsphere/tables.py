@@ -270,15 +270,15 @@ class Table:
         for names in (self.headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
-        if column not in bare and column.isdigit() and 1 <= int(column) <= len(self.headings):
-            return int(column) - 1
-        named = [h for h in self.headings if _BRACKET.sub("", h).strip() == column]
-        if len(named) == 1 and dimension != "number" and column not in (*self.headings, *bare):
-            wrong = unknown_unit(named[0], dimension)
-            raise TableError(f"{named[0]!r}: {wrong} ({typed_units(dimension)})", key)
-        often, hint = "not", suggestion(column, [*self.headings, *bare])
-        if column in (*self.headings, *bare):
-            often, hint = "twice or more", ""
+        names, often, hint = [*self.headings, *bare], "twice or more", ""
+        if column not in names:
+            if column.isdigit() and 1 <= int(column) <= len(self.headings):
+                return int(column) - 1
+            same = [h for h in self.headings if _BRACKET.sub("", h).strip() == column]
+            if len(same) == 1 and dimension != "number":
+                wrong = unknown_unit(same[0], dimension)
+                raise TableError(f"{same[0]!r}: {wrong} ({typed_units(dimension)})", key)
+            often, hint = "not", suggestion(column, names)
         hint = hint or _other_sheets(self.notes)
         if not hint and all(map(_is_numeric, self.headings)):
             hint = "; the first row holds numbers: add a row of headings"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -160,22 +160,10 @@ def _as_shares(table: Table, column: str, passing: Array, notes: list[str]) -> A
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """A feed after its blows, (D, ...) over draws, and `content` as plain JSON."""
+    """Classes (K,) of a feed after their blows, over draws, and `content` as plain JSON.
 
-    classes: Classes
-    broken: Array
-    total: Array
-    sieves: Array
-    passing: Array
-    content: dict[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Struck:
-    """Classes (K,) after their blows, over draws.
-
-    cumulative (D, K, n + 1) : shares broken; struck, broke, whole (D, K) : mass over all blows,
-    struck once for every blow, broken, and left whole.
+    cumulative (D, K, n + 1) : shares broken; struck, broke (D, K) : mass over all blows, struck
+    once for every blow, and broken.
     offered, taken (K,) : energy of a blow per mass [J/kg], offered and absorbed by a particle.
     sieves (S,) : [m]; passing (D, S), before (S,) : shares of product and feed that pass them.
     fineness (K,) : t10; untested (K,) : whether a class is outside the tested sizes.
@@ -185,7 +173,6 @@ class _Struck:
     cumulative: Array
     struck: Array
     broke: Array
-    whole: Array
     offered: Array
     taken: Array
     sieves: Array
@@ -193,6 +180,17 @@ class _Struck:
     before: Array
     fineness: Array
     untested: Flags
+    content: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def broken(self) -> Array:
+        """Shares broken after the last blow (D, K)."""
+        return self.cumulative[:, :, -1]
+
+    @property
+    def total(self) -> Array:
+        """Share of the feed that is broken (D,)."""
+        return self.broken @ self.classes.mass
 
 
 def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
@@ -255,12 +253,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             passing = passing + (curves * broke[:, None]).sum(axis=2)
         passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
     low, high = posterior.tested
-    blows = _Struck(
+    blows = Answer(
         classes=classes,
         cumulative=cumulative,
         struck=struck,
         broke=broke,
-        whole=whole,
         offered=energy,
         taken=energy * share,
         sieves=sieves,
@@ -269,21 +266,13 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         fineness=fineness,
         untested=(sizes < low / UNTESTED) | (sizes > high * UNTESTED),
     )
-    content = _content(asked, feed, blows)
-    content["warnings"] = [*_warnings(asked, feed, posterior, blows), *notes]
-    content["particle_share"] = share.tolist()
-    broken = cumulative[:, :, -1]
+    blows.content.update(_content(asked, feed, blows))
+    blows.content["warnings"] = [*_warnings(asked, feed, posterior, blows), *notes]
+    blows.content["particle_share"] = share.tolist()
     if feed.lot is not None:
         count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, density)), 0.0)
-        content["lot"] = {"mass": feed.lot, **_lot(broken, mass, count, rng)}
-    return Answer(
-        classes=classes,
-        broken=broken,
-        total=broken @ mass,
-        sieves=sieves,
-        passing=passing,
-        content=content,
-    )
+        blows.content["lot"] = {"mass": feed.lot, **_lot(blows, count, rng)}
+    return blows
 
 
 def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:
@@ -323,15 +312,15 @@ def _curves(
 # --- its description ------------------------------------------------------------------------------
 
 
-def _content(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dict[str, Any]:
+def _content(asked: ComminutionDocument, feed: FeedTable, blows: Answer) -> dict[str, Any]:
     """A feed after its blows as plain JSON."""
-    classes, broken = blows.classes, blows.cumulative[:, :, -1]
+    classes = blows.classes
     rows = [
         {
             "upper": float(classes.edges[k]),
             "size": float(size),
             "mass": float(classes.mass[k]),
-            "broken": quantiles(broken[:, k]),
+            "broken": quantiles(blows.broken[:, k]),
             "by_blow": blows.cumulative[:, k, 1:].mean(axis=0).tolist(),
             "extrapolated": bool(blows.untested[k]),
         }
@@ -354,13 +343,12 @@ def _content(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dic
     }
 
 
-def _numbers(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dict[str, Array]:
+def _numbers(asked: ComminutionDocument, feed: FeedTable, blows: Answer) -> dict[str, Array]:
     """Single answers (D,) by name."""
     mass, log_sieves = blows.classes.mass, np.log(blows.sieves)
     hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
-    total = blows.cumulative[:, :, -1] @ mass
     numbers = {
-        "broken": total,
+        "broken": blows.total,
         "blows": blows.struck @ hit,
         "energy [J/kg]": blows.struck @ (hit * blows.taken),
     }
@@ -374,12 +362,12 @@ def _numbers(asked: ComminutionDocument, feed: FeedTable, blows: _Struck) -> dic
         if feed.fines is not None:
             size = math.log(feed.fines)
             numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in rows[:-1]])
-    numbers["never broken"] = 1.0 - total
+    numbers["never broken"] = 1.0 - blows.total
     return numbers
 
 
 def _warnings(
-    asked: ComminutionDocument, feed: FeedTable, posterior: Posterior, blows: _Struck
+    asked: ComminutionDocument, feed: FeedTable, posterior: Posterior, blows: Answer
 ) -> list[str]:
     """Where the numbers of a feed are extrapolated or assumed."""
     low, high = posterior.tested
@@ -409,12 +397,12 @@ def _warnings(
     return warnings
 
 
-def _lot(broken: Array, mass: Array, count: Array, rng: np.random.Generator) -> dict[str, Any]:
+def _lot(blows: Answer, count: Array, rng: np.random.Generator) -> dict[str, Any]:
     """Broken share of a lot of so many particles of each class, which break or not."""
-    few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(broken)
-    chance = np.clip(broken[:, few], 0.0, 1.0)
+    few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(blows.broken)
+    chance = np.clip(drawn[:, few], 0.0, 1.0)
     drawn[:, few] = rng.binomial(many[few].astype(np.int64), chance) / many[few]
-    lots, total = drawn @ mass, broken @ mass
+    lots, total = drawn @ blows.classes.mass, blows.total
     return {
         "broken": quantiles(lots),
         "epistemic_sd": float(total.std()),

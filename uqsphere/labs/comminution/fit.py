@@ -291,9 +291,9 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
 
 def sample(
     model: EnergyModel, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
-) -> dict[str, Any]:
-    """Draws (n, d) of the posterior, the likelihood at its mode, and the effective number of
-    draws."""
+) -> tuple[Array, Callable[[Array], Array], float, float]:
+    """Draws (n, d) of the posterior, its log likelihood of specimens and their sum at its mode, and
+    the effective number of draws."""
     each = log_likelihoods(model, tests, gamma)
     centre = np.array([mean for mean, _ in model.priors.values()])
     sd = np.array([sd for _, sd in model.priors.values()])
@@ -316,10 +316,8 @@ def sample(
         weight = np.exp(log - log.max())
         if turn < _ADAPTING:
             weight = np.minimum(weight, math.sqrt(n) * weight.mean())
-            middle, covariance = (
-                np.average(x, axis=0, weights=weight),
-                np.atleast_2d(np.cov(x.T, aweights=weight)),
-            )
+            middle = np.average(x, axis=0, weights=weight)
+            covariance = np.atleast_2d(np.cov(x.T, aweights=weight))
             continue
         points, logs = np.concatenate([points, x]), np.concatenate([logs, log])
         weight = np.exp(logs - logs.max())
@@ -329,12 +327,8 @@ def sample(
     taken = np.searchsorted(
         np.cumsum(weight), (np.arange(draws) + rng.random()) / draws * weight.sum()
     )
-    return {
-        "draws": points[rng.permutation(np.minimum(taken, len(points) - 1))],
-        "each": each,
-        "effective": effective,
-        "log_likelihood": float(each(mode).sum()),
-    }
+    chosen = points[rng.permutation(np.minimum(taken, len(points) - 1))]
+    return chosen, each, float(each(mode).sum()), effective
 
 
 def _mode(
@@ -392,27 +386,26 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
             "broke another of its size. Test more between those energies, or give a prior of sigma "
             "and modulus"
         )
-    names = [law for law in laws.LAWS if want.law in (law, "average")]
     gamma = want.gamma if isinstance(want.gamma, float) else None
-    models = [model_of(law, asked, tests) for law in names]
+    models = [model_of(law, asked, tests) for law in laws.LAWS if want.law in (law, "average")]
     chains, scores, about = [], [], {}
-    for k, (law, model) in enumerate(zip(names, models, strict=True)):
+    for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
-        done = sample(model, tests, gamma, rng, asked.draws)
-        chains.append(done["draws"])
+        draws, each, log_likelihood, effective = sample(model, tests, gamma, rng, asked.draws)
+        chains.append(draws)
         # leave-one-out by importance: 1/mean(1/p) of every specimen
-        inverse = np.exp(np.minimum(-done["each"](chains[k]) / tests.weight, 600.0))
+        inverse = np.exp(np.minimum(-each(draws) / tests.weight, 600.0))
         scores.append(float(-np.log(np.mean(inverse, axis=0)) @ tests.weight))
-        about[law] = {
-            "log_likelihood": done["log_likelihood"],
+        about[model.law] = {
+            "log_likelihood": log_likelihood,
             "loo": scores[k],
-            "effective": done["effective"],
-            "settled": done["effective"] > EFFECTIVE,
+            "effective": effective,
+            "settled": effective > EFFECTIVE,
         }
     weights = np.exp(np.array(scores) - max(scores))
     weights /= weights.sum()
-    for law, weight in zip(names, weights.tolist(), strict=True):
-        about[law]["weight"] = weight
+    for model, weight in zip(models, weights.tolist(), strict=True):
+        about[model.law]["weight"] = weight
     posterior = _mixed(models, chains, weights, tests, asked)
     return Fit(posterior=posterior, content=_described(posterior, about, tests, asked))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -40,13 +40,13 @@ class Arrivals:
     speed_ratio: float = 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass
 class _Delay:
     """Predicted and recorded delay of a wave in samples; None for an arrival that is not seen."""
 
     wave: str
     predicted: float
-    seen: int | None
+    seen: int | None = None
 
     @property
     def late(self) -> float:
@@ -68,13 +68,10 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
         )
     bar, behind, step = document.incident_bar, document.receiving_bar, record.step
     wave, receiving = record.incident.wave, record.receiving
-    back = _Delay(wave="reflected", predicted=2.0 * bar.gauge / bar.wave_speed / step, seen=None)
-    there = _Delay(
-        wave="transmitted",
-        predicted=(bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed) / step,
-        seen=None,
-    )
-    back, there = _seen(record, back, there, _SURE)
+    back = _Delay("reflected", 2.0 * bar.gauge / bar.wave_speed / step)
+    passage = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed
+    there = _Delay("transmitted", passage / step)
+    _look(record, back, there, *_SURE)
     steep = float(wave.rising)
     if there.seen is not None and there.seen < -steep:
         raise UsageError(
@@ -109,7 +106,7 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
             doubt_b=doubt_b,
             speed_ratio=speed_ratio,
         )
-    back, there = _seen(record, back, there, _FINE)
+    _look(record, back, there, *_FINE)
     reflected = record.reflected or record.incident
     return Arrivals(
         reflected=back.predicted + _shift(back, reflected.name, step, changes),
@@ -117,11 +114,8 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
     )
 
 
-def _seen(
-    record: Record, back: _Delay, there: _Delay, reading: tuple[float, float]
-) -> tuple[_Delay, _Delay]:
-    """The delays with the samples at which the waves are seen, by a share and a time of `_SURE`."""
-    share, window = reading
+def _look(record: Record, back: _Delay, there: _Delay, share: float, window: float) -> None:
+    """Note when the waves are seen, by a share and a time such as `_SURE` (in place)."""
     width = max(1, round(window / record.step))
     incident, receiving = record.incident, record.receiving
     wave = incident.wave
@@ -129,7 +123,7 @@ def _seen(
     pressing = -smooth(incident.strain, width)
     first = _crossing(pressing, level, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
     if first is None:
-        return back, there
+        return
     seen_back = None
     if record.reflected is not None:
         size = np.abs(smooth(record.reflected.strain, width))
@@ -143,8 +137,10 @@ def _seen(
     level = _level(receiving, share, width)
     pressing = -smooth(receiving.strain, width)
     seen_there = _crossing(pressing, level, 0, receiving.wave.falling + 1)
-    places = [None if seen is None else seen - first for seen in (seen_back, seen_there)]
-    return replace(back, seen=places[0]), replace(there, seen=places[1])
+    for delay, seen in ((back, seen_back), (there, seen_there)):
+        delay.seen = seen
+        if seen is not None:
+            delay.seen = seen - first
 
 
 def _level(signal: Signal, share: float, width: int) -> float:

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import BarTable, RecordDocument
+from uqsphere.labs.shpb.document import BarTable, RecordDocument, RecordTable
 from uqsphere.labs.shpb.recorded import read_recorded
 from uqsphere.labs.shpb.signals import Changes
 from uqsphere.tables import Table, factor_in_heading, unit_in_heading
@@ -49,8 +49,7 @@ class Trace:
     known: Flags
 
 
-@dataclass(frozen=True, kw_only=True)
-class Traces:
+class Traces(NamedTuple):
     """The gauges of a record by role, over even time: `start` and `step` [s]."""
 
     start: float
@@ -121,12 +120,13 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
     for note in chain(*(table.notes for table in tables)):
         changes.add("read", "", note)
     files = [_columns_of(table) for table in tables]
-    time, place = _clock(document, files, texts[0], changes)
-    time = _common(document, files, (time, place), changes)
+    time, place = _clock(asked, files, texts[0], changes)
+    time = _common(asked.time_unit, files, (time, place), changes)
     strains: dict[str, list[tuple[str, Array]]] = {}
-    for role, columns in _by_role(document, files, (time, place)).items():
-        bar = document.receiving_bar if role == "receiving" else document.incident_bar
-        strains[role] = []
+    for role, columns in _by_role(asked, files, (time, place)).items():
+        bar, strains[role] = document.incident_bar, []
+        if role == "receiving":
+            bar = document.receiving_bar
         for column in columns:
             name = column.name
             if len(files) > 1:
@@ -136,25 +136,22 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
 
 
 def _columns_of(table: Table) -> list[Column]:
-    columns = []
-    for heading in table.headings:
-        values = table.numbers(heading, key=heading, blank=True)
-        columns.append(Column(table=table, heading=heading, values=values))
-    return columns
+    return [
+        Column(table=table, heading=h, values=table.numbers(h, key=h, blank=True))
+        for h in table.headings
+    ]
 
 
 # --- time -----------------------------------------------------------------------------------------
 
 
 def _clock(
-    document: RecordDocument, files: Sequence[Sequence[Column]], above: str, changes: Changes
+    asked: RecordTable, files: Sequence[Sequence[Column]], above: str, changes: Changes
 ) -> tuple[Array, int]:
     """The time (n,) [s] of the first file, whose metadata are `above`, and the place of its column;
     -1 without one."""
-    asked, first = document.record, files[0]
-    table = first[0].table
-    guessed = asked.time is None
-    interval = asked.sample_interval or 0.0
+    first = files[0]
+    table, guessed, interval = first[0].table, asked.time is None, asked.sample_interval or 0.0
     if not interval and not first[0].rises and len(files) == 1:
         interval = _interval(above)
     if guessed and interval > 0.0:
@@ -180,11 +177,12 @@ def _clock(
 
 def _interval(text: str) -> float:
     """Time between samples [s] from the metadata, 0 without it."""
-    if match := _RATE.search(text):
-        rate = float(match["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[match["prefix"]]
+    rated, timed = _RATE.search(text), _INTERVAL.search(text)
+    if rated:
+        rate = float(rated["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[rated["prefix"]]
         return 1.0 / rate if rate > 0.0 else 0.0
-    if match := _INTERVAL.search(text):
-        return float(match["step"]) * UNITS["time"].get(match["unit"] or "s", 1.0)
+    if timed:
+        return float(timed["step"]) * UNITS["time"].get(timed["unit"] or "s", 1.0)
     return 0.0
 
 
@@ -221,10 +219,7 @@ def _check_clock(time: Array, columns: Sequence[Column], place: int, guessed: bo
 
 
 def _common(
-    document: RecordDocument,
-    files: Sequence[Sequence[Column]],
-    clock: tuple[Array, int],
-    changes: Changes,
+    unit: str, files: Sequence[Sequence[Column]], clock: tuple[Array, int], changes: Changes
 ) -> Array:
     """The time that all files have; UsageError for files that do not have the same clock."""
     time, place = clock
@@ -235,7 +230,7 @@ def _common(
             raise UsageError(
                 f"{table.name}: has no column {place + 1}, the time column of the first file"
             )
-        there = other[place].in_seconds(document.record.time_unit)
+        there = other[place].in_seconds(unit)
         both = min(count, len(there))
         if not np.nanmax(np.abs(there[:both] - time[:both]), initial=0.0) <= 0.5 * step:
             raise UsageError(
@@ -252,13 +247,12 @@ def _common(
 
 
 def _by_role(
-    document: RecordDocument, files: Sequence[Sequence[Column]], clock: tuple[Array, int]
+    asked: RecordTable, files: Sequence[Sequence[Column]], clock: tuple[Array, int]
 ) -> dict[str, Sequence[Column]]:
     """The columns of the incident, the reflected and the receiving gauges.
 
     Two or four unnamed signals: first those of the incident bar.
     """
-    asked = document.record
     roles = {role: getattr(asked, role) for role in ("incident", "reflected", "receiving")}
     if asked.incident and asked.receiving:
         pick = partial(_pick, files)
@@ -269,7 +263,7 @@ def _by_role(
         column
         for file in files
         for place, column in enumerate(file)
-        if place != clock[1] and not _repeats(column, clock[0], document)
+        if place != clock[1] and not _repeats(column, clock[0], asked.time_unit)
     ]
     usable = [column for column in signals if not column.faults]
     if len(usable) not in (2, 4) or asked.reflected:
@@ -282,12 +276,12 @@ def _by_role(
     return {"incident": usable[:each], "receiving": usable[each:]}
 
 
-def _repeats(column: Column, time: Array, document: RecordDocument) -> bool:
+def _repeats(column: Column, time: Array, unit: str) -> bool:
     """Whether a column repeats the time; UsageError for the time of another clock."""
-    dimension = column.unit(document.record.time_unit)[0]
+    dimension = column.unit(unit)[0]
     if not column.rises or dimension not in ("time", "") or len(column.values) < len(time):
         return False
-    other = column.in_seconds(document.record.time_unit)[: len(time)]
+    other = column.in_seconds(unit)[: len(time)]
     if np.nanmax(np.abs(other - time)) <= 0.5 * float(np.median(np.abs(np.diff(time)))):
         return True
     if dimension == "time":
@@ -368,11 +362,7 @@ def _even(
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
-        changes.add(
-            "read",
-            "",
-            f"uneven time steps: interpolated to {step * 1e6:.6g} us",
-        )
+        changes.add("read", "", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
     else:
         step = float((time[-1] - time[0]) / (len(time) - 1))
     rows, by_role = iter(raw), dict[str, tuple[Trace, ...]]()
@@ -390,7 +380,7 @@ def _even(
     if lost:
         text = f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
         changes.add("read", "", text)
-    return Traces(start=float(grid[0]), step=step, by_role=by_role)
+    return Traces(float(grid[0]), step, by_role)
 
 
 def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:

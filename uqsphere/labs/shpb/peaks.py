@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -79,8 +79,7 @@ class Force:
         return self.noise * math.sqrt(min(1.0, self.memory / samples))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Top:
+class _Top(NamedTuple):
     """An estimate of the largest force: value, its ends without noise, scatter [N]; its sample."""
 
     value: float

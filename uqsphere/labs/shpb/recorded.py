@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import mode
-from typing import Final
+from typing import Final, NamedTuple
 
 from uqsphere import tables
 from uqsphere.tables import NOTHING, NUMBER, Table, TableError
@@ -29,8 +28,7 @@ _LONG, _LOOKED_AT = 60, 200
 _METADATA: Final = 40
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Form:
+class _Form(NamedTuple):
     """How a file is written: divider, decimal mark, cells of a row, places of numbers.
 
     whole : rows in which every such place has a number.
@@ -121,7 +119,7 @@ def _numeric(rows: Sequence[list[str]], divider: str, mark: str) -> _Form:
             places.append(place)
             whole |= words
     count = len(columns[0]) - len(whole) if columns else 0
-    return _Form(divider=divider, mark=mark, width=width, places=places, whole=count)
+    return _Form(divider, mark, width, places, count)
 
 
 def _is_number(cell: str, mark: str) -> bool:
@@ -162,8 +160,9 @@ def _body(
 
 def _unique(headings: Sequence[str]) -> list[str]:
     """Headings that differ: an empty one is named by its place, a repeated one gets its place."""
-    named = [heading or f"column {place}" for place, heading in enumerate(headings, 1)]
-    unique = []
-    for place, heading in enumerate(named, 1):
-        unique.append(f"{place} {heading}" if named.count(heading) > 1 else heading)
+    unique = [heading or f"column {place}" for place, heading in enumerate(headings, 1)]
+    twice = {heading for heading in unique if unique.count(heading) > 1}
+    for place, heading in enumerate(unique, 1):
+        if heading in twice:
+            unique[place - 1] = f"{place} {heading}"
     return unique

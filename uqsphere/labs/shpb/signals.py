@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -105,8 +105,7 @@ def smooth(values: Array, samples: int) -> Array:
     return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stay:
+class Stay(NamedTuple):
     """The first stay of a smoothed signal above a share of its largest value, by samples."""
 
     smoothed: Array
@@ -134,7 +133,7 @@ def first_stay(values: Array, step: float, share: float, name: str) -> Stay:
     upward = math.copysign(1.0, smoothed[first]) * smoothed
     top = float(upward[first : last + 1].max())
     foot = int(np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0))
-    return Stay(smoothed=smoothed, first=first, last=last, rising=first - foot)
+    return Stay(smoothed, first, last, first - foot)
 
 
 def first_wave(values: Array, step: float, noise: float, name: str) -> Wave:

@@ -84,15 +84,15 @@ class Reading:
 class _Window:
     """Which samples after first touch are known at which face.
 
-    start : sample of first touch at the incident gauge; delay : samples between incident and
-    reflected wave at this gauge, infinite with a gauge for each.
+    start : sample of first touch at the incident gauge; alive : samples of the incident wave before
+    the reflected one is at this gauge.
     to_a, to_b : sample of first touch of the reflected and the transmitted wave at their gauges.
     count : samples at face B; first, last : those of face A between which the waves are apart.
     withheld : why the force at A is not given.
     """
 
     start: int
-    delay: float
+    alive: int
     to_a: float
     to_b: float
     count: int
@@ -232,7 +232,7 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
         count = min(count, count_a)
     return _Window(
         start=start,
-        delay=delay,
+        alive=int(min(count, delay, len(incident.strain) - start)),
         to_a=to_a,
         to_b=to_b,
         count=count,
@@ -327,11 +327,6 @@ def _far_peak(course: Force, signal: Signal, bar: BarTable) -> Peak:
     return peak
 
 
-def _alive(record: Record, window: _Window) -> int:
-    """Samples of the incident wave before the reflected one is at its gauge."""
-    return int(min(window.count, window.delay, len(record.incident.strain) - window.start))
-
-
 def _near_waves(
     record: Record, document: RecordDocument, window: _Window, changes: Changes
 ) -> tuple[Array, Array, str]:
@@ -341,9 +336,8 @@ def _near_waves(
     the size of one: a specimen softer than the bar reflects tension.
     """
     bar, asked, count = document.incident_bar, document.record, window.count
-    alive, doubt = _alive(record, window), ""
-    incident = np.zeros(count)
-    incident[:alive] = record.incident.strain[window.start : window.start + alive]
+    incident, doubt = np.zeros(count), ""
+    incident[: window.alive] = record.incident.strain[window.start : window.start + window.alive]
     # where the two waves overlap neither can be moved by itself
     moved = changes if asked.dispersion and window.whole else None
     if moved is not None:
@@ -370,7 +364,7 @@ def _near_face(
     """The force at A by two waves."""
     before, after, stiffness = record.incident, record.reflected or record.incident, bar.stiffness
     force = -stiffness * (incident + reflected)
-    alive = np.arange(window.count) < _alive(record, window)
+    alive = np.arange(window.count) < window.alive
     noise = after.noise**2 + np.where(alive, before.noise**2, 0.0)
     offset = np.where(alive, before.offset + after.offset, after.offset)
     both = stiffness**2 * (incident**2 + reflected**2)
