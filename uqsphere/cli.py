@@ -417,14 +417,14 @@ def _new(options: argparse.Namespace) -> None:
     from uqsphere.documents import suggestion
 
     shipped = _templates()
-    if options.template is None:
+    template = options.template
+    if template is None:
         print("\n".join(shipped))
         return
-    if options.template not in shipped:
-        hint = suggestion(options.template, shipped)
-        names = ", ".join(shipped)
-        raise UsageError(f"unknown template {options.template!r}{hint} (known: {names})")
-    source = shipped[options.template]
+    if template not in shipped:
+        hint = suggestion(template, shipped)
+        raise UsageError(f"unknown template {template!r}{hint} (known: {', '.join(shipped)})")
+    source = shipped[template]
     target = options.output or Path(source.name)
     if not target.parent.is_dir():
         raise UsageError(
@@ -447,7 +447,7 @@ def _new(options: argparse.Namespace) -> None:
         else:
             place.write_bytes(content)
             print(f"wrote {place}")
-    print(f"next: {LAB_TEMPLATES.get(options.template, 'uqsphere check')} {target}")
+    print(f"next: {LAB_TEMPLATES.get(template, 'uqsphere check')} {target}")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -678,23 +678,21 @@ def _verify(options: argparse.Namespace) -> None:
 
     before = open_run(options.folder)
     text = (options.folder / "study.toml").read_text(encoding="utf-8")
-    study = load_study(
-        options.folder / "files" / "study.toml", before.results.study.overrides, text=text
-    )
+    place = options.folder / "files" / "study.toml"
+    study = load_study(place, before.results.study.overrides, text=text)
     after = run(study, options.model)
-    same = after.results.answers == before.results.answers
-    if not same and _differ_by_rounding(before.results.answers, after.results.answers):
+    stored = before.results.answers
+    again = after.results.answers
+    if again == stored:
+        print(f"run again: all {len(stored)} answers are the same")
+    elif _differ_by_rounding(stored, again):
         print(
             "run again: all answers are the same except for rounding (1e-9), as on another "
             "processor or with another version of NumPy"
         )
-        return
-    if not same:
-        raise FolderError(
-            "run again, the answers differ:\n"
-            + comparison_text([before, after], ["before", "again"])
-        )
-    print(f"run again: all {len(before.results.answers)} answers are the same")
+    else:
+        differences = comparison_text([before, after], ["before", "again"])
+        raise FolderError(f"run again, the answers differ:\n{differences}")
 
 
 def _list(options: argparse.Namespace) -> None:

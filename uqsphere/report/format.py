@@ -41,7 +41,7 @@ _SPLIT: Final = re.compile(
 
 def table_of(results: Results) -> Answers:
     """The answers of a run, to be looked up."""
-    return Answers(rows=list(results.answers))
+    return Answers(results.answers)
 
 
 def keep_units(text: str) -> str:

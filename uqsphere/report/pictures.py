@@ -143,8 +143,9 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
 def _onset_text(results: Results, quantity: str) -> str:
     """Where a contact starts to yield, and in how many impacts."""
     entry = results.study.quantities[quantity]
+    onset = entry.onset or 0.0
     places, heights = np.array(entry.density, dtype=float)
-    above = places >= (entry.onset or 0.0)
+    above = places >= onset
     share = float(np.trapezoid(heights[above], places[above]))
     for check in results.checks:
         if check.name == "dented":
@@ -155,7 +156,7 @@ def _onset_text(results: Results, quantity: str) -> str:
     elif share < 0.001:
         impacts = "in no impact"
     unit, factor = display_unit(quantity, entry.range[1] or 1.0)
-    return f"yield from {(entry.onset or 0.0) * factor:.3g} {unit}: {impacts}"
+    return f"yield from {onset * factor:.3g} {unit}: {impacts}"
 
 
 def _mark_onset(
@@ -168,11 +169,9 @@ def _mark_onset(
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
         text = f"{text} (off the scale)"
-    side = "left"
-    gap = 6.0
+    side, gap = "left", 6.0
     if place > 0.5 * (low + high):
-        side = "right"
-        gap = -6.0
+        side, gap = "right", -6.0
     at = max(low, min(place, high))
     write(axes, text, (at, 1.0), (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high

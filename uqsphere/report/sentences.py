@@ -131,7 +131,7 @@ def _undecided(decision: Decision) -> list[str]:
     p = plain_probability(as_event(decision, worst.at_plan))
     name = plain_name(worst.subject)
     side = "down to" if decision.aim == "break" else "up to"
-    return [f"fracture probability at the planned value {side} {p} ({name}, {_considering(worst)})"]
+    return [f"fracture probability at the planned value {side} {p} ({name}, {_words(worst)[0]})"]
 
 
 def listed(words: Sequence[str]) -> str:
@@ -234,7 +234,7 @@ class _Writer:
         doubts = [doubt for doubt in decision.doubts if doubt.governs]
         if not doubts:
             return f"{capital(name)} governs."
-        return f"{capital(name)} governs, {_considering(doubts[0])}."
+        return f"{capital(name)} governs, {_words(doubts[0])[0]}."
 
     def why_none(self) -> str:
         """Why there is no number to use."""
@@ -355,34 +355,42 @@ def _strength_name(results: Results, subject: str) -> str:
     return f"strength ({name})"
 
 
-def _considering(doubt: Doubt) -> str:
-    """What was considered for the number to use: the doubt that governs, in a clause."""
-    clauses = {
-        "computation": "with the sampling uncertainty of the run",
-        "tests": f"with what its {doubt.tests} tests leave open",
-        "distribution": f"with a {_family(doubt.option)} distribution of its strength",
-        "contact law": f"with contacts that yield{_besides(doubt)}",
-        "carrier": f"with its strength transferred by {_carrier(doubt)}",
-        "tie": "with its strength taken as independent of the inputs",
-        "assumed strength": "with a strength of the library",
+def _words(doubt: Doubt) -> tuple[str, str]:
+    """What was considered, in a clause; and the head of its row in the table of what the number
+    rests on.
+    """
+    family = f"{_family(doubt.option)} distribution"
+    plastic = f"contacts that yield{_besides(doubt)}"
+    transferred = f"strength transferred by {meaning(doubt.option)}"
+    words = {
+        "computation": (
+            "with the sampling uncertainty of the run",
+            "as computed (95 % sampling interval)",
+        ),
+        "tests": (
+            f"with what its {doubt.tests} tests leave open",
+            f"{doubt.tests} tests, {family}",
+        ),
+        "distribution": (f"with a {family} of its strength", f"{family} instead"),
+        "contact law": (f"with {plastic}", plastic),
+        "carrier": (f"with its {transferred}", transferred),
+        "tie": (
+            "with its strength taken as independent of the inputs",
+            "strength independent of the inputs",
+        ),
+        "assumed strength": (
+            "with a strength of the library",
+            f"library strength, {doubt.option}".removesuffix(", "),
+        ),
     }
-    return clauses[doubt.code]
+    return words[doubt.code]
 
 
 def doubt_text(doubt: Doubt) -> str:
     """A row's head in the table of what the number rests on."""
-    heads = {
-        "computation": "as computed (95 % sampling interval)",
-        "tests": f"{doubt.tests} tests, {_family(doubt.option)} distribution",
-        "distribution": f"{_family(doubt.option)} distribution instead",
-        "contact law": f"contacts that yield{_besides(doubt)}",
-        "carrier": f"strength transferred by {_carrier(doubt)}",
-        "tie": "strength independent of the inputs",
-        "assumed strength": f"library strength, {doubt.option}".removesuffix(", "),
-    }
     if doubt.counts:
-        return heads[doubt.code]
-    return f"{heads[doubt.code]} (damage, not counted)"
+        return _words(doubt)[1]
+    return f"{_words(doubt)[1]} (damage, not counted)"
 
 
 def damage_modes(results: Results) -> list[str]:
@@ -410,10 +418,6 @@ def _besides(doubt: Doubt) -> str:
     if doubt.tests:
         return f" and what {doubt.tests} tests leave open ({_family(doubt.option)} distribution)"
     return f" and a {_family(doubt.option)} distribution of the strength"
-
-
-def _carrier(doubt: Doubt) -> str:
-    return meaning(doubt.option)
 
 
 def evidence_texts(results: Results) -> list[str]:

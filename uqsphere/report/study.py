@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.quantities import display_unit, format_value, lookup
+from uqsphere.materials import library
+from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.quantities import OUTPUTS, display_unit, format_value, lookup
 from uqsphere.report.format import DASH, short, value, value_range
 from uqsphere.report.page import notebook_html
 from uqsphere.report.tables import PageTable, columns
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
+from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
 
 if TYPE_CHECKING:
@@ -183,25 +186,20 @@ def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
         return _materials()
+    rows: list[tuple[str, ...]] = [("distribution", "keys")]
     if what == "quantities":
-        from uqsphere.mechanics.outputs import OUTPUTS
-
-        rows = [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
-        return "\n".join(columns([("quantity", "unit", "meaning"), *rows]))
-    if what == "criteria":
-        from uqsphere.mechanics.criteria import CRITERIA
-
-        meanings = [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
-        return "\n".join(columns([("criterion", "meaning"), *meanings]))
-    from uqsphere.uq.families import FAMILIES
-
-    keys = [(name, ", ".join(getattr(family, "keys", ()))) for name, family in FAMILIES.items()]
-    return "\n".join(columns([("distribution", "keys"), *keys]))
+        rows = [("quantity", "unit", "meaning")]
+        rows += [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
+    elif what == "criteria":
+        rows = [("criterion", "meaning")]
+        rows += [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
+    else:
+        for name, family in FAMILIES.items():
+            rows.append((name, ", ".join(getattr(family, "keys", ()))))
+    return "\n".join(columns(rows))
 
 
 def _materials() -> str:
-    from uqsphere.materials import library
-
     lines = []
     for kind, entries in library().items():
         for name, material in entries.items():

@@ -108,7 +108,7 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
 def _grid(over: Sequence[str]) -> dict[str, list[str]]:
     grid: dict[str, list[str]] = {}
     for text in over:
-        key, sign, listed = (part.strip() for part in text.partition("="))
+        key, sign, listed = map(str.strip, text.partition("="))
         values = [part.strip().strip("\"'") for part in listed.split(",")]
         if not sign or not key or "" in values:
             raise UsageError(
@@ -269,9 +269,8 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
             use = [decision.use.value, decision.use.best.low, decision.use.best.high]
         verdict = (decision.verdict, decision.governing, results.accuracy.runs, point.name)
         rows.append([*point.values.values(), decision.aim, *use, p.value, p.low, p.high, *verdict])
-    names = ["aim", "use", "use_low", "use_high", "probability", "low", "high"]
-    names += ["verdict", "governing", "runs", "folder"]
-    return pd.DataFrame(rows, columns=[*sweep.keys, *names])
+    names = "aim use use_low use_high probability low high verdict governing runs folder"
+    return pd.DataFrame(rows, columns=[*sweep.keys, *names.split()])
 
 
 def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
@@ -279,11 +278,10 @@ def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     rows = []
     name = ""
     for point, results, decision, p in _each(sweep, runs):
-        use = decision_text(results, decision).use
-        governing = plain_name(decision.governing)
-        values = point.values.values()
-        rows.append((*values, use, plain_probability(p), decision.verdict, governing))
         name = exceedance_name(results).lower()
+        use = decision_text(results, decision).use
+        why = (decision.verdict, plain_name(decision.governing))
+        rows.append((*point.values.values(), use, plain_probability(p), *why))
     head = (*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs")
     return PageTable("Decisions", head, rows)
 
@@ -300,12 +298,10 @@ def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
     left, right = figure.subplots(1, 2)
     key = sweep.keys[0]
     margins = sweep.points[0].study.margins
-    name = "number"
-    unit = ""
-    factor = 1.0
+    name, unit, factor = "number", "", 1.0
     if margins is not None:
         name = lookup(margins.solve).meaning
-        unit, factor = display_unit(margins.solve, float(frame["use"].astype(float).max()))
+        unit, factor = display_unit(margins.solve, frame["use"].astype(float).max())
     places = _places(sweep)
     curves = list(sweep.keys[1:])
     if frame["aim"].nunique() > 1 or not curves:
@@ -313,9 +309,10 @@ def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
     groups = frame.groupby(curves, sort=False)
     for colour, (group, rows) in zip(itertools.cycle(COLOURS), groups, strict=False):
         x = rows[key].map(places)
+        use, p = rows[["use", "probability"]].astype(float).to_numpy().T
         text = ", ".join(map(str, group))
-        left.plot(x, rows["use"].astype(float) * factor, "o-", color=colour, label=text)
-        right.plot(x, rows["probability"].astype(float) * 100.0, "o-", color=colour)
+        left.plot(x, use * factor, "o-", color=colour, label=text)
+        right.plot(x, 100.0 * p, "o-", color=colour)
     for axes in (left, right):
         axes.set_xticks(list(places.values()), list(places))
         axes.set_xlabel(short(lookup(path_of(key)).meaning))

@@ -222,11 +222,11 @@ def assumptions(results: Results) -> PageTable:
     answers = table_of(results)
     for subject, entry in entries_of(results).items():
         for row in answers.where(subject, Kind.FAILURE_PROBABILITY):
-            if str(row.at).startswith("assumed: "):
+            _, sign, assumed = str(row.at).partition("assumed: ")
+            if sign:
                 event = Range(value=row.value, low=row.low, high=row.high, note=row.note)
                 if entry.aim == "break":
                     event = complement(event)
-                assumed = str(row.at).removeprefix("assumed: ")
                 rows.append((label(subject), assumed, probability(event)))
     return PageTable(
         f"{exceedance_name(results)} under other assumptions, one at a time",
@@ -308,22 +308,18 @@ def margins(results: Results) -> PageTable:
     answers = table_of(results)
     if free is None:
         return PageTable()
-    names = []
-    places = set[float]()
+    asked = dict[str, list[float]]()
     for name in results.study.limits:
-        rows = answers.where(f"limits.{name}", Kind.MARGIN)
-        asked = {row.at for row in rows if isinstance(row.at, float) and row.value is not None}
-        if asked:
-            names.append(name)
-            places |= asked
+        for row in answers.where(f"limits.{name}", Kind.MARGIN):
+            if isinstance(row.at, float) and row.value is not None:
+                asked.setdefault(name, []).append(row.at)
     body = []
-    for p in sorted(places):
-        values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in names]
-        cells = [estimate(row, free.path) for row in values]
-        body.append((format_probability(p), *cells))
+    for p in sorted({*itertools.chain(*asked.values())}):
+        values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked]
+        body.append((format_probability(p), *(estimate(row, free.path) for row in values)))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
-        ("probability", *names),
+        ("probability", *asked),
         body,
     )
 
@@ -418,13 +414,13 @@ def random_inputs(results: Results) -> PageTable:
 
 def fixed_inputs(results: Results) -> PageTable:
     """Fixed inputs, those of one source together."""
-    entries = [(name, entry) for name, entry in results.inputs.items() if entry.fixed]
-    sources = list(dict.fromkeys(_source(entry) for _, entry in entries))
-    entries.sort(key=lambda item: sources.index(_source(item[1])))
     rows = [
         (meaning(name, results.inputs), value(entry.mean, name, 4), _source(entry))
-        for name, entry in entries
+        for name, entry in results.inputs.items()
+        if entry.fixed
     ]
+    sources = [source for *_, source in rows]
+    rows.sort(key=lambda row: sources.index(row[-1]))
     return PageTable("Fixed inputs", ("input", "value", "source"), rows[:MOST_INPUTS])
 
 

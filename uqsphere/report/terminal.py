@@ -41,11 +41,11 @@ def summary(results: Results, width: int = 79) -> str:
         tail += f" (largest error / tolerance {accuracy.reached[-1].error:.2g})"
     lines = [
         *_wrapped(texts, width),
-        *_limits(results, width),
+        *_columns(_limits(results), width),
         *_wrapped(notes, width),
-        *_paper(results, width),
-        *_quantities(results, width),
-        *_indices(results, width),
+        *_columns(_paper(results), width),
+        *_columns(_quantities(results), width),
+        *_columns(_indices(results), width),
         *_wrapped(["", tail], width),
     ]
     if len(lines) > LINES:
@@ -62,42 +62,41 @@ def _wrapped(texts: Iterable[str], width: int) -> list[str]:
     return lines
 
 
-def _limits(results: Results, width: int) -> list[str]:
-    limits = tables.limits(results)
-    if not limits.rows:
+def _columns(rows: Sequence[Sequence[str]], width: int) -> list[str]:
+    """A table, heads first, below an empty line; nothing without rows."""
+    if len(rows) < 2:
         return []
+    return ["", *tables.columns(rows, width)]
+
+
+def _limits(results: Results) -> list[Sequence[str]]:
     head = ["failure mode", exceedance_name(results).lower(), "beta"]
     if results.study.free is not None:
         head += ["best estimate", "to use"]
-    rows = [row[: len(head)] for row in limits.rows]
-    return ["", *tables.columns([head, *rows[: ROWS + 2]], width)]
+    rows = tables.limits(results).rows[: ROWS + 2]
+    return [head, *(row[: len(head)] for row in rows)]
 
 
-def _paper(results: Results, width: int) -> list[str]:
+def _paper(results: Results) -> list[Sequence[str]]:
     paper = tables.paper(results)
-    if not paper.rows:
-        return []
-    return ["", *tables.columns([row[:3] for row in (paper.head, *paper.rows)], width)]
+    return [row[:3] for row in (paper.head, *paper.rows)]
 
 
-def _quantities(results: Results, width: int) -> list[str]:
+def _quantities(results: Results) -> list[Sequence[str]]:
     answers = table_of(results)
     rows = [("quantity", "mean", "5-95 % range")]
     for name, entry in results.study.quantities.items():
         low, _, high = entry.range
         mean = estimate(answers.get(name, Kind.MEAN), name)
         rows.append((short(entry.meaning), mean, value_range(low, high, name)))
-    return ["", *tables.columns(rows[: ROWS + 1], width)]
+    return [*rows[: ROWS + 1]]
 
 
-def _indices(results: Results, width: int) -> list[str]:
-    indices = tables.indices(results)
+def _indices(results: Results) -> list[Sequence[str]]:
     answers = table_of(results)
-    if not indices.rows:
-        return []
     names = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
     rows: list[Sequence[str]] = [("Sobol' index, total", *names[:COLUMNS])]
-    for first, *cells in indices.rows[:ROWS]:
+    for first, *cells in tables.indices(results).rows[:ROWS]:
         totals = cells[1 : 2 * COLUMNS : 2]
         rows.append((first, *(total.partition(" ")[0] for total in totals)))
-    return ["", *tables.columns(rows, width)]
+    return rows

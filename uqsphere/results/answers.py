@@ -4,8 +4,7 @@ from.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Required, TypedDict, Unpack
 
 from uqsphere.results.types import Answer, Kind
@@ -27,16 +26,14 @@ class Origin(TypedDict, total=False):
     note: str
 
 
-@dataclass(kw_only=True)
 class Answers:
     """Rows of answers, looked up by subject, answer and place."""
 
-    rows: list[Answer] = field(default_factory=list)
-    #: rows by subject and answer, of the first so many
-    places: dict[tuple[str, str], list[Answer]] = field(
-        default_factory=dict, repr=False, compare=False
-    )
-    seen: int = field(default=0, repr=False, compare=False)
+    def __init__(self, rows: Iterable[Answer] = ()) -> None:
+        self.rows = list(rows)
+        #: rows by subject and answer, of the first so many
+        self.places: dict[tuple[str, str], list[Answer]] = {}
+        self.seen = 0
 
     def __iadd__(self, other: Answers) -> Answers:
         self.rows += other.rows
@@ -61,7 +58,7 @@ class Answers:
             Answer(
                 subject=subject,
                 answer=Kind(answer),
-                at=_place(at),
+                at=at if isinstance(at, str) else float(at),
                 value=estimate.value,
                 low=estimate.low,
                 high=estimate.high,
@@ -90,7 +87,7 @@ class Answers:
             Answer(
                 subject=subject,
                 answer=Kind(answer),
-                at=_place(at),
+                at=at if isinstance(at, str) else float(at),
                 value=value,
                 low=low,
                 high=high,
@@ -114,12 +111,6 @@ class Answers:
     def frame(self) -> pd.DataFrame:
         """The table as pandas has it; empty numbers are nan."""
         return frame_of(self.rows)
-
-
-def _place(at: float | str) -> float | str:
-    if isinstance(at, str):
-        return at
-    return float(at)
 
 
 def frame_of(rows: Sequence[Answer]) -> pd.DataFrame:

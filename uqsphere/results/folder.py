@@ -98,9 +98,8 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """
     before = _sums(folder)
     part = None
-    sums = dict(before)
-    if RESULTS in files:
-        sums = {name: digest for name, digest in before.items() if name in HISTORY}
+    kept = HISTORY if RESULTS in files else before.keys()
+    sums = {name: digest for name, digest in before.items() if name in kept}
     contents = {
         name: text.encode() if isinstance(text, str) else text for name, text in files.items()
     }

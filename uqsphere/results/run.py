@@ -85,31 +85,23 @@ class Run:
 
         Raises UsageError for a quantity that the run has not.
         """
-        table = self._of(quantity)
         parts: dict[str, pd.Series] = {}
         for order in ("first", "total"):
-            rows = table[table["answer"] == f"sobol_{order}"].set_index("at")
-            parts |= {
-                order: rows["value"],
-                f"{order}_low": rows["low"],
-                f"{order}_high": rows["high"],
-            }
-            parts["method"] = rows["method"]
+            rows = self._rows(quantity, f"sobol_{order}").set_index("at")
+            for end, name in (("value", order), ("low", f"{order}_low"), ("high", f"{order}_high")):
+                parts[name] = rows[end]
         import pandas as pd
 
-        indices = pd.DataFrame(parts)
-        indices.index.name = "input"
-        return indices[[*indices.columns.drop("method"), "method"]]
+        indices = pd.DataFrame(parts | {"method": rows["method"]})
+        return indices.rename_axis("input")
 
     def quantiles(self, quantity: str) -> pd.DataFrame:
         """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in
         `answers`.
         """
-        table = self._of(quantity)
-        rows = table[table["answer"] == "quantile"]
-        return rows.set_index(rows["at"].astype(float).rename("probability"))[
-            ["value", "low", "high", "note"]
-        ]
+        rows = self._rows(quantity, "quantile")
+        places = rows["at"].astype(float).rename("probability")
+        return rows.set_index(places)[["value", "low", "high", "note"]]
 
     def probability(self, limit: str) -> pd.Series:
         """The failure probability of a limit or failure mode: value, low, high, low_unseen,
@@ -119,9 +111,9 @@ class Run:
 
     def curve(self, limit: str) -> pd.DataFrame:
         """The probability of exceedance (fracture) over the free number, with its 95 % interval."""
-        table = self._of(self._subject(limit))
-        rows = table[table["answer"] == "curve"]
-        return rows.set_index(rows["at"].astype(float).rename("free"))[["value", "low", "high"]]
+        rows = self._rows(self._subject(limit), "curve")
+        places = rows["at"].astype(float).rename("free")
+        return rows.set_index(places)[["value", "low", "high"]]
 
     def margin(self, limit: str, probability: float) -> pd.Series:
         """The free number at which a limit is exceeded with a probability: value, low, high,
@@ -199,16 +191,16 @@ class Run:
             f"no limit or failure mode {limit!r} (known: {', '.join(names) or 'none'})"
         )
 
-    def _of(self, subject: str) -> pd.DataFrame:
+    def _rows(self, subject: str, answer: str) -> pd.DataFrame:
         table = self.answers[self.answers["subject"] == subject]
         if table.empty:
             names = ", ".join(self.results.study.quantities)
             raise UsageError(f"the run has no answer on {subject!r} (quantities: {names})")
-        return table
+        return table[table["answer"] == answer]
 
     def _one(self, limit: str, answer: str, at: float | str) -> pd.Series:
-        table = self._of(self._subject(limit))
-        rows = table[(table["answer"] == answer) & (table["at"] == at)]
+        rows = self._rows(self._subject(limit), answer)
+        rows = rows[rows["at"] == at]
         if rows.empty:
             raise UsageError(f"the run has no {answer} of {limit!r} at {at!r}")
         ends = ["low", "high", "low_unseen", "high_unseen"]
