@@ -72,9 +72,7 @@ def design(study: Study, count: int) -> DataFrame:
     outputs, are for `analyse`.
     """
     laws = _inputs(study)
-    points = sobol_points(
-        dimension=len(laws.names), count=count, seed=study.seed, task="slow", replicate=0
-    )
+    points = sobol_points(dimension=len(laws.names), count=count, seed=study.seed, task="slow")
     return _table(laws, special.ndtri(points))
 
 

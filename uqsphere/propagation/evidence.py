@@ -121,7 +121,7 @@ def least_factor(law: Law, demands: Array) -> Array:
 
 def median(law: Law) -> float:
     """The median of a distribution."""
-    return float(law.ppf(np.array([0.5]))[0])
+    return float(law.ppf(0.5))
 
 
 def refuted_text(evidence: EvidenceEntry) -> str:

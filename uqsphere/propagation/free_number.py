@@ -60,7 +60,7 @@ def moved(study: Study, value: float) -> Study:
     law = study.random[path].with_mean(value)
     if path in INPUTS:
         low = INPUTS[path].lower
-        if law.lower < low and float(law.cdf(np.array([low]))[0]) > NOTABLE:
+        if law.lower < low and float(law.cdf(low)) > NOTABLE:
             law = replace(law, lower=low)
     return replace(study, random={**study.random, path: law})
 

@@ -273,10 +273,10 @@ def _strength(limit: Limit) -> Strength:
         value = float(law)
         text = _strength_text(limit)
         return Strength(text=text, unit=unit, median=value, p05=value, p95=value)
-    p05, median, p95 = (float(x) for x in law.ppf(np.array([0.05, 0.5, 0.95])))
+    p05, median, p95 = (float(x) for x in law.ppf([0.05, 0.5, 0.95]))
     density = None
     if not law.is_steps:
-        low, high = (float(x) for x in law.ppf(np.array([0.001, 0.999])))
+        low, high = (float(x) for x in law.ppf([0.001, 0.999]))
         places = np.linspace(low, high, 160)
         density = [places.tolist(), law.pdf(places).tolist()]
     return Strength(
@@ -323,7 +323,7 @@ def _input(design: Design, name: str) -> InputEntry:
         mean, sd, ends, distribution = value, 0.0, (value, value), "fixed"
     else:
         mean, sd = law.mean(), law.sd()
-        low, high = law.ppf(np.array([0.05, 0.95]))
+        low, high = law.ppf([0.05, 0.95])
         ends, distribution = (float(low), float(high)), _distribution_text(law, name)
     reference, checked = "study", True
     if source:

@@ -422,7 +422,7 @@ def _radii(draft: Draft) -> tuple[float, ...]:
     law, mean = draft.numbers["sphere.radius"].value, draft.mean("sphere.radius")
     if not isinstance(law, Law):
         return (mean,)
-    return (mean, *law.ppf(np.array([0.01, 0.99])).tolist())
+    return (mean, *law.ppf([0.01, 0.99]).tolist())
 
 
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:

@@ -237,7 +237,7 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     low, effect = quantity.lower, ""
     if quantity.closed:
         low = float(np.nextafter(low, -np.inf))
-    outside = float(law.cdf(np.array([low]))[0] + law.sf(np.array([quantity.upper]))[0])
+    outside = float(law.cdf(low) + law.sf(quantity.upper))
     if outside > NOTABLE:
         if name in INPUTS:
             effect = "These samples count as failed model runs. "

@@ -54,14 +54,13 @@ class LocationScale:
     parameters: Callable[
         [Any, Any], dict[str, Any]
     ]  # (m, s), numbers or arrays -> parameters without defaults
-    normal: bool = False  # z is standard normal, else the logarithm of an exponential variable
+    #: of z: standard normal, or the logarithm of an exponential variable
+    form: Form = SMALLEST
 
     @property
-    def form(self) -> Form:
-        """The standard form of z."""
-        if self.normal:
-            return GAUSS
-        return SMALLEST
+    def normal(self) -> bool:
+        """Whether z is standard normal."""
+        return self.form is GAUSS
 
     def shape(self, s: Any) -> Any:
         """Shape of the law with the scale s, and the other way round: s itself, or 1/s (a
@@ -172,7 +171,7 @@ class LocationScale:
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {
     "lognormal": LocationScale(
-        normal=True, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}
+        form=GAUSS, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}
     ),
     "weibull": LocationScale(
         u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m)}
@@ -180,9 +179,7 @@ STRENGTHS: Final = {
 }
 LOCATION_SCALE: Final = {
     **STRENGTHS,
-    "normal": LocationScale(
-        normal=True, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}
-    ),
+    "normal": LocationScale(form=GAUSS, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}),
     # 1/x is Weibull with the same shape
     "frechet": LocationScale(
         u=lambda x: -np.log(x), parameters=lambda m, s: {"shape": 1.0 / s, "scale": np.exp(-m)}

@@ -70,7 +70,7 @@ def joint_to_chaospy(inputs: Joint) -> Distribution:
 
 def _ends(law: Law) -> list[float]:
     """Quantiles beyond which 1e-15 is left."""
-    return [law.ppf(np.array(1e-15)).item(), law.isf(np.array(1e-15)).item()]
+    return [float(law.ppf(1e-15)), float(law.isf(1e-15))]
 
 
 def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
@@ -83,7 +83,7 @@ def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
         pdf=None if law.is_steps else law.pdf,
         lower=lambda: low,
         upper=lambda: high,
-        ppf=lambda p: np.clip(law.ppf(np.asarray(p)), low, high),
+        ppf=lambda p: np.clip(law.ppf(p), low, high),
     )
 
 

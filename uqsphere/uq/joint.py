@@ -192,7 +192,7 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
     """
     from scipy.optimize import brentq
 
-    points = sobol_points(dimension=3, count=4096, seed=0, task="t copula", replicate=0)
+    points = sobol_points(dimension=3, count=4096, seed=0, task="t copula")
     common, first, second = special.gammaincinv(0.5 * dof, points.T)
     factor = 1.0 / np.sqrt((1.0 + common / first) * (1.0 + common / second))
     # rho is 1 for r = 1, which the points should say too
@@ -265,8 +265,6 @@ class Joint:
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
-        if not self.blocks:
-            return normals
         flat = normals.reshape(-1, len(self.names))
         return self.redrawn((), flat, flat).reshape(normals.shape)
 

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import FAMILIES, Family, family_named
@@ -111,18 +112,18 @@ class Law:
         """Probability between the bounds before truncation."""
         return self._form.mass
 
-    def tails(self, x: Array) -> tuple[Array, Array]:
+    def tails(self, x: npt.ArrayLike) -> tuple[Array, Array]:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
         small; any shape.
         """
         with np.errstate(divide="ignore", over="ignore"):
             return self._form.tails(self._standard(np.asarray(x, dtype=float)))
 
-    def cdf(self, x: Array) -> Array:
+    def cdf(self, x: npt.ArrayLike) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
         return self.tails(x)[0]
 
-    def sf(self, x: Array) -> Array:
+    def sf(self, x: npt.ArrayLike) -> Array:
         """P(X > x) of the law in force, to full relative accuracy in the upper tail; any shape."""
         return self.tails(x)[1]
 
@@ -131,12 +132,12 @@ class Law:
         with np.errstate(divide="ignore", over="ignore"):
             return np.clip(self._physical(self._form.quantile(p, q)), self.lower, self.upper)
 
-    def ppf(self, p: Array) -> Array:
+    def ppf(self, p: npt.ArrayLike) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
         p = np.asarray(p, dtype=float)
         return self._inverse(p, 1.0 - p)
 
-    def isf(self, q: Array) -> Array:
+    def isf(self, q: npt.ArrayLike) -> Array:
         """Upper quantile: x with P(X > x) = q, exact for small q; q in [0, 1], any shape."""
         q = np.asarray(q, dtype=float)
         return self._inverse(1.0 - q, q)
@@ -170,7 +171,7 @@ class Law:
             whole = replace(self, lower=-math.inf, upper=math.inf)
         if min(whole.tail_orders()) > 1.0:
             return whole.mean()
-        return float(whole.ppf(np.array([0.5]))[0])
+        return float(whole.ppf(0.5))
 
     def tail_orders(self) -> tuple[float, float]:
         """Order from which on the law in force has no moments, of its lower and its upper tail; inf
@@ -321,8 +322,8 @@ def checked(law: Law) -> Law:
         bounds = f"[{law.lower:g}, {law.upper:g}]"
         key = "lower" if math.isfinite(law.lower) else "upper"
         raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)
-    low, high = law.ppf(np.array([0.0, 1.0] if law.is_steps else [0.25, 0.75])).tolist()
-    if not np.isfinite([centre, low, high, law.isf(np.array([1e-9]))[0]]).all():
+    low, high = law.ppf([0.0, 1.0] if law.is_steps else [0.25, 0.75]).tolist()
+    if not np.isfinite([centre, low, high, law.isf(1e-9)]).all():
         raise LawError(f"these parameters of {name} give numbers beyond floating point", "")
     if not high > low:
         raise LawError(

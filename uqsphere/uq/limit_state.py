@@ -41,12 +41,6 @@ class LimitState:
     on_failure: str = "drop"
     method: str = "randomised quasi-Monte Carlo, strength integrated"
 
-    def __post_init__(self) -> None:
-        if self.demands.ndim != 2:
-            raise ValueError(f"demands must be (R, n), found shape {self.demands.shape}")
-        if self.on_failure not in ("drop", "bound"):
-            raise ValueError(f"on_failure must be drop or bound here, found {self.on_failure!r}")
-
     @property
     def broken(self) -> Flags:
         """Rows without a demand (R, n)."""
@@ -136,8 +130,6 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     """Probability that the aim is missed: of exceedance for "survive", of its complement for
     "break".
     """
-    if aim not in ("survive", "break"):
-        raise ValueError(f"aim must be survive or break, found {aim!r}")
     below, above = tails(state)
     broken, late, (replicates, n) = state.broken, state.late, state.demands.shape
     kept = (~broken).sum(axis=1).astype(float)
@@ -227,19 +219,19 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     """
     strength, broken, late = state.strength, state.broken, state.late
     total = int(state.demands.size)
+
+    def nothing(reason: str, method: str = state.method) -> Estimate:
+        return absent(reason, method, total)
+
     if isinstance(strength, Law):
-        doubtful = float(strength.cdf(np.zeros(1))[0])
+        doubtful = float(strength.cdf(0.0))
     else:
         doubtful = float(strength <= 0.0)
     if doubtful > 1e-6:
-        return absent(
-            "the strength may be zero or negative: strength over demand has no meaning",
-            state.method,
-            total,
-        )
+        return nothing("the strength may be zero or negative: strength over demand has no meaning")
     counts = (~broken).sum(axis=1).astype(float)
     if counts.min() < 2:
-        return absent("too few successful samples in a replicate", state.method, total)
+        return nothing("too few successful samples in a replicate")
     if not isinstance(strength, Law):
         # that of a fixed strength is the strength over the demand's quantile at 1 - p
         d = quantile_estimates(
@@ -253,7 +245,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
         if d.value is None or d.low is None or d.high is None:
             return d
         if d.low <= 0.0:
-            return absent("the demand may be zero: the margin is unbounded", d.method, total)
+            return nothing("the demand may be zero: the margin is unbounded", d.method)
         return between(
             strength / d.value,
             strength / d.high,
@@ -264,8 +256,8 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
         )
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
-        return absent("the demand may be zero: the margin is unbounded", state.method, total)
-    typical = float(strength.ppf(np.array([p]))[0]) / float(np.median(positive))
+        return nothing("the demand may be zero: the margin is unbounded")
+    typical = float(strength.ppf(p)) / float(np.median(positive))
 
     @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
     def replicates(margin: float) -> Array:
@@ -276,7 +268,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
 
     value = _root(pooled, p, typical)
     if value is None:
-        return absent("no margin has this probability", state.method, total)
+        return nothing("no margin has this probability")
     unsure = float(late.sum()) / counts.sum()
     lost = 0.0
     if state.on_failure == "bound":
@@ -284,10 +276,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicates(value)), counts.size, total)
     low, high = _root(pooled, lowest - unsure - lost, value), _root(pooled, highest + lost, value)
     if low is None or high is None:
-        reason = "beyond what the samples can show"
-        if unsure:
-            reason = "beyond the censored share"
-        return absent(reason, state.method, total)
+        return nothing(f"beyond {'the censored share' if unsure else 'what the samples can show'}")
     return between(value, low, high, counts.size, state.method, total)
 
 

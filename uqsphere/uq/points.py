@@ -48,7 +48,7 @@ def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.G
 
 
 def sobol_points(
-    *, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int
+    *, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int = 0
 ) -> Array:
     """Points of one randomised Sobol' sequence.
 

@@ -242,9 +242,7 @@ def _bounded(response: Response) -> Response:
     down, up = distances(squares, 1.0 - (1.0 - REJECTED) / FOLDS)
     integration = ROUNDING + 4.0 * max(moments.error for moments in response.integrals)
     t = float(stdtrit(FOLDS - 2, 0.5 + 0.5 * REJECTED))
-    law = sobol_points(
-        dimension=len(response.germs), count=LOOKED, seed=0, task="polynomial chaos", replicate=0
-    )
+    law = sobol_points(dimension=len(response.germs), count=LOOKED, seed=0, task="polynomial chaos")
     law = germ_points(special.ndtri(law), response.germs)
     folds, levels, trusted = list(response.folds), response.levels.copy(), []
     for k, variance in enumerate(variances.tolist()):

@@ -75,15 +75,9 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     """The limits taken together, at the same (R, n) samples.
 
     `factor` (L, L) of `residual_correlation` is the identity for strengths that do not depend on
-    each other given the inputs; `rng` draws the strengths that hold.  Raises ValueError for no
-    states, or states of different samples.
+    each other given the inputs; `rng` draws the strengths that hold.
     """
-    shapes = {state.demands.shape for state in states}
-    if len(shapes) != 1:
-        raise ValueError(
-            f"the limits of a union need the same samples, found shapes {sorted(shapes)}"
-        )
-    shape = (len(states), *next(iter(shapes)))
+    shape = (len(states), *states[0].demands.shape)
     failure_given_inputs, holding = np.zeros(shape), np.zeros(shape)
     for j, state in enumerate(states):
         below, above = tails(state)
@@ -114,20 +108,20 @@ def union_state(union: Union) -> LimitState:
 
     Without any random strength it is counted: something over a strength of 1, or below it.
     """
-    policy, p = union.states[0].on_failure, union.any
+    p = union.any
+    counted = LimitState(
+        demands=np.where(p > 0.5, 2.0, 0.5),
+        strength=1.0,
+        failed=union.broken,
+        on_failure=union.states[0].on_failure,
+    )
     if not any(isinstance(state.strength, Law) for state in union.states):
-        return LimitState(
-            demands=np.where(p > 0.5, 2.0, 0.5),
-            strength=1.0,
-            failed=union.broken,
-            on_failure=policy,
-        )
+        return counted
     with np.errstate(divide="ignore"):
         held = np.log1p(-union.failure_given_inputs).sum(axis=0)
-    return LimitState(
+    return replace(
+        counted,
         demands=np.clip(score_of(p, np.exp(held)), -CERTAIN, CERTAIN),
-        failed=union.broken,
-        on_failure=policy,
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
         method="randomised quasi-Monte Carlo, strengths integrated",
     )

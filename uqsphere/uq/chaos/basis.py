@@ -193,7 +193,7 @@ def _own_germ(
     law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
     scores = np.linspace(-REACH, REACH, KNOTS)
     values, weights = law.from_normal(scores), np.exp(-0.5 * scores**2)
-    least = float(law.ppf(np.array([0.0]))[0])
+    least = float(law.ppf(0.0))
     low, high = (
         float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper))
     )

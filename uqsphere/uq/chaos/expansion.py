@@ -163,9 +163,7 @@ class Chaos:
         terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
         terms[:, inputs] = small
         normals = special.ndtri(
-            sobol_points(
-                dimension=len(self.germs), count=BLOCK, seed=0, task="polynomial chaos", replicate=0
-            )
+            sobol_points(dimension=len(self.germs), count=BLOCK, seed=0, task="polynomial chaos")
         )
         points = germ_points(normals, self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
@@ -192,7 +190,7 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
         pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
         lower=lambda: -1.0,
         upper=lambda: 1.0,
-        ppf=lambda p: np.clip((law.ppf(np.asarray(p)) - centre) / half, -1.0, 1.0),
+        ppf=lambda p: np.clip((law.ppf(p) - centre) / half, -1.0, 1.0),
     )
 
 

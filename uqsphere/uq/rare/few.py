@@ -70,8 +70,8 @@ def by_kriging(evaluator: Evaluator, search: Search, accuracy: float) -> Estimat
         predicted, draws = search(model, 0.1)
         if draws is None:
             # nothing fails on the surrogate: where it is least sure of that
-            counts, around = wide_mixture(d).drawn(1024)
-            places = around.moved(model.normals(d, 1024, "least sure", fitted.size), counts)
+            around = wide_mixture(d).drawn(1024)
+            places = around.moved(model.normals(d, 1024, "least sure", fitted.size))
         else:
             around, places = draws.mixture, draws.points.reshape(-1, d)
         doubt = _doubtful_mass(evaluator, surrogate, around, places)

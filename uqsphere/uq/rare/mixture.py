@@ -88,22 +88,23 @@ class Mixture:
         """Standard normal density over that of the mixture at points (n, d)."""
         return np.exp(log_normal_density(points) - self.log_density(points))
 
-    def drawn(self, count: int) -> tuple[Array, Mixture]:
-        """Points of each component among `count`, at least one, and the mixture with the shares
-        really drawn.
+    def drawn(self, count: int) -> Mixture:
+        """The mixture with the shares really drawn among `count` points: at least one of each
+        component.
         """
         wanted = 1.0 + self.shares * (count - self.shares.size)
         counts = np.floor(wanted).astype(int)
         counts[np.argsort(-(wanted - counts), kind="stable")[: count - int(counts.sum())]] += 1
-        return counts, replace(self, shares=counts / count)
+        return replace(self, shares=counts / count)
 
-    def moved(self, normals: Array, counts: Array) -> Array:
-        """Points (n, d) from standard normals (n, d), counts[k] of component k in turn.
+    def moved(self, normals: Array) -> Array:
+        """Points (n, d) from standard normals (n, d), those of one component after the other.
 
         They are stratified over the components: with the shares really drawn as weights they stand
         for the mixture without bias (Owen and Zhou 2000, doi 10.1080/01621459.2000.10473909).
         """
-        pieces = np.split(normals, np.cumsum(counts)[:-1])
+        ends = np.rint(np.cumsum(self.shares) * len(normals)).astype(int)
+        pieces = np.split(normals, ends[:-1])
         triples = zip(self.means, self.factors, pieces, strict=True)
         return np.concatenate([mean + piece @ factor.T for mean, factor, piece in triples])
 
@@ -256,9 +257,9 @@ def draw(
     evaluator: Evaluator, mixture: Mixture, count: int, task: str, replicate: int = 0
 ) -> Draws:
     """`count` points (n, d) of a mixture, evaluated."""
-    counts, drawn = mixture.drawn(max(count, mixture.shares.size))
-    normals = evaluator.normals(mixture.dimension, int(counts.sum()), task, replicate)
-    points = drawn.moved(normals, counts)
+    count = max(count, mixture.shares.size)
+    drawn = mixture.drawn(count)
+    points = drawn.moved(evaluator.normals(mixture.dimension, count, task, replicate))
     return Draws(mixture=drawn, points=points, answers=evaluator.answers(points))
 
 
@@ -342,7 +343,7 @@ def importance_sampling(
     """
     begun, d = evaluator.count, mixture.dimension
     block = max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size)
-    counts, drawn = mixture.drawn(block)
+    drawn = mixture.drawn(block)
     points, answers = np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0))
     answer = ImportanceAnswer(
         estimate=absent("the budget does not suffice for importance sampling", METHOD, 0)
@@ -355,7 +356,7 @@ def importance_sampling(
         fresh = []
         for r in range(REPLICATES):
             normals = evaluator.normals(d, more * block, "importance", r, done * block)
-            fresh.append([drawn.moved(part, counts) for part in normals.reshape(more, block, d)])
+            fresh.append([drawn.moved(part) for part in normals.reshape(more, block, d)])
         rows = np.array(fresh).reshape(REPLICATES, more * block, d)
         points = np.concatenate([points, rows], axis=1)
         values = evaluator.answers(rows.reshape(-1, d)).reshape(REPLICATES, -1)
