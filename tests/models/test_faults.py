@@ -396,6 +396,22 @@ def test_a_dask_cluster_answers(place: Path) -> None:
         assert is_right(evaluated(model))
 
 
+def test_a_model_that_ends_its_process_leaves_the_workers_of_dask(place: Path) -> None:
+    """They were not replaced after some deaths, and the run waited for ever."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+        Model(study(), box(place, "os._exit(3)"), executor=client) as model,
+    ):
+        answers = evaluated(model)
+        assert "the model ended the process it ran in (exit code 3)" in answers.note
+        assert answers.good.tolist() == (A <= 2.0).tolist()
+        assert len(client.scheduler_info()["workers"]) == 2
+
+
 def test_a_dask_cluster_that_goes_away_is_told(place: Path) -> None:
     """Its client or its scheduler: exit code 7, and stored answers are not computed again."""
     distributed = pytest.importorskip("distributed")

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Final, cast
 
@@ -163,6 +164,25 @@ class _Process:
             with contextlib.suppress(OSError):  # what was left to be sent
                 stream.close()
 
+    def __del__(self) -> None:
+        """A worker of Dask ends its threads, and says nothing."""
+        with contextlib.suppress(AttributeError):  # it was not started
+            self.close()
+
+
+_kept = threading.local()
+
+
+def answer_apart(packed: bytes, rows: Array) -> Timed:
+    """Answers of a process beside a worker of Dask, one for each of its threads: a model that ends
+    its process leaves the worker alive, which Dask might not replace.  Raises as `result`.
+    """
+    task, process = getattr(_kept, "last", (b"", None))
+    if process is None or task != packed or not process.is_alive:
+        process = _Process(packed)
+        _kept.last = packed, process  # the one before is ended as it is forgotten
+    return process.call(rows, None)
+
 
 class Workers:
     """Where a black box is called.  Placement does not affect results.
@@ -175,8 +195,10 @@ class Workers:
     """
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
-        self._executor = executor
+        self._executor: Any = executor
+        self._answer: Callable[[bytes, Array], Timed] = answer
         if hasattr(executor, "get_executor"):
+            self._answer = answer_apart
             # the same call twice is two evaluations, which Dask would not make
             self._executor = executor.get_executor(pure=False)
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
@@ -206,7 +228,7 @@ class Workers:
         """
         if self._executor is not None:
             try:
-                return cast(Future[Timed], self._executor.submit(answer, self._packed, rows))
+                return cast(Future[Timed], self._executor.submit(self._answer, self._packed, rows))
             except Exception as error:
                 raise _lost(error) from error
         if self.count:
