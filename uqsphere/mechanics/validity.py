@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -31,6 +31,9 @@ _IMBALANCE: Final = (1.318, 0.45)
 _USUAL: Final = 0.95
 _FAR: Final = 0.9
 
+#: numbers of the rows (n,), why a check was not made, or None where it does not apply
+Measured: TypeAlias = "Array | str | None"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
@@ -47,7 +50,7 @@ class Rule:
 
     name: str
     meaning: str
-    measure: Callable[[Scene, SceneAnswers], Array | str | None]
+    measure: Callable[[Scene, SceneAnswers], Measured]
     information: float | None = None
     warning: float | None = None
     failure: float | None = None
@@ -738,20 +741,31 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
     )
 
 
-def check_validity(scene: Scene, answers: SceneAnswers) -> list[ValidityCheck]:
+def measured_rules(scene: Scene, answers: SceneAnswers) -> dict[Rule, Measured]:
+    """What every rule that applies measures, in the order of `RULES`."""
+    return {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
+
+
+def check_validity(
+    scene: Scene, answers: SceneAnswers, measured: Mapping[Rule, Measured] | None = None
+) -> list[ValidityCheck]:
     """Every check that applies to a batch, on its answers, in the order of `RULES`.
 
-    Raises ValueError for answers of another batch.
+    `measured` is what `measured_rules` returns, where it is at hand.  Raises ValueError for answers
+    of another batch.
     """
     if len(answers.status) != len(scene):
         raise ValueError(f"the scene has {len(scene)} rows, the answers have {len(answers.status)}")
     good = answered(answers.status)
-    checks = [_check(rule, scene, answers, good) for rule in rules_of(scene)]
+    if measured is None:
+        measured = measured_rules(scene, answers)
+    checks = [_check(rule, scene, answers, good, values) for rule, values in measured.items()]
     return [check for check in checks if check is not None]
 
 
-def _check(rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags) -> ValidityCheck | None:
-    measured = rule.measure(scene, answers)
+def _check(
+    rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags, measured: Measured
+) -> ValidityCheck | None:
     if measured is None:
         return None
     if isinstance(measured, str):

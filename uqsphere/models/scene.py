@@ -219,17 +219,18 @@ def checked_rows(
 ) -> tuple[list[ValidityCheck], dict[str, Places]]:
     """The validity checks of rows (n, d), those of the ranges of criteria among the quantities, and
     the grade of every row, (n,), by the name of its check."""
-    from uqsphere.mechanics.validity import check_ranges, check_validity, grades, rules_of
+    from uqsphere.mechanics.validity import check_ranges, check_validity, grades, measured_rules
 
     scene = scene_at(study, names, rows)
     answers = solve_scene(scene, study.model.fidelity, tolerance=study.model.tolerance)
-    measured = {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
+    measured = measured_rules(scene, answers)
     graded = {
         rule.name: grades(rule, row)
         for rule, row in measured.items()
         if isinstance(row, np.ndarray)
     }
-    return [*check_validity(scene, answers), *check_ranges(scene, answers, quantities)], graded
+    checks = check_validity(scene, answers, measured)
+    return [*checks, *check_ranges(scene, answers, quantities)], graded
 
 
 def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:
