@@ -42,18 +42,17 @@ def particle_energies(
     want, material = asked.tests, asked.material
     unit, meaning, notes = want.unit or None, want.energy_is, list[str]()
     mass = _masses(asked, table, diameter)
-    if want.force is not None:
-        force = table.numbers(want.force, "force", unit, key="energy")
-        modulus = _moduli(asked, table, len(force), notes)
-        energy, meaning = laws.energy_of_force(force, diameter, modulus, mass), "contact"
-    elif want.specific_energy is not None:
-        energy = table.numbers(want.specific_energy, "specific_energy", unit, key="energy")
-    elif want.energy is not None:
-        energy = table.numbers(want.energy, "energy", unit, key="energy") / mass
-    else:
-        assert want.speed is not None
-        speed = table.numbers(want.speed, "speed", unit, key="energy")
-        energy, meaning = 0.5 * np.square(speed), "input"
+    # a column is named as what it measures
+    measured = ("force", "specific_energy", "energy", "speed")
+    name = next(name for name in measured if getattr(want, name) is not None)
+    energy = table.numbers(getattr(want, name), name, unit, key="energy")
+    if name == "force":
+        modulus = _moduli(asked, table, len(energy), notes)
+        energy, meaning = laws.energy_of_force(energy, diameter, modulus, mass), "contact"
+    elif name == "energy":
+        energy = energy / mass
+    elif name == "speed":
+        energy, meaning = 0.5 * np.square(energy), "input"
     if meaning == "sphere":
         return energy, notes
     if want.partner is None:

@@ -202,13 +202,11 @@ def _specimens(rows: pd.DataFrame, names: list[str], file: str) -> Specimens:
                 "particle"
             )
         blows, last = np.repeat(group["energy"].to_numpy(), group["blows"]), group.iloc[-1]
-        for number, broke in (
-            (last["broken"], True),
-            (last["particles"] - last["broken"], False),
-        ):
+        numbers = {True: last["broken"], False: last["particles"] - last["broken"]}
+        exact = last["at_failure"] and len(blows) == 1
+        for broke, number in numbers.items():
             if number > 0:
                 series.append(blows)
-                exact = last["at_failure"] and len(blows) == 1
                 specimens.append(
                     {"diameter": last["diameter"], "broke": broke, "exact": exact, "weight": number}
                 )

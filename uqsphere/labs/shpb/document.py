@@ -20,6 +20,9 @@ from uqsphere.labs.files import (
 )
 from uqsphere.units import parse_value
 
+#: density [kg/m³] of the heaviest specimen, where only its size is known
+_HEAVIEST = 8000.0
+
 Columns = Annotated[
     tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)
 ]
@@ -126,19 +129,21 @@ class SpecimenTable(Section):
     density: Density | None = None
     strongest: Force | None = None
 
-    @property
-    def known_mass(self) -> float | None:
-        """Mass [kg], given or from density and size; None where it is not known."""
-        if self.mass is not None or self.density is None or self.diameter is None:
-            return self.mass
-        return self.density * self.volume(self.diameter)
+    def heaviest(self, widest: float) -> float:
+        """The largest mass [kg] that the specimen may have.
 
-    def volume(self, widest: float) -> float:
-        """Volume [m³] of the specimen, or of one as wide as `widest` [m] without a diameter."""
-        diameter = widest if self.diameter is None else self.diameter
-        if self.length is None:
-            return math.pi / 6.0 * diameter**3
-        return math.pi / 4.0 * diameter**2 * self.length
+        Its own mass where it is known, else a sphere or cylinder of steel of its size, else a
+        sphere of steel as wide as the bar, `widest` [m].
+        """
+        if self.mass is not None:
+            return 1.02 * self.mass
+        diameter = self.diameter or widest
+        volume = math.pi / 6.0 * diameter**3
+        if self.length is not None:
+            volume = math.pi / 4.0 * diameter**2 * self.length
+        if self.density is None or self.diameter is None:
+            return _HEAVIEST * volume
+        return 1.02 * (self.density * volume)
 
 
 class RecordDocument(Section):

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.labs.shpb.document import RecordDocument, SpecimenTable
+from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.peaks import NORMAL, Peaks, stretch
 from uqsphere.labs.shpb.signals import Changes
 
@@ -27,8 +27,6 @@ _STRUCK, _SPEED_ERROR = (0.1, 100.0), 0.1
 EQUILIBRIUM: Final = 0.05
 #: misfit of inertia and gain beyond which they do not explain the forces
 _MISFIT: Final = 0.05
-#: density [kg/m³] of the heaviest specimen, where only its size is known
-_HEAVIEST: Final = 8000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,17 +84,6 @@ def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: flo
         peaks[face].low - bending,
         peaks[face].high + bending,
     )
-
-
-def heaviest_specimen(specimen: SpecimenTable, bar_diameter: float) -> float:
-    """The largest mass [kg] that the specimen may have.
-
-    Its own mass where it is known, else a sphere or cylinder of steel of its size, else a sphere of
-    steel as wide as the bar.
-    """
-    if specimen.known_mass is not None:
-        return 1.02 * specimen.known_mass
-    return _HEAVIEST * specimen.volume(bar_diameter)
 
 
 def check_impulse(

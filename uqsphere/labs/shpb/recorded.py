@@ -73,10 +73,11 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     if above and tables.are_units(above[-1]):
         units = [above.pop()]
     if not above:
+        above = [[""] * form.width]
         notes.append(f"{name} has no headings")
     if form.mark == ",":
         notes.append(f"{name}: decimal comma")
-    headings = above[-1] if above else [""] * form.width
+    headings = above[-1]
     used = [place for place in range(form.width) if place in form.places or headings[place]]
     numbers = [*range(first - len(units) - 1, first), *body]
     rows = [_unique(headings), *units, *body.values()]

@@ -33,7 +33,6 @@ from uqsphere.labs.shpb.doubts import (
     check_impulse,
     check_specimen,
     check_striker,
-    heaviest_specimen,
 )
 from uqsphere.labs.shpb.peaks import Force, Peak, Peaks, largest_force
 from uqsphere.labs.shpb.record import Record
@@ -426,7 +425,7 @@ def _compare_faces(
     gains_sd = bar.gain_sd + _gain_b(record.receiving, behind)
     zero_a = bar.stiffness * (record.incident.offset + reflected.offset)
     zeros_sd = zero_a + behind.stiffness * record.receiving.offset
-    heaviest = heaviest_specimen(document.specimen, min(bar.diameter, behind.diameter))
+    heaviest = document.specimen.heaviest(min(bar.diameter, behind.diameter))
     return check_impulse(peaks, faces, gains_sd, zeros_sd, heaviest)
 
 
