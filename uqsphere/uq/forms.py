@@ -83,12 +83,11 @@ def truncated(form: Form, a: float, b: float) -> Form:
         return np.clip(p / mass, 0.0, 1.0), np.clip(q / mass, 0.0, 1.0)
 
     def quantile(p: Array, q: Array) -> Array:
-        first, last = below_a + p * mass, above_b + q * mass
-        lower, upper = first, last
+        lower, upper = below_a + p * mass, above_b + q * mass
         if below_a >= 0.5:
-            lower = 1.0 - last
+            return form.quantile(1.0 - upper, upper)
         if above_b >= 0.5:
-            upper = 1.0 - first
+            return form.quantile(lower, 1.0 - lower)
         return form.quantile(lower, upper)
 
     low, high = form.orders
