@@ -138,12 +138,10 @@ class Posterior:
         power of the size law, and the tested sizes.
         """
         median = self.median(diameter)[:, 0]
-        exponent = self.slope(diameter)
         of_law = [model.law == "lognormal" for model in self.models]
         bounded = np.array(of_law)[self.law.astype(int)]
-        none = np.full(len(self), np.nan)
-        modulus = self.parameters.get("modulus", none)
-        shape = np.where(bounded, self.parameters.get("sigma", none), 0.6 * modulus)
+        p: dict[str, Any] = {"sigma": np.nan, "modulus": np.nan, **self.parameters}
+        shape = np.where(bounded, p["sigma"], 0.6 * p["modulus"])
         smallest, largest = self.tested
         columns: dict[str, Any] = {
             "distribution": np.where(bounded, "lognormal", "weibull"),
@@ -152,7 +150,7 @@ class Posterior:
             "bound": bounded / self.models[0].ratio,
             "tests": self.tests,
             "diameter [mm]": diameter * 1e3,
-            "size_exponent": exponent * (self.models[0].size != "class"),
+            "size_exponent": self.slope(diameter) * (self.models[0].size != "class"),
             "smallest [mm]": smallest * 1e3,
             "largest [mm]": largest * 1e3,
         }
