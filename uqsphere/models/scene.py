@@ -37,11 +37,9 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     for name in values:
         if name not in INPUTS:
             raise UsageError(f"{name!r} is not an input of a scene (allowed: {', '.join(INPUTS)})")
-    n = (
-        rows
-        if rows is not None
-        else max((np.size(column) for column in values.values()), default=1)
-    )
+    n = rows
+    if n is None:
+        n = max(map(np.size, values.values()), default=1)
     numbers = {**study.at_means(), **values, **_library_onset(study)}
     columns = {
         name: np.broadcast_to(np.asarray(number, dtype=float), (n,))
@@ -88,11 +86,9 @@ def _library_onset(study: Study) -> dict[str, float]:
         return {}
     properties = library()["sphere"][study.materials["sphere"]].properties
     names = ("onset_pressure", "hardness")
-    return (
-        {f"sphere.{name}": properties[name].value for name in names}
-        if set(names) <= properties.keys()
-        else {}
-    )
+    if not properties.keys() >= {*names}:
+        return {}
+    return {f"sphere.{name}": properties[name].value for name in names}
 
 
 def solve_scene(
@@ -116,11 +112,13 @@ def solve_scene(
     from uqsphere.mechanics.integrator import solve as dynamics
     from uqsphere.mechanics.outputs import merged_answers
 
-    def integrated(part: Scene) -> SceneAnswers:
-        return dynamics.solve(
-            part, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
-        )
-
+    integrated = partial(
+        dynamics.solve,
+        fidelity=fidelity,
+        tolerance=tolerance,
+        threads=threads,
+        quantities=quantities,
+    )
     if scene.by_wave:
         exact: Flags = np.asarray(closed_form.closed_form_applies(scene, fidelity))
         closed = partial(closed_form.solve_closed, fidelity=fidelity, quantities=quantities)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from uqsphere.study.study import Limit
 from uqsphere.study.values import numbers_of
 from uqsphere.uq import Law
 
+#: the library's range of a property, and of which solids
+Range: TypeAlias = tuple[float, float, str]
 #: a factor off the library's range that is told
 _FAR: Final = 3.0
 #: Weibull moduli of strengths
@@ -70,7 +72,7 @@ class Like:
     called: str
     materials: Sequence[Material]
 
-    def range_of(self, key: str, diameter: float | None = None) -> Usual | None:
+    def range_of(self, key: str, diameter: float | None = None) -> Range | None:
         """The range of a property, of particles of a diameter [m] by its size law."""
         ends: list[float] = []
         for material in self.materials:
@@ -82,16 +84,7 @@ class Like:
                 ends += [size * end for end in entry.range or (entry.value, entry.value)]
         if not ends:
             return None
-        return Usual(low=min(ends), high=max(ends), of=self.called)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Usual:
-    """The library's range of a property, and of which solids."""
-
-    low: float
-    high: float
-    of: str
+        return min(ends), max(ends), self.called
 
 
 def _material(name: str) -> Material:
@@ -118,15 +111,15 @@ def _class_of(draft: Draft) -> Like:
     return Like(called="brittle solids", materials=brittle)
 
 
-def _compare(draft: Draft, place: Place, quantity: str, value: float, usual: Usual | None) -> None:
+def _compare(draft: Draft, place: Place, quantity: str, value: float, usual: Range | None) -> None:
     """Warn of a number more than a factor off the library's range."""
-    if usual is None or usual.low / _FAR <= value <= usual.high * _FAR:
+    if usual is None or usual[0] / _FAR <= value <= usual[1] * _FAR:
         return
-    shown, low, high = (format_value(x, quantity) for x in (value, usual.low, usual.high))
+    shown, low, high = (format_value(x, quantity) for x in (value, *usual[:2]))
     span = low
     if low != high:
         span = f"{low} to {high}"
-    text = f"{shown} is more than {_FAR:g} times off the library's {span} for {usual.of}"
+    text = f"{shown} is more than {_FAR:g} times off the library's {span} for {usual[2]}"
     draft.warn(place, text, holds="plausibility")
 
 
