@@ -100,9 +100,9 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = list[Curve]()
     for subject in points:
-        look = GREY, ASSUMED
         if subject not in kept:
             continue
+        look = GREY, ASSUMED
         if subject.startswith("limits."):
             look = next(hues), LIMIT
         elif subject in governing:
@@ -289,9 +289,13 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    frame, ticks, sign = 1.0, 0.0, 1.0
+    frame = 1.0
+    ticks = 0.0
+    sign = 1.0
     if edge == "below":  # the ticks have their numbers first
-        frame, ticks, sign = 0.0, -19.0 / 72.0, -1.0
+        frame = 0.0
+        ticks = -19.0 / 72.0
+        sign = -1.0
     shift = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
     coordinates = axes.get_xaxis_transform() + shift
     ends: list[float] = []
@@ -299,9 +303,15 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         place = float(axes.transData.transform((at, 0.0))[0])
         width = LETTER * len(text)
         # left of the leader; right of it where there is no room
-        start, stop, side, gap = place - width - 4.0, place, "right", -3.0
+        start = place - width - 4.0
+        stop = place
+        side = "right"
+        gap = -3.0
         if start <= 0.0:
-            start, stop, side, gap = place, place + width + 4.0, "left", 3.0
+            start = place
+            stop = place + width + 4.0
+            side = "left"
+            gap = 3.0
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         if row == len(ends):
             ends.append(stop)

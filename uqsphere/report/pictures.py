@@ -51,7 +51,8 @@ def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:
 
     if not len(places):
         return np.empty(0)
-    offsets = np.cumsum([0.0, *(0.5 * (before + after) for before, after in pairwise(widths))])
+    steps = [0.5 * (before + after) for before, after in pairwise(widths)]
+    offsets = np.cumsum([0.0, *steps])
     return np.asarray(isotonic_regression(np.array(places) - offsets).x + offsets)
 
 
@@ -169,9 +170,11 @@ def _mark_onset(
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
         text = f"{text} (off the scale)"
-    side, gap = "left", 6.0
+    side = "left"
+    gap = 6.0
     if place > 0.5 * (low + high):
-        side, gap = "right", -6.0
+        side = "right"
+        gap = -6.0
     at = max(low, min(place, high))
     write(axes, text, (at, 1.0), (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high

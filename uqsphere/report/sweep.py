@@ -298,7 +298,9 @@ def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
     left, right = figure.subplots(1, 2)
     key = sweep.keys[0]
     margins = sweep.points[0].study.margins
-    name, unit, factor = "number", "", 1.0
+    name = "number"
+    unit = ""
+    factor = 1.0
     if margins is not None:
         name = lookup(margins.solve).meaning
         unit, factor = display_unit(margins.solve, frame["use"].astype(float).max())

@@ -316,7 +316,8 @@ def margins(results: Results) -> PageTable:
     body = []
     for p in sorted({*itertools.chain(*asked.values())}):
         values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked]
-        body.append((format_probability(p), *(estimate(row, free.path) for row in values)))
+        cells = [estimate(row, free.path) for row in values]
+        body.append((format_probability(p), *cells))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
         ("probability", *asked),
