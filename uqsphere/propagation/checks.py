@@ -4,7 +4,7 @@ answers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -61,7 +61,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
             if check.name != "grazing_contact" or not _TIMES.isdisjoint(design.columns):
                 breached.append(check.model_copy(update={"effect": effect}))
         _, rows = inputs_at(plan)
-        breached += _later_loading(design, rows) + _out_of_reach(design, rows)
+        breached += [*_later_loading(design, rows), *_out_of_reach(design, rows)]
     source = source_of(design, tables)
     failed = source.dropped or float(sample.failed.mean())
     if failed > 0.0:
@@ -82,14 +82,12 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 name="few_runs",
                 share=1.0,
                 grade="note",
-                text=(
-                    f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in "
-                    "them"
-                ),
+                text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in "
+                "them",
                 effect=f"failure probabilities below {3.0 / n:.2g} are bounds",
             )
         )
-    return breached + _heavy_tails(design, tables)
+    return [*breached, *_heavy_tails(design, tables)]
 
 
 #: grade from which a check of the contact holds a number; those of faces that yield do so wherever
@@ -141,66 +139,53 @@ def _breaches(
     return breached
 
 
-def _later_loading(design: Design, rows: np.ndarray) -> list[Check]:
+def _later_loading(design: Design, rows: np.ndarray) -> Iterator[Check]:
     """Whether the loose sphere strikes one bar harder after the record than in it."""
     with np.errstate(all="ignore"):
         ratio = later_loading(design.study, design.inputs, rows)
     finite = ratio[np.isfinite(ratio)]
     harder = finite[finite > 1.001]
-    if not harder.size:
-        return []
-    share, median = harder.size / finite.size, float(np.median(harder))
-    whole = {limit.name: share for limit in design.fracture if limit.aim == "survive"}
-    return [
-        Check(
+    if harder.size:
+        share = harder.size / finite.size
+        yield Check(
             name="later_loading",
             share=share,
             grade="failure",
-            failures=whole,
+            failures={limit.name: share for limit in design.fracture if limit.aim == "survive"},
             text=f"in {format_probability(share)} of the rows the loose sphere later strikes one "
-            f"bar with {median:.3g} times the largest force of the record",
-            effect=(
-                "blows on one face after the last squeeze between both are not counted: set "
-                "model.whole_record = true"
-            ),
+            f"bar with {np.median(harder):.3g} times the largest force of the record",
+            effect="blows on one face after the last squeeze between both are not counted: set "
+            "model.whole_record = true",
         )
-    ]
 
 
-def _out_of_reach(design: Design, rows: np.ndarray) -> list[Check]:
+def _out_of_reach(design: Design, rows: np.ndarray) -> Iterator[Check]:
     """Strengths that are true pressures above the hardness, which no pressure exceeds: such spheres
     never break.
     """
     hardness = hardness_of(design.study, design.inputs, rows)
-    breached: list[Check] = []
     for limit in design.limits:
         if hardness is None or limit.quantity not in ("p_max", "first_peak", "p_mean"):
             continue
         law = limit.strength
         share = float(np.mean(law.sf(hardness) if isinstance(law, Law) else law > hardness))
-        if share < REACH[0]:
-            continue
-        breached.append(
-            Check(
+        if share >= REACH[0]:
+            yield Check(
                 name="reachable",
                 share=share,
                 grade="warning" if share < REACH[1] else "failure",
                 failures={limit.name: share},
                 text=f"{format_probability(share)} of the strengths of {limit.name} lie above the "
-                "hardness, which no "
-                "pressure exceeds",
+                "hardness, which no pressure exceeds",
                 effect='such spheres never break by it: set strength_is = "hertz" if it was '
                 "computed from a force, else measure the hardness",
             )
-        )
-    return breached
 
 
-def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
+def _heavy_tails(design: Design, tables: Tables) -> Iterator[Check]:
     """One warning by Hill's rule: an output whose variance may not exist."""
     from uqsphere.uq.describe import hill
 
-    heavy = []
     for name in design.described:
         values = tables.sample.outputs(name)
         values = values[np.isfinite(values)]
@@ -208,14 +193,11 @@ def _heavy_tails(design: Design, tables: Tables) -> list[Check]:
             continue
         order = hill(values)
         if order < 2.0:
-            heavy.append(
-                Check(
-                    name=f"heavy_tail_{name}",
-                    share=1.0,
-                    grade="warning",
-                    text=f"{name} has a tail so heavy that its variance may not exist (Hill index "
-                    f"{order:.2g})",
-                    effect="read quantiles; do not use standard deviation and indices",
-                )
+            yield Check(
+                name=f"heavy_tail_{name}",
+                share=1.0,
+                grade="warning",
+                text=f"{name} has a tail so heavy that its variance may not exist (Hill index "
+                f"{order:.2g})",
+                effect="read quantiles; do not use standard deviation and indices",
             )
-    return heavy

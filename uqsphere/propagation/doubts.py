@@ -198,7 +198,7 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
     assert isinstance(law, Law)
     laws = {law.family.name: law}
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
-        laws |= {name: other for name, other in _other_fits(law) if name not in laws}
+        laws |= _other_fits(law)
     allowed: dict[str, tuple[Law, ...]] = {}
     tests = tests_behind(limit) or (0.0,)
     first, last = tests[0], tests[-1]
@@ -211,13 +211,14 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
     return allowed
 
 
-def _other_fits(law: Law) -> Iterator[tuple[str, Law]]:
+def _other_fits(law: Law) -> dict[str, Law]:
     """Other distributions fitted to the tests behind a law, those that the tests do not refute."""
-    tests = series_behind(law)
+    tests, fits = series_behind(law), dict[str, Law]()
     for name, kind in STRENGTHS.items():
         if name != law.family.name and probability_of(tests, kind) >= REFUTED:
             with suppress(LawError):
-                yield name, fitted_law(law.data, name, censored=law.censored)
+                fits[name] = fitted_law(law.data, name, censored=law.censored)
+    return fits
 
 
 def other_distributions(law: Law) -> dict[str, tuple[Law, ...]]:

@@ -88,7 +88,7 @@ def demands_in_tests(study: Study, series: Sequence[Tested], mode: AssumedMode) 
         demand = value_at(
             np.array(tested.forces), mode.limit.demand, tested.sphere, radius, tested.platens
         )
-        parts.append(demand / (size_factor(study, mode, radius) / size_factor(study, mode, mean)))
+        parts.append(demand / (size_factor(mode, radius) / size_factor(mode, mean)))
     return np.concatenate(parts)
 
 

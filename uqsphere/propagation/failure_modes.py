@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,16 +22,22 @@ class AssumedMode:
     """A failure mode with a library strength: its limit, and the strength at both ends of the
     library's 95 % range.
 
+    declared : what the mode is
+    entry : the strength as the library has it
     counts : whether it means fracture; damage of the surface is shown only
     """
 
-    called: str
+    declared: FailureMode
     limit: Limit
     weak: Law
     strong: Law
-    source: str
-    seen: bool
+    entry: Property
     counts: bool = True
+
+    @property
+    def called(self) -> str:
+        """The name of the mode."""
+        return self.declared.name
 
     @property
     def middle(self) -> Law:
@@ -110,74 +115,64 @@ def _onset(study: Study, material: Material) -> float:
 
 def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode:
     """A failure mode with the library strength of a material, for spheres of the mean diameter."""
-    strength = material.properties[mode.strength]
-    spread = math.exp(NORMAL * strength.cov)
-    ends = strength.range or (strength.value / spread, strength.value * spread)
+    entry = material.properties[mode.strength]
+    spread = math.exp(NORMAL * entry.cov)
+    ends = entry.range or (entry.value / spread, entry.value * spread)
     parameters: dict[str, float] = {}
+    criterion = None
     # a strength measured on a specimen says nothing of a volume a million times smaller without
     # its size law
     if mode.size_law == "volume":
+        criterion = mode.criterion
         parameters = {
             "modulus": material.properties["weibull_modulus"].value,
-            "reference_volume": strength.further["volume"],
+            "reference_volume": entry.further["volume"],
         }
-    diameter = 2.0 * study.at_means()["sphere.radius"]
-    middle, weak, strong = (
-        _strength_law(mode, strength, value, parameters, diameter)
-        for value in (strength.value, *ends)
-    )
+    size = float(_size_factor(mode, entry, 2.0 * study.at_means()["sphere.radius"]))
+
+    def strength(value: float) -> Law:
+        """The distribution with the mean, or median, `value`."""
+        if mode.size_law == "volume":
+            return make_law("weibull", {"mean": value, "modulus": parameters["modulus"]})
+        if mode.size_law == "particle":
+            log_mean = math.log(value * size)
+            return make_law("lognormal", {"log_mean": log_mean, "log_sd": entry.cov})
+        return make_law("lognormal", {"mean": value, "cov": entry.cov})
+
     name = f"{mode.name} (assumed)"
     limit = Limit(
         name=name,
         quantity=CRITERIA[mode.criterion].quantity or f"{mode.criterion}.{name}",
-        strength=middle,
+        strength=strength(entry.value),
         target=default_target(study.limits, study.margins, "survive"),
-        criterion=mode.criterion if parameters else None,
+        criterion=criterion,
         parameters=parameters,
     )
+    weak, strong = map(strength, ends)
     return AssumedMode(
-        called=mode.name,
+        declared=mode,
         limit=limit,
         weak=weak,
         strong=strong,
-        source=strength.source,
-        seen=strength.seen,
+        entry=entry,
         counts=not mode.damage or study.analysis.damage_counts,
     )
 
 
-def _strength_law(
-    mode: FailureMode,
-    strength: Property,
-    value: float,
-    parameters: Mapping[str, float],
-    diameter: float,
-) -> Law:
-    """Distribution of a library strength with the mean, or median, `value`."""
-    if mode.size_law == "volume":
-        return make_law("weibull", {"mean": value, "modulus": parameters["modulus"]})
-    if mode.size_law == "particle":
-        median = value * float(_particle_size(strength, diameter))
-        return make_law("lognormal", {"log_mean": math.log(median), "log_sd": strength.cov})
-    return make_law("lognormal", {"mean": value, "cov": strength.cov})
-
-
-def _particle_size(strength: Property, diameter: Values) -> Array:
-    """Median fracture energy of particles of a diameter [m] over the library value (Tavares and
-    King 1998, equation 15).
+def _size_factor(mode: FailureMode, entry: Property, diameter: Values) -> Array:
+    """Strength of particles of a diameter [m] over the library value: their median fracture energy
+    (Tavares and King 1998, equation 15).
     """
-    return np.asarray(1.0 + (strength.further["size"] / diameter) ** strength.further["exponent"])
+    if mode.size_law != "particle":
+        return np.ones_like(diameter, dtype=float)
+    return np.asarray(1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
 
 
-def size_factor(study: Study, mode: AssumedMode, radius: Values) -> Array:
+def size_factor(mode: AssumedMode, radius: Values) -> Array:
     """Strength of a mode for spheres of a radius [m] over the library value, apart from the size
     effect in its criterion.
     """
-    material = library()["sphere"][study.materials["sphere"]]
-    for declared in FAILURE_MODES.values():
-        if declared.name == mode.called and declared.size_law == "particle":
-            return _particle_size(material.properties[declared.strength], 2.0 * np.asarray(radius))
-    return np.ones_like(np.asarray(radius, dtype=float))
+    return _size_factor(mode.declared, mode.entry, 2.0 * np.asarray(radius))
 
 
 def scaled_strength(law: Law, factor: float) -> Law:

@@ -263,7 +263,7 @@ def _size_law(limit: Limit) -> str:
 
 
 def _assumed(mode: AssumedMode) -> LimitEntry:
-    library = {"assumed": True, "source": mode.source, "source_checked": mode.seen}
+    library = {"assumed": True, "source": mode.entry.source, "source_checked": mode.entry.seen}
     return _limit(mode.limit).model_copy(update=library)
 
 
