@@ -50,12 +50,12 @@ def _model_range(
     the number to use, where contacts can yield by contacts that do.
     """
     study, limits, line = settled.aim.design.study, settled.aim.limits, settled.line
-    failing = {
-        check.name: (check.failures[limit.name], check.text)
-        for check in checks
-        for limit in reversed(limits)
-        if check.grade == "failure" and check.failures.get(limit.name, 0.0) > limit.target
-    }
+    failing: dict[str, tuple[float, str]] = {}
+    for check in checks:
+        for limit in limits:
+            share = check.failures.get(limit.name, 0.0)
+            if check.grade == "failure" and share > limit.target:
+                failing.setdefault(check.name, (share, check.text))
     if settled.use is not None and not study.black_box:
         nearest = int(np.argmin(np.abs(line.places - line.place_of(settled.use))))
         few = line.few

@@ -79,7 +79,9 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     for n in sizes:
         if n > today:
             uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
-            allowed = [*places, *(place for each in promises for place in each.places(uniforms))]
+            allowed = [*places]
+            for promise in promises:
+                allowed += promise.places(uniforms)
             ends = np.quantile(pick.reduce(allowed), [0.1, 0.5, 0.9])
             low, middle, high = sorted(line.value_at(float(end)) for end in ends)
             gains.append(TestsGain(tests=n, low=low, median=middle, high=high))
