@@ -175,7 +175,9 @@ def passage(s, face, level, sign, begin, end):
         right, right_slope = sign * (x - level), sign * rate * width
         a = b - width
         if right >= 0.0:
-            return root(s, face, level, sign, a, b) if i > 0 else begin
+            if i == 0:
+                return begin
+            return root(s, face, level, sign, a, b)
         if (
             i > 0
             and left_slope > 0.0 > right_slope
@@ -206,7 +208,9 @@ def _summit(s, kind, end, known):
             right, right_slope = _both(s, kind, s.at[i, j], s.at[i, b], s.rate[i, j], s.rate[i, b])
         if (abs(right) if signed else right) > known:
             known, place = abs(right), i * width
-        sign = -1.0 if signed and left + right < 0.0 else 1.0
+        sign = 1.0
+        if signed and left + right < 0.0:
+            sign = -1.0
         bound = highest_between(
             sign * left, sign * left_slope * width, sign * right, sign * right_slope * width
         )
@@ -259,7 +263,10 @@ def _first_event(s, j):
                 at = passage(s, face, 0.0, -1.0, 0.0, ends)
         elif (s.x[0, m] < 0.0 or s.x[1, m] < 0.0) and s.top[m] > 0.0:
             # a face that left at the start of this step is clear of zero a little later
-            at = passage(s, face, 0.0, 1.0, 0.0 if s.x[0, m] < 0.0 else 1e-3 * ends, ends)
+            clear = 0.0
+            if s.x[0, m] == 0.0:
+                clear = 1e-3 * ends
+            at = passage(s, face, 0.0, 1.0, clear, ends)
         if at <= ends:
             ends, s.why[j], s.side[j] = at, End.CONTACT, face
         if s.has_laws and not s.touching[j]:
@@ -288,12 +295,14 @@ def _spring_end(s, face, end):
     if i > POINTS:
         return math.inf
     # where it turns the slope is zero but for rounding
-    begin = (i - 1) * width if i > 1 else 1e-3 * width
+    begin = max(i - 1.0, 1e-3) * width
     x, rate = approach_of(s, face, begin)
     if rate < 0.0:
         begin = turn(s, face, begin, i * width, rate, approach_of(s, face, i * width)[1])
         x, _ = approach_of(s, face, begin)
-    return root(s, face, largest, 1.0, begin, i * width) if x < largest else begin
+    if x >= largest:
+        return begin
+    return root(s, face, largest, 1.0, begin, i * width)
 
 
 @compiled
@@ -320,7 +329,10 @@ def _virgin_end(s, face, end):
                         rate = rate * middle + k * s.piece[face, k]
                     if rate <= 0.0:
                         return turn(s, face, begin, middle, left, rate)
-                    low, high = (middle, high) if bend < 0.0 else (low, middle)
+                    if bend < 0.0:
+                        low = middle
+                    else:
+                        high = middle
             if right <= 0.0:
                 return turn(s, face, begin, theta, left, right)
         left, bow_left = right, bow
@@ -353,7 +365,8 @@ def _note_graze(s, j, face, ends):
     """
     if s.wanted & tracked.TO_THE_END and math.isnan(s.lost[j]) and math.isnan(s.grazed[j]):
         at = passage(s, face, s.faint[j], -1.0, 0.0, ends)
-        s.grazed[j] = s.time[j] + s.h[j] * at if at < math.inf else math.nan
+        if at < math.inf:
+            s.grazed[j] = s.time[j] + s.h[j] * at
 
 
 @compiled
@@ -380,7 +393,9 @@ def after_step(s, j):
     """
     ends, echoed = s.theta[j], heard(s, j, s.back[j])
     s.places[0], s.places[1] = -1.0, -1.0
-    quiet, kinds = is_quiet(s, j), _may_grow(s, j) if s.wanted & OF_BOTH else 0
+    quiet, kinds = is_quiet(s, j), 0
+    if s.wanted & OF_BOTH:
+        kinds = _may_grow(s, j)
     if not quiet or kinds:
         take_piece(s, j)
     if not quiet:
@@ -395,7 +410,8 @@ def after_step(s, j):
             m = face * LANES + j
             if s.has_laws and face_yielded(s, m):
                 # on virgin loading it is at its deepest at the end
-                s.places[face] = ends if s.spring[m] == 0.0 else -1.0
+                if s.spring[m] == 0.0:
+                    s.places[face] = ends
             else:
                 # faces that are alike share the largest approach so far
                 to = face if s.has_laws else FACE_A
@@ -410,7 +426,9 @@ def after_step(s, j):
         if kinds & (1 << kind):
             s.peak[kind, j] = _summit(s, kind, ends, s.peak[kind, j])[0]
     if not quiet and s.low[j] > 0.0:  # the record ends below a share of the largest approach
-        low = s.low[j] if s.by_law[j] else s.share * highest
+        low = s.low[j]
+        if not s.by_law[j]:
+            low = s.share * highest
         at = _both_below(s, low, ends)
         if at <= ends:
             ends, s.why[j], s.ended[j] = at, End.RECORD, s.time[j] + at * s.h[j]

@@ -165,7 +165,9 @@ def start_series(s, m):
     loading.
     """
     if s.mode == LINEAR:
-        s.hertz[m], s.by_x[m] = 0.0, 1.0 if s.x[0, m] > 0.0 else 0.0
+        s.hertz[m], s.by_x[m] = 0.0, 0.0
+        if s.x[0, m] > 0.0:
+            s.by_x[m] = 1.0
     elif s.spring[m] == 0.0:
         s.start[m], s.inverse[m] = s.constant[m], 0.0
         if s.by_log[m] != 0.0:
@@ -236,7 +238,9 @@ def stored_energy(s, m, above):
     recovered = onset * (force / s.unit_force[m]) / math.sqrt(area)
     # dA/dz of (C6) is C - (C - 1) g/(g + y - 1)
     pile_up, g = s.pile_up[m], _area_shape(b, s.pile_up[m])
-    widens = pile_up - ((pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0) if g > 0.0 else 0.0)
+    widens = pile_up
+    if g > 0.0:
+        widens -= (pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0)
     return 0.4 * force * recovered, 0.4 * recovered * (
         2.0 * slope - 0.5 * force * widens / (area * onset)
     )
@@ -245,7 +249,9 @@ def stored_energy(s, m, above):
 @compiled
 def largest_approach(s, m):
     """Largest approach of a face so far: a tracked one while it has not yielded."""
-    return s.largest[m] if face_yielded(s, m) else s.peak[m // LANES, m % LANES]
+    if face_yielded(s, m):
+        return s.largest[m]
+    return s.peak[m // LANES, m % LANES]
 
 
 @compiled

@@ -105,7 +105,8 @@ def echo_steps(s, j, made):
             k += 1
         s.first[bar, j] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
-        k = k if s.single[j] else min(k + 1, newest)
+        if not s.single[j]:
+            k = min(k + 1, newest)
         h = min(h, max(_ended(s, j, made, k) - begin, 0.1 * h))
     for bar in range(2):
         k = s.first[bar, j]
@@ -132,7 +133,9 @@ def read_echo(s, j, bar, made):
                 value = value * theta + kept.wave[bar, ORDER - k]
             s.work[i] = value
         # all points are read from every step; each step keeps those behind its start
-        from_theta = (kept.began - begin) / s.h[j] if step > s.first[bar, j] else -1.0
+        from_theta = -1.0
+        if step > s.first[bar, j]:
+            from_theta = (kept.began - begin) / s.h[j]
         for i in range(WAVE):
             if WAVE_THETAS[i] >= from_theta:
                 s.echo[i, m] = s.work[i]

@@ -16,6 +16,11 @@ lane one step:
     keep      what is read again of it: the waves that leave, the path
     turn      the next state, or the end of the record (`records`)
 
+A record ends at the horizon; between infinite bars once both forces stay below a share of the
+largest; of a rig once all gaps grow and no echo can close them.  It ends sooner where nothing that
+is wanted can change any more: no approach can exceed the largest so far (`records.no_later_peak`),
+or no wave can press harder after a loss of contact (`records.no_harder_squeeze`).
+
 What a lane knows are the fields of `tracked.LANE`, with their units and who writes them.
 """
 
@@ -169,7 +174,9 @@ def _enter(s, j, r, rows):
     level = rows.level[r]
     s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1, GOES_ON
     s.single[j], s.time[j], s.proposed[j], s.error[j] = 0, 0.0, 1e30, s.local
-    s.mass[j], s.inverse_mu[j] = rows.mass[r], 0.0 if s.mode == MASSLESS else 1.0 / rows.mass[r]
+    s.mass[j], s.inverse_mu[j] = rows.mass[r], 1.0 / rows.mass[r]
+    if s.mode == MASSLESS:
+        s.inverse_mu[j] = 0.0
     s.end[j], s.pulse_end[j] = rows.horizon[r], rows.pulse_end[r] * (1.0 - 1e-12)
     s.size[0, j], s.size[1, j], s.size[2, j] = level, 0.1 * level, level
     s.size[3, j], s.size[4, j] = 1.0, 1.0
@@ -185,18 +192,23 @@ def _enter(s, j, r, rows):
             rows.rigs[r, tracked.RIG_THERE, face],
             rows.rigs[r, tracked.RIG_SPEED, face],
         )
-        s.x[0, m], s.u[0, m] = 0.0, rows.speed[r] if s.rigged else 0.0
+        s.x[0, m], s.u[0, m] = 0.0, 0.0
         if s.rigged:
+            s.u[0, m] = rows.speed[r]
             s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
-            s.size[3 + face, j] = 0.1 * min(1.0, lightness) if lightness > 0.0 else 1.0
+            if lightness > 0.0:
+                s.size[3 + face, j] = 0.1 * min(1.0, lightness)
         s.touched[face, j] = 1.0 - s.there[m]
         if s.there[m] > 0.0:
             quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
-    s.quickest[j] = max(quickest, 1.0) * max(stiffest, 1.0) if s.rigged else quickest
+    s.quickest[j] = quickest
     if s.rigged:
+        s.quickest[j] = max(quickest, 1.0) * max(stiffest, 1.0)
         s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     s.back[j] = min(s.trips[0, j], s.trips[1, j])
-    s.steady[j] = 1.0 if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf else -1.0
+    s.steady[j] = -1.0
+    if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf:
+        s.steady[j] = 1.0
     records.begin(s, j)
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
@@ -228,8 +240,8 @@ def _waves(s, made):
         if heard:
             incoming.echo_steps(s, j, made)
         incoming.incident(s, j)
-        for bar in range(2 if heard else 0):
-            if s.first[bar, j] >= 0:
+        for bar in range(2):
+            if heard and s.first[bar, j] >= 0:
                 incoming.read_echo(s, j, bar, made)
                 echoing = True
     if echoing:
@@ -252,23 +264,32 @@ def _try(s, j):
     s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
     s.h[LANES + j] = s.h[j]
     # impulse by which a step may err because the series of its root has parted from the root
-    allowed = s.mass[j] * s.size[1, j] if s.mode == FULL else math.inf
+    allowed = math.inf
+    if s.mode == FULL:
+        allowed = s.mass[j] * s.size[1, j]
     for face in range(2):
         if s.lightness[face * LANES + j] > 0.0:
             allowed = min(allowed, s.size[3 + face, j] / s.lightness[face * LANES + j])
-    parts = _APART_IN_RIGS if s.rigged else _APART
-    s.wrong_allowed[j] = math.inf if s.mode == LINEAR else parts * s.error[j] * min(scale, allowed)
+    parts = _APART
+    if s.rigged:
+        parts = _APART_IN_RIGS
+    s.wrong_allowed[j] = parts * s.error[j] * min(scale, allowed)
+    if s.mode == LINEAR:
+        s.wrong_allowed[j] = math.inf
     # an approach errs by less than the tolerance; in a row that is looked at again all steps may
     # err one way
-    steps = s.count[j] if s.tolerance < s.requested else 0
+    steps = 0
+    if s.tolerance < s.requested:
+        steps = s.count[j]
     s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
     s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(s.lost[j]):
         s.near[j] = 0.0  # only the first loss of contact is an answer of its own
     s.low[j] = -math.inf
     if not s.rigged and s.end[j] == math.inf and s.time[j] >= s.pulse_end[j]:
-        peak = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
-        s.low[j] = tail_level(s, j) if s.by_law[j] else s.share * peak
+        s.low[j] = s.share * max(s.peak[FACE_A, j], s.peak[FACE_B, j])
+        if s.by_law[j]:
+            s.low[j] = tail_level(s, j)
 
 
 # --- series
@@ -349,7 +370,8 @@ def _holds(s, j):
         # a wave bends where the step that made it ends: what does not fit is tried again up to
         # there
         s.single[j] = max(s.last[0, j] - s.first[0, j], s.last[1, j] - s.first[1, j]) > 0
-        s.proposed[j] = s.h[j] if s.single[j] else s.proposed[j]
+        if s.single[j]:
+            s.proposed[j] = s.h[j]
     if s.proposed[j] <= 1e-15 * (1.0 + s.time[j]) or s.attempts[j] > 10 * LIMIT:
         s.fate[j] = tracked.STUCK
     return False
@@ -362,7 +384,9 @@ def _switch(s, j):
     for face in range(2):
         m = face * LANES + j
         if s.switched[j] & (1 << face):
-            s.turns[m] = s.turns[m] + 1.0 if s.turned_at[m] == s.time[j] else 1.0
+            if s.turned_at[m] != s.time[j]:
+                s.turns[m] = 0.0
+            s.turns[m] += 1.0
             s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), s.time[j]
 
 
@@ -383,7 +407,9 @@ def _keep(s, j, ending, made):
         s.error[j] *= 1.0 - 1.0 / s.count[j]
     step.began, step.holds, step.unit = s.time[j], ending * s.h[j], s.h[j]
     if s.wanted & tracked.WANT_RISE:
-        step.crest = most_force(s, j) if s.has_laws else max(s.top[j], s.top[LANES + j])
+        step.crest = max(s.top[j], s.top[LANES + j])
+        if s.has_laws:
+            step.crest = most_force(s, j)
         for face in range(2):
             m = face * LANES + j
             step.spring[face], step.dent[face] = s.spring[m], s.dent[m]
@@ -426,7 +452,9 @@ def _turn(s, j, ending, made):
     before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
     _move_on(s, j, ending)
     at_stop = at_stop and s.why[j] < End.CONTACT
-    s.time[j] = s.stop[j] if at_stop else before + ending * s.h[j]
+    s.time[j] = before + ending * s.h[j]
+    if at_stop:
+        s.time[j] = s.stop[j]
     _propose(s, j, ending, at_stop)
     done = s.why[j] == End.RECORD
     if s.rigged and not s.touching[j]:
@@ -444,7 +472,9 @@ def _turn(s, j, ending, made):
         s.fate[j] = tracked.OK
     elif at_stop and s.time[j] >= s.end[j]:
         pressed = max(s.x[0, j], s.x[0, LANES + j]) > 0.0
-        s.fate[j] = tracked.STILL_PRESSED if s.rigged and pressed else tracked.OK
+        s.fate[j] = tracked.OK
+        if s.rigged and pressed:
+            s.fate[j] = tracked.STILL_PRESSED
     return at_stop and s.fate[j] == GOES_ON
 
 
@@ -457,7 +487,9 @@ def _judge(s, j):
         s.fate[j] = tracked.OK
         return
     # the first step that is read again: of the whole path, or of the waves of a round trip
-    oldest = 0 if s.wanted & tracked.WHOLE_PATH else s.count[j]
+    oldest = s.count[j]
+    if s.wanted & tracked.WHOLE_PATH:
+        oldest = 0
     for bar in range(2):
         if s.trips[bar, j] < math.inf and s.time[j] < s.end[j]:
             oldest = min(oldest, max(s.first[bar, j], 0))
@@ -505,17 +537,21 @@ def _move_on(s, j, ending):
     s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
     if s.by_law[j]:
         press_deeper(s, j)
-        for face in range(0 if incoming.heard(s, j, s.back[j]) else 2):
-            s.x_first[face, j] = largest_approach(s, face * LANES + j)
+        for face in range(2):
+            if not incoming.heard(s, j, s.back[j]):
+                s.x_first[face, j] = largest_approach(s, face * LANES + j)
 
 
 @compiled(inline=True)
 def _propose(s, j, ending, at_stop):
     """How long the next step may be."""
     # what an echo cut short at a joint of its steps is tried again beyond it
-    kept_up = s.proposed[j] if ending == 1.0 and not at_stop else 0.0
-    longer = ending * s.h[j] * (GROWTH_ECHO if incoming.heard(s, j, s.back[j]) else GROWTH)
-    s.proposed[j] = max(longer, kept_up)
+    kept_up, growth = 0.0, GROWTH
+    if ending == 1.0 and not at_stop:
+        kept_up = s.proposed[j]
+    if incoming.heard(s, j, s.back[j]):
+        growth = GROWTH_ECHO
+    s.proposed[j] = max(ending * s.h[j] * growth, kept_up)
     if s.why[j] == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         s.proposed[j] = max(s.proposed[j], s.h[j])
 

@@ -69,7 +69,9 @@ def echoes_have_acted(s, j):
     for bar in range(2):
         if s.reflect[bar, j] < 0.0 and s.trips[bar, j] < math.inf:
             wait = max(wait, 2.0 * s.trips[bar, j])
-    return s.parted[j] + wait * (1.0 + 1e-12) if wait > 0.0 else -math.inf
+    if wait == 0.0:
+        return -math.inf
+    return s.parted[j] + wait * (1.0 + 1e-12)
 
 
 @compiled
@@ -135,7 +137,9 @@ def _after(s, squeeze, drive, stiffness, length):
         return drive + (squeeze - drive) * math.exp(-length)
     side = stiffness * math.sqrt(squeeze)
     rate = 1.5 * side
-    decay = -math.expm1(-rate * length) / rate if rate * length > 1e-9 else length
+    decay = length
+    if rate * length > 1e-9:
+        decay = -math.expm1(-rate * length) / rate
     after = squeeze + (drive - side * squeeze) * decay
     if drive > 0.0:
         rest = (drive / stiffness) ** (2.0 / 3.0)
@@ -157,7 +161,9 @@ def _largest_squeeze(s, j):
         return 0.0, 1.0
     force, soft, stiff = largest_force(s, j), math.inf, 0.0
     for m in range(j, 2 * LANES, LANES):
-        elastic_to = s.peak_force[m] if face_yielded(s, m) else s.unit_force[m]
+        elastic_to = s.unit_force[m]
+        if face_yielded(s, m):
+            elastic_to = s.peak_force[m]
         force = min(force, elastic_to)
         soft, stiff = min(soft, s.spring[m]), max(stiff, s.spring[m])
     approach = (force / stiff) ** (2.0 / 3.0)
@@ -208,7 +214,9 @@ def no_harder_squeeze(s, j, alone, made):
         for i in range(s.cells[bar]):
             top = max(top, s.cell_wave[bar, i])
         highest += s.reflect[bar, j] * top
-    rest = highest if s.mode == LINEAR else (highest / stiffness) ** (2.0 / 3.0)
+    rest = highest
+    if s.mode != LINEAR:
+        rest = (highest / stiffness) ** (2.0 / 3.0)
     if rest <= largest or s.cells[0] + s.cells[1] == 0:
         return True
     return _stays_below(s, j, squeeze, largest, stiffness)
@@ -226,11 +234,15 @@ def _stays_below(s, j, squeeze, largest, stiffness):
     weight_a, weight_b, shift_a, shift_b = s.reflect[0, j], s.reflect[1, j], 0.0, 0.0
     a, b = 0, 0
     for _ in range(_MOST_CELLS):
-        until_a = s.cell_end[0, a] + shift_a if cells_a > 0 else math.inf
-        until_b = s.cell_end[1, b] + shift_b if cells_b > 0 else math.inf
+        until_a, until_b, drive = math.inf, math.inf, 0.0
+        if cells_a > 0:
+            until_a = s.cell_end[0, a] + shift_a
+            drive = weight_a * s.cell_wave[0, a]
+        if cells_b > 0:
+            until_b = s.cell_end[1, b] + shift_b
+            drive += weight_b * s.cell_wave[1, b]
         until = min(min(until_a, until_b), s.end[j])
-        drive = weight_a * s.cell_wave[0, a] if cells_a > 0 else 0.0
-        drive += weight_b * s.cell_wave[1, b] if cells_b > 0 else 0.0
+
         if until > time:
             squeeze = _after(s, squeeze, drive, stiffness, until - time)
             time = until
@@ -277,7 +289,10 @@ def no_higher_approach(s, j):
         if level > 0.0 and s.mode != LINEAR:
             rest = (level / spring) ** (2.0 / 3.0)
             least_phi = 0.6 * level * rest
-        top = (largest_approach(s, m) - s.dent[m] if s.has_laws else s.peak[FACE_A, j]) * slack
+        top = s.peak[FACE_A, j]
+        if s.has_laws:
+            top = largest_approach(s, m) - s.dent[m]
+        top *= slack
         if top < rest * slack:
             return False
         least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
@@ -297,7 +312,9 @@ def _stays_pressed(s, j):
     least = min(s.x[0, j], s.x[0, b])
     if not (low > 0.0 and least > 0.0 and s.mass[j] < _LIGHT and s.spring[j] == s.spring[b]):
         return False
-    stiffness = 1.0 if s.mode == LINEAR else 1.5 * s.spring[j] * math.sqrt(least)
+    stiffness = 1.0
+    if s.mode != LINEAR:
+        stiffness = 1.5 * s.spring[j] * math.sqrt(least)
     swing = (s.x[0, j] - s.x[0, b]) ** 2 + 2.0 * s.mass[j] * s.u[0, j] ** 2 / stiffness
     return 4.0 * swing < low * low
 
@@ -320,7 +337,9 @@ def no_later_peak(s, j):
     for m in range(j, PAIR, LANES):
         energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
         stiffest = max(stiffest, s.spring[m])
-    force = math.sqrt(2.0 * energy) if s.mode == LINEAR else stiffest**0.4 * (2.5 * energy) ** 0.6
+    force = math.sqrt(2.0 * energy)
+    if s.mode != LINEAR:
+        force = stiffest**0.4 * (2.5 * energy) ** 0.6
     return not (
         (wanted & tracked.WANT_DIFFERENCE and force > s.peak[DIFFERENCE, j] * slack)
         or (wanted & tracked.WANT_MEAN and force > s.peak[MEAN, j] * slack)
@@ -337,7 +356,9 @@ def note_duration(s, j, settled):
     settled: the waves are over, and what is still pressed dies out with the impulse that (Q2) says.
     """
     if s.wanted & tracked.WANT_DURATION and not s.peak[MEAN, j] <= s.counted_peak[j]:
-        left = 0.5 * (s.x[0, j] + s.x[0, LANES + j]) if settled else 0.0
+        left = 0.0
+        if settled:
+            left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
         s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
         s.counted[j], s.counted_peak[j] = s.time[j], s.peak[MEAN, j]
 
@@ -358,7 +379,6 @@ def begin(s, j):
 @compiled
 def finish(s, j, made, out):
     """Answers of a row that has ended, in scaled variables."""
-    lost, parted = not math.isnan(s.lost[j]), not math.isnan(s.parted[j])
     for face in range(2):
         # of faces that are alike the larger is followed
         of, other = (face, s.other[face, j]) if s.has_laws else (0, math.nan)
@@ -374,10 +394,13 @@ def finish(s, j, made, out):
     out[tracked.ANSWER_X_FIRST] = max(s.x_first[0, j], s.x_first[1, j])
     out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = s.ended[j], s.duration[j]
     out[tracked.ANSWER_COUNTED] = s.counted[j]
-    out[tracked.ANSWER_CONTACT] = s.lost[j] if lost else s.ended[j]
-    out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
+    out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = s.ended[j], 1.0
+    if not math.isnan(s.lost[j]):
+        out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = s.lost[j], 0.0
     out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = s.grazed[j], s.blur[j]
-    out[tracked.ANSWER_PARTING] = s.parted[j] if parted else s.ended[j]
+    out[tracked.ANSWER_PARTING] = s.ended[j]
+    if not math.isnan(s.parted[j]):
+        out[tracked.ANSWER_PARTING] = s.parted[j]
     for kind in range(DIFFERENCE, KINDS):
         if s.wanted & (1 << (kind - 1)):
             out[_ANSWER_OF[kind]] = s.peak[kind, j]
@@ -387,8 +410,11 @@ def finish(s, j, made, out):
             s.carried[1, j],
         )
     if s.wanted & tracked.WANT_RISE:
-        top = largest_force(s, j) if s.has_laws else out[tracked.ANSWER_X_MAX]
-        power = 1.0 if s.mode == LINEAR or s.has_laws else 2.0 / 3.0
+        top, power = out[tracked.ANSWER_X_MAX], 2.0 / 3.0
+        if s.has_laws:
+            top = largest_force(s, j)
+        if s.has_laws or s.mode == LINEAR:
+            power = 1.0
         tenth, nine = (
             first_at(s, j, made, top * 0.1**power),
             first_at(s, j, made, top * 0.9**power),

@@ -285,26 +285,35 @@ def march_rows(
     """
     from uqsphere.mechanics.integrator.kernel import Answers, Rows, march
 
-    share = _LOCAL_DIFFERENCE if wanted & tracked.WANT_DIFFERENCE else _LOCAL
+    share = yielded = _LOCAL
+    if wanted & tracked.WANT_DIFFERENCE:
+        share = _LOCAL_DIFFERENCE
     finite = bool(np.isfinite(arguments["horizon"]).all())
     rigged, has_laws = arguments["rigs"].shape[1] > 0, arguments["laws"].shape[1] > 0
     if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
-    yielded = _LOCAL_YIELDED if finite and not rigged else _LOCAL
+    if finite and not rigged:
+        yielded = _LOCAL_YIELDED
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
-    local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
+    local, power = share * tolerance, 2.0 / 3.0
+    if mode != MODES["full"]:
+        local *= 0.1
+    if mode == MODES["linear"]:
+        power = 1.0
     keep = wanted & tracked.WANT_MOTION != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
-    n = len(arguments["mass"])
-    laws = {} if has_laws else {"laws": tracked.elastic_faces(n)}
-    rigs = {} if rigged else {"rigs": tracked.two_bars(n)}
-    rows = Rows(**{**arguments, **laws, **rigs})
+    n, columns = len(arguments["mass"]), dict(arguments)
+    if not has_laws:
+        columns["laws"], wanted = tracked.elastic_faces(n), wanted & ~tracked.WANT_SHARE
+    if not rigged:
+        columns["rigs"] = tracked.two_bars(n)
+    rows = Rows(**columns)
     out = Answers(empty_answers(n), np.zeros(n, np.int64), np.zeros(n, np.int64))
     order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
     settings = {
         "mode": mode,
-        "wanted": wanted if has_laws else wanted & ~tracked.WANT_SHARE,
+        "wanted": wanted,
         "has_laws": has_laws,
         "rigged": rigged,
         "stop_at_loss": stop_at_loss,
@@ -312,7 +321,7 @@ def march_rows(
         "local": local,
         "closer": min(1.0, yielded / share),
         "requested": requested,
-        "share": tracked.TAIL_SHARE ** (1.0 if mode == MODES["linear"] else 2.0 / 3.0),
+        "share": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
         # lanes without a row
