@@ -70,8 +70,8 @@ class Aim:
         """Whether exceedance is what must not happen."""
         return self.word == "survive"
 
-    def missed(self, exceeded: Array | float) -> Array:
-        """Probability that the aim is missed, from that of exceedance."""
+    def failure(self, exceeded: Array | float) -> Array:
+        """Failure probability from that of exceedance."""
         if self.survive:
             return np.asarray(exceeded)
         return np.asarray(1.0 - exceeded)

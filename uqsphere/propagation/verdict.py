@@ -284,7 +284,7 @@ def _points(settled: Settled, curves: Sequence[Array]) -> list[types.CurvePoint]
     if len(settled.line.values) < 2 or not curves:
         return []
     names = ("value",) if len(curves) == 1 else ("low", "high")
-    rows = np.sort([settled.aim.missed(curve) for curve in curves], axis=0).T.tolist()
+    rows = np.sort([settled.aim.failure(curve) for curve in curves], axis=0).T.tolist()
     return [
         types.CurvePoint(at=at, **{"value": None, **dict(zip(names, row, strict=True))})
         for at, row in zip(settled.line.values, rows, strict=True)
@@ -355,7 +355,7 @@ def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
 
 
 def _failure(aim: Aim, exceedance: float) -> types.Range:
-    return types.Range(value=float(aim.missed(exceedance)))
+    return types.Range(value=float(aim.failure(exceedance)))
 
 
 # --- verdict and remedy ---------------------------------------------------------------------------
@@ -471,13 +471,13 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         at = "assumed: " + _TEXTS[doubt.code].format(name)
         if doubt.code == CONTACT and name:
             at += f", {name} strength"
-        value, low, high, note = float(aim.missed(doubt.single)[0]), None, None, ""
+        value, low, high, note = float(aim.failure(doubt.single)[0]), None, None, ""
     else:
         at = f"tests: {doubt.detail}"
         if isinstance(law, Law) and law.family.name == doubt.detail:
             at = "tests"
-        low, high = sorted(float(aim.missed(end)[0]) for end in (doubt.curve, doubt.opposite))
-        value = float(np.clip(aim.missed(judged.plan.curves.middle(limit))[0], low, high))
+        low, high = sorted(float(aim.failure(end)[0]) for end in (doubt.curve, doubt.opposite))
+        value = float(np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high))
         note = "95 % range over the strengths that the tests allow, with the other failure modes"
     answers.row(
         subject,
