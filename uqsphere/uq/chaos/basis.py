@@ -340,13 +340,13 @@ def skipping(active: Indices, highest: int) -> Indices:
 
 def products(tables: Sequence[Array], terms: Indices) -> Array:
     """Values (P, n) of the products with degrees terms (P, d), from those (degree + 1, n) of each
-    input.
+    input, of which row 0 is 1.
     """
-    matrix = np.ones((len(terms), tables[0].shape[1]))
-    for column, table in enumerate(tables):
-        active = np.flatnonzero(terms[:, column])
-        if active.size:
-            matrix[active] *= table[terms[active, column]]
+    matrix = tables[0][terms[:, 0]]
+    for table, degrees in zip(tables[1:], terms.T[1:], strict=True):
+        # row by row: a row stays in the cache, the gathered table of all rows does not
+        for row in np.flatnonzero(degrees):
+            matrix[row] *= table[degrees[row]]
     return matrix
 
 
