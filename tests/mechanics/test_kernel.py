@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scenes import EXAMPLE, scaled_scene
 
-from uqsphere.mechanics.integrator import events, faces, incoming, kernel, lanes, records
+from uqsphere.mechanics.integrator import events, faces, incoming, kernel, lanes, records, tracked
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.integrator.tracked import LANE, LANES
@@ -365,3 +365,13 @@ def test_the_hot_loops_are_vectorised(name: str) -> None:
     wide = len(re.findall(arithmetic.format("pd") + ".*%[yz]mm", text))
     single = len(re.findall(arithmetic.format("sd"), text))
     assert wide > 4 * (single + 1), (wide, single)
+
+
+def test_the_fields_of_a_lane_name_functions_that_write_them() -> None:
+    modules = (events, faces, incoming, kernel, lanes, records)
+    names = {name.lstrip("_") for module in modules for name in vars(module)} | {"records"}
+    text = Path(tracked.__file__).read_text()
+    fields = re.findall(r"^ {8}\(\"\w+\", .*; ([a-z_, ]+)$", text[text.index("LANE:") :], re.M)
+    assert len(fields) > 60
+    for writers in fields:
+        assert set(writers.split(", ")) <= names | {"march_rows"}, writers

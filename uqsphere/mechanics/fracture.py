@@ -86,7 +86,7 @@ def _values(states: Array, share: Array) -> Array:
 
 
 def _stored(approach: Array) -> Array:
-    """Energy of both contacts in scaled variables, theory (17): (2/5) sum x^(5/2)."""
+    """Energy of both contacts in scaled variables, theory (18): (2/5) sum x^(5/2)."""
     return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
 
 

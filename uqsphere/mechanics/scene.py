@@ -13,7 +13,7 @@ from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.inputs import INPUTS
-from uqsphere.mechanics.integrator.tracked import NEVER_CLOSES
+from uqsphere.mechanics.integrator.tracked import DOMAIN, NEVER_CLOSES, TOO_LONG_PULSE
 from uqsphere.mechanics.pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
 from uqsphere.mechanics.rigs import (
     DEFAULT_RIG,
@@ -447,17 +447,17 @@ class Scene:
         """Status of every row before the integration, (n,): see `STATUS`."""
         codes = np.zeros(len(self), dtype=np.int64)
         with np.errstate(all="ignore"):
-            codes[~self._in_domain()] = 1
+            codes[~self._in_domain()] = DOMAIN
             if not self.by_wave:
-                codes[self._outside()] = 1
+                codes[self._outside()] = DOMAIN
                 if self.setup.by_impact:
                     codes[self.closing_speed <= 0.0] = NEVER_CLOSES
                 return codes
-            codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = 1
-            codes[~self.pulse.valid] = 1
+            codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = DOMAIN
+            codes[~self.pulse.valid] = DOMAIN
             if not self.infinite:
                 too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
-                codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = 2
+                codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = TOO_LONG_PULSE
         return codes
 
     def _in_domain(self) -> Flags:

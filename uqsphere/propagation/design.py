@@ -21,9 +21,8 @@ from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, me
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
+from uqsphere.uq.estimate import REPLICATES
 
-#: independent randomisations of every table
-REPLICATES: Final = 16
 #: values of the free number
 VALUES: Final = 25
 

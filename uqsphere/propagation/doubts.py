@@ -27,7 +27,7 @@ from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Law, LawError, make_law, random_generator
-from uqsphere.uq.estimate import probability_ends, spread
+from uqsphere.uq.estimate import ENDS, probability_ends, spread
 from uqsphere.uq.fitting import (
     STRENGTHS,
     count_tests,
@@ -48,8 +48,6 @@ ASSUMED: Final[DoubtCode] = "assumed strength"
 
 #: strengths that tests allow
 LAWS: Final = 400
-#: ends of the 95 % range of what tests leave open
-ENDS: Final = (0.025, 0.975)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,7 +22,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation import rare
 from uqsphere.propagation.chaos import expansions
-from uqsphere.propagation.design import REPLICATES, VALUES, Design, is_strength, normal_scores
+from uqsphere.propagation.design import VALUES, Design, is_strength, normal_scores
 from uqsphere.propagation.distributions import described
 from uqsphere.propagation.fragility import margin_and_scale
 from uqsphere.propagation.free_number import grid, shares_of, values_at
@@ -35,7 +35,7 @@ from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evalua
 from uqsphere.results.types import Stop
 from uqsphere.study import Study
 from uqsphere.uq import Estimate, Sample
-from uqsphere.uq.estimate import count_bound
+from uqsphere.uq.estimate import REPLICATES, count_bound
 from uqsphere.uq.indices import Blocks, base_points
 
 #: points of a replicate at first

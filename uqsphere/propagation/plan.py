@@ -10,13 +10,14 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
-from uqsphere.propagation.design import REPLICATES, VALUES, Design
+from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.fragility import curve_of
 from uqsphere.propagation.free_number import grid
 from uqsphere.propagation.grow import along
 from uqsphere.propagation.tables import Tables
 from uqsphere.study import Study
 from uqsphere.uq.curve import Fragility
+from uqsphere.uq.estimate import REPLICATES
 
 __all__ = ["Curves", "fragility_curves"]
 

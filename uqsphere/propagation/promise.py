@@ -19,13 +19,14 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.doubts import COMPUTATION, ENDS, LAWS, others_survive, tests_behind
+from uqsphere.propagation.doubts import COMPUTATION, LAWS, others_survive, tests_behind
 from uqsphere.propagation.evidence import REFUTED, demands_in_tests, least_factor, median
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, scaled_strength
 from uqsphere.propagation.line import score
 from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
+from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.fitting import FINER, STRENGTHS, LocationScale, count_tests, distance, is_fitted
 
 #: numbers of tests that are told

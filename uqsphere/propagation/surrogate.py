@@ -22,7 +22,7 @@ from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.chaos import points_of
-from uqsphere.propagation.design import REPLICATES, VALUES, Design, at_normals, normal_scores
+from uqsphere.propagation.design import VALUES, Design, at_normals, normal_scores
 from uqsphere.propagation.fragility import margin_and_scale
 from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
 from uqsphere.propagation.grow import accuracies, first_rows
@@ -34,6 +34,7 @@ from uqsphere.uq import Estimate, Sample, absent, sobol_points
 from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.response import FOLDS, Response, cross_fit, unseen
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once

@@ -19,6 +19,9 @@ from uqsphere.arrays import Array, Flags
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
 REPLICATES: Final = 16
+#: level of every interval, and the two ends that it leaves out
+LEVEL: Final = 0.95
+ENDS: Final = (0.025, 0.975)
 #: two-sided 95 % point of the normal law
 NORMAL: Final = 1.959963984540054
 #: standard deviation of what may lie anywhere in a cell of length one
@@ -142,7 +145,7 @@ def student(replicates: float) -> float:
     """
     from scipy.special import stdtrit
 
-    return float(stdtrit(replicates - 1, 0.975))
+    return float(stdtrit(replicates - 1, ENDS[1]))
 
 
 def freedom(replicates: int, carriers: float) -> float:
@@ -214,7 +217,7 @@ def from_replicates(
     return around(value, student(values.size) * error, error, method, evaluations)
 
 
-def distances(influence: Array, level: float = 0.95) -> tuple[float, float]:
+def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
     """How far the interval of a mean of n influences (n,) reaches below and above it.
 
     Student's t with Satterthwaite's degrees of freedom, those at which the variance of n values

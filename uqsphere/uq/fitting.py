@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
+from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.families import DRAWN, FAMILIES, Keys
 from uqsphere.uq.forms import GAUSS, SMALLEST, Form, LawError
 from uqsphere.uq.law import Law, bounds_of, checked
@@ -355,8 +356,8 @@ def fit_strength(
     terms = law.terms((y - location) / spread, tests.failures, tests.stopped)[0]
     centre, inverse = law.pivots(tests.leaving, draws, np.random.default_rng(_SERIES_SEED))
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
-    shapes = np.quantile(law.shape(spread * inverse), [0.025, 0.975]).tolist()
-    places = np.exp(np.quantile(location - spread * centre, [0.025, 0.975])).tolist()
+    shapes = np.quantile(law.shape(spread * inverse), ENDS).tolist()
+    places = np.exp(np.quantile(location - spread * centre, ENDS)).tolist()
     return StrengthFit(
         tests=int((tests.failures + tests.stopped).sum()),
         failures=int(tests.failures.sum()),

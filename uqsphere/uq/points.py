@@ -15,7 +15,7 @@ The streams of a study's seed, by the names of their tasks:
                             importance, few, least sure, fresh calls
     uq                      chaos rows, expansion, polynomial chaos, shapley, shapley orders,
                             sensitivity, t copula
-    analysis, labs.shpb     fragility, shpb plan
+    analysis                fragility
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ from uqsphere.uq.chaos import (
 )
 from uqsphere.uq.chaos.basis import MOST_STEPS, Germ, values_of
 from uqsphere.uq.corrected import indices_of
-from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.estimate import LEVEL, Estimate
 from uqsphere.uq.families import Family, family_of
 from uqsphere.uq.joint import Copula, Joint
 from uqsphere.uq.law import Law
@@ -274,7 +274,7 @@ class Expansion:
         points = _points(self.joint, self.fit.germs, columns_of(rows, self.names))
         return np.column_stack(list(map(values_of, self.fit.germs, points.T)))
 
-    def predict(self, rows: Any, level: float = 0.95, *, outside: str = "raise") -> Prediction:
+    def predict(self, rows: Any, level: float = LEVEL, *, outside: str = "raise") -> Prediction:
         """What the model would answer to rows, with the interval that holds the answer at this
         level.
 

@@ -20,17 +20,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-#: files with compiled code, or with numbers that it takes in
-_SOURCES = (
-    "compiled",
-    "events",
-    "faces",
-    "incoming",
-    "kernel",
-    "lanes",
-    "records",
-    "tracked",
-)
 #: may be written by others
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -41,9 +30,9 @@ def _sources() -> str:
     function alone.
     """
     digest = sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
-    for name in _SOURCES:
-        digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
-    digest.update((Path(__file__).parent.parent / "yielding.py").read_bytes())
+    room = Path(__file__).parent
+    for source in [*sorted(room.glob("*.py")), room.parent / "yielding.py"]:
+        digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
 

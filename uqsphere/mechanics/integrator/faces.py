@@ -5,15 +5,16 @@ Where faces are alike and elastic the force of each is q = x^(3/2) of its approa
 here runs.  Where they differ, it is kappa x^(3/2).  A face that yields has a largest approach so
 far, x_m, and a dent x_r.  The integrator's variable is the approach above the dent, x - x_r:
 
-    spring   q = k (x - x_r)^(3/2)      until x rises through x_m (to virgin loading) or falls
-    through x_r (free) virgin   q = q_y L(x/x_y)           until dx/dt falls through 0: a spring
-    with a new dent free     q = 0                      until x rises through x_r
+    spring   q = k (x - x_r)^(3/2)   until x rises through x_m (then virgin loading) or falls
+                                     through x_r (then free)
+    virgin   q = q_y L(x/x_y)        until dx/dt falls through 0: a spring with a new dent
+    free     q = 0                   until x rises through x_r
 
 The elastic face is the spring with x_r = 0 and x_m = x_y.  Virgin loading is linear in x, y =
 sqrt(x) and l = ln((y + base)/...), so that its series costs one recurrence more:
 
-    q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1)
-    sqrt(x_y)
+    q = constant + by_x x + by_root y + by_log l
+    l' (y + base) = y'        base = (b - 1) sqrt(x_y)
 
 Every lane s has these numbers of each of its faces, m = face LANES + lane (`tracked.LANE`); scaled
 variables.

@@ -12,9 +12,11 @@ lane one step:
     waves     how long the step may be; what runs towards the sphere in it, theory (4) and (5)
     series    the motion as a power series, theory (9) or (R3); how far it holds (`lanes`)
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
-    events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
+    events    where in the step a face leaves, touches, yields or is pressed deepest (`events`);
+              from a touch, where the series does not hold, by Runge-Kutta (`_choose`)
     keep      what is read again of it: the waves that leave, the path
-    turn      the next state, or the end of the record (`records`)
+    turn      the end of the record (`_judge`, `records`), or the next state (`_move_on`), the next
+              jump of the waves (`_jump`) and length; a lane that is done leaves (`_leave`)
 
 A record ends at the horizon; between infinite bars once both forces stay below a share of the
 largest; of a rig once all gaps grow and no echo can close them.  It ends sooner where nothing that
@@ -235,7 +237,7 @@ def _waves(s, made):
         if s.row[j] < 0:
             s.h[j] = s.h[LANES + j] = 0.0
             continue
-        _try(s, j)
+        _try_step(s, j)
         heard = incoming.heard(s, j, s.back[j])
         if heard:
             incoming.echo_steps(s, j, made)
@@ -249,7 +251,7 @@ def _waves(s, made):
 
 
 @compiled
-def _try(s, j):
+def _try_step(s, j):
     """The trial step of a lane; the approaches below which a record ends, a contact may be lost or
     nearly is.
     """
@@ -353,7 +355,7 @@ def _holds(s, j):
     shorter, or the row given up.
     """
     if s.switched[j]:
-        _switch(s, j)
+        _change_branch(s, j)
         return False
     if s.has_laws and s.touching[j]:
         reached = within_spring(s, j)
@@ -378,7 +380,7 @@ def _holds(s, j):
 
 
 @compiled
-def _switch(s, j):
+def _change_branch(s, j):
     """Bring faces to their other branch, on which the step is made again."""
     s.error[j] = min(s.error[j], s.closer * s.local)
     for face in range(2):
@@ -395,8 +397,8 @@ def _switch(s, j):
 
 @compiled(inline=True)
 def _keep(s, j, ending, made):
-    """Store what is read again of this step: the path, and the waves that leave, f - P/Z of theory
-    (5).
+    """Store what is read again of this step: the path, and the waves that leave, f - P/Z at A and
+    -(h + P/Z) at B, theory (4) and (5).
     """
     n = s.count[j]
     step = made[j, n & (s.ring - 1)]

@@ -1,8 +1,8 @@
 """What the integrator follows of a row, by the numbers of its columns: the one list of it.
 
-A new one is a tracker (followed by `events.after_step`), an answer (written by `events.finish`, and
-by `uqsphere.mechanics.closed_form` where there is a closed form) and an entry of `SCALED`, which
-formulas of quantities read (`uqsphere.mechanics.outputs`).
+A new one is a tracker (followed by `events.after_step`), an answer (written by `records.finish`,
+and by `uqsphere.mechanics.closed_form` where there is a closed form) and an entry of `SCALED`,
+which formulas of quantities read (`uqsphere.mechanics.outputs`).
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ STEP: Final = np.dtype(
         ("holds", "f8"),  # t_c; how much of its series holds
         ("unit", "f8"),  # t_c; the unit of its powers
         ("crest", "f8"),  # largest approach in it at most; force, where faces have laws
-        ("wave", "f8", (2, TERMS)),  # waves that left the faces, f - P/Z of theory (5)
+        ("wave", "f8", (2, TERMS)),  # waves that left: f - P/Z at A, -(h + P/Z) at B; keep
         ("path", "f8", (2, TERMS)),  # approaches above the dents
         ("spring", "f8", 2),  # stiffness of the faces; 0 on virgin loading
         ("dent", "f8", 2),  # dents of the faces
@@ -194,7 +194,7 @@ LANE: Final = np.dtype(
         ("trips", "f8", (2, LANES)),  # t_c; round trips, inf without echo; enter
         # the step
         ("time", "f8", _LANE),  # t_c; where it starts; turn
-        ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echoes
+        ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echo
         ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
         ("proposed", "f8", _LANE),  # t_c; what to try next; holds, turn
         ("stop", "f8", _LANE),  # t_c; next jump of the waves, or the end; jump
@@ -216,9 +216,9 @@ LANE: Final = np.dtype(
         ("tail", "i8", (2, LANES)),  # behind the last of them; reflect_break
         ("first", "i8", (2, LANES)),  # first step an echo is read from, -1: none; echo_steps
         ("last", "i8", (2, LANES)),  # last one; echo_steps
-        ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echoes
-        ("returns", "f8", _FACE),  # factor of it, twice R, 0 without echo; waves
-        ("negligible", "f8", _FACE),  # terms of it that may be left out; waves
+        ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echo
+        ("returns", "f8", _FACE),  # factor of it, twice R, 0 without echo; read_echo
+        ("negligible", "f8", _FACE),  # terms of it that may be left out; read_echo
         ("degrees", "f8", (WAVE, PAIR)),  # its Chebyshev coefficients; fit_echoes
         ("misfit", "f8", _FACE),  # its last two terms; fit_echoes
         # the faces: law, branch, and what stands at the pole
@@ -270,7 +270,11 @@ LANE: Final = np.dtype(
         ("faint", "f8", _LANE),  # error of an approach; try_step
         ("peak", "f8", (KINDS, LANES)),  # largest values so far, see KINDS; after_step
         ("touched", "f8", (2, LANES)),  # 1 once a face has touched; after_step
-        ("x_first", "f8", (2, LANES)),  # largest approaches before the first echo; after_step
+        (
+            "x_first",
+            "f8",
+            (2, LANES),
+        ),  # deepest before the first echo; after_step, move_on
         ("other", "f8", (2, LANES)),  # force of the other face at a face's peak; after_step
         ("carried", "f8", (2, LANES)),  # integrals of the squared forces; after_step
         ("impulse", "f8", _LANE),  # integral of the mean force; after_step

@@ -17,7 +17,15 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import REPLICATES, Estimate, absent, count_bound, probability_ends, spread
+from uqsphere.uq.estimate import (
+    ENDS,
+    REPLICATES,
+    Estimate,
+    absent,
+    count_bound,
+    probability_ends,
+    spread,
+)
 from uqsphere.uq.limit_state import complement
 from uqsphere.uq.rare import few
 from uqsphere.uq.rare.form import DesignPoint, find_design_points
@@ -212,8 +220,8 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
     chance = float(special.gammainc(math.floor(met), max(mass.size * estimate.high, 1e-300)))
     if chance > 0.01:
         return estimate, warning
-    low = float(special.gammaincinv(met, 0.025)) / mass.size
-    high = min(float(special.gammaincinv(met + 1.0, 0.975)) / mass.size, 1.0)
+    low = float(special.gammaincinv(met, ENDS[0])) / mass.size
+    high = min(float(special.gammaincinv(met + 1.0, ENDS[1])) / mass.size, 1.0)
     shown = replace(estimate, value=met / mass.size, low=low, high=high)
     warning = f"{met:.3g} of {mass.size} plain samples fail, more than the search explains"
     return estimate.holding(shown), warning
