@@ -101,6 +101,11 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         at = (probability(as_event(decision, p)) for p in (doubt.at_number, doubt.at_plan))
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results).lower()
+    note = "bold: governs"
+    if any(doubt.code == "assumed strength" for doubt in doubts):
+        note += "; * strength assumed, from the library: each by itself"
+        if decision.aim == "survive":
+            note += "; your own limits: with all failure modes that count"
     return PageTable(
         f"To {decision.aim}",
         (
@@ -111,7 +116,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         ),
         rows,
         marked=[k for k, doubt in enumerate(doubts) if doubt.governs],
-        note="bold: governs; * strength assumed, from the library",
+        note=note,
     )
 
 
