@@ -78,10 +78,10 @@ def answers(folder: str) -> Any:
 @pytest.mark.filterwarnings("ignore")
 def test_answers_of_a_cluster_that_loses_a_worker_are_those_of_one_machine(cluster: Any) -> None:
     black_box = ("s.toml", "--model", "box.py:f")
-    assert main(["sweep", *black_box, "-j", "1", *POINTS, "--out", "here"]) == 0
+    assert main(["sweep", *black_box, "-j", "1", *POINTS, "--out", "here"]) == 3
     killed = kill_a_busy_one(cluster)
     address = ("--dask", cluster.scheduler_address)
-    assert main(["sweep", *black_box, *address, *POINTS, "--out", "there"]) == 0
+    assert main(["sweep", *black_box, *address, *POINTS, "--out", "there"]) == 3
     assert not killed.is_alive()
     for name in ("c-1", "c-2", "c-3"):
         assert answers(f"there/{name}") == answers(f"here/{name}")

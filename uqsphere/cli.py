@@ -12,16 +12,19 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from inspect import getdoc
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from uqsphere.errors import UqsphereError, UsageError
+
+if TYPE_CHECKING:
+    from uqsphere.results.run import Run
 
 #: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
@@ -468,6 +471,15 @@ def _check(options: argparse.Namespace) -> None:
     print(f"\n{cost(study)}")
 
 
+def _exit_code(runs: Iterable[Run]) -> int:
+    """NOT_MET if any decision with a target is not met."""
+    for run in runs:
+        for decision in run.results.decisions:
+            if decision.target is not None and decision.verdict != "met":
+                return NOT_MET
+    return 0
+
+
 def _run(options: argparse.Namespace) -> int:
     """Run a study; write its results and its report.
 
@@ -509,10 +521,7 @@ def _run(options: argparse.Namespace) -> int:
         print(f"report: {folder / 'report.html'}")
     if finished.results.accuracy.stopped == "interrupted":
         return INTERRUPTED
-    for decision in finished.results.decisions:
-        if decision.target is not None and decision.verdict != "met":
-            return NOT_MET
-    return 0
+    return _exit_code([finished])
 
 
 def _sweep(options: argparse.Namespace) -> int:
@@ -557,7 +566,7 @@ def _sweep(options: argparse.Namespace) -> int:
         print(f"report: {page}")
     if len(runs) < len(sweep.points):
         return INTERRUPTED
-    return 0
+    return _exit_code(runs.values())
 
 
 def _points_here(

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 from tables_of import tables_of
 
+from uqsphere.propagation.fracture import _each_once
 from uqsphere.propagation.limits import failure, limits
 from uqsphere.results.types import Kind
-from uqsphere.study import Study
+from uqsphere.study import Study, load_study
 
+STUDIES = Path(__file__).parents[2] / "studies"
 LOAD = {"load": {"dist": "normal", "mean": 10.0, "sd": 2.0}}
 NORMAL = {"dist": "normal", "mean": 16.0, "sd": 1.5}
 #: P(load > strength) of both normals
@@ -98,3 +102,13 @@ def test_failed_rows_widen_an_interval_by_their_share():
     lost = stats.norm.cdf(-1.5)
     assert estimate.low <= stats.norm.sf(1.5) <= estimate.high
     assert estimate.high - estimate.low == pytest.approx(lost, rel=0.1)
+
+
+def test_a_strength_that_two_limits_share_counts_once_towards_fracture():
+    whole, crushed = load_study(STUDIES / "limestone_margin.toml").limits
+    assert [limit.name for limit in _each_once((whole, crushed))] == ["whole"]
+    # without the key `fracture = false` too; two strengths of one quantity count both
+    counted = (whole, replace(crushed, fracture=None))
+    assert [limit.name for limit in _each_once(counted)] == ["whole"]
+    other = replace(crushed, fracture=None, model_factor=2.0)
+    assert len(_each_once((whole, other))) == 2

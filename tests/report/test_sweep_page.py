@@ -52,7 +52,7 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     page = Path("s-sweep/report.html").read_text("utf-8")
     assert '<a href="c-2/report.html">' in page
     stored = Path("s-sweep/c-1/results.json").stat().st_mtime_ns
-    assert main([*SWEEP, "--over", "inputs.c=1, 2, 3"]) == 0
+    assert main([*SWEEP, "--over", "inputs.c=1, 2, 3"]) == 3
     assert Path("s-sweep/c-1/results.json").stat().st_mtime_ns == stored
     assert len(pd.read_csv("s-sweep/sweep.csv")) == 3
 

@@ -39,7 +39,7 @@ def fracture(design: Design, tables: Tables) -> Answers:
     fracture.
     """
     answers = Answers()
-    limits = design.fracture
+    limits = _each_once(design.fracture)
     if len(limits) < 2 or design.study.black_box or not design.drawn.names:
         return answers
     sample = tables.sample.head(min(tables.sample.count, MOST))
@@ -84,6 +84,20 @@ def fracture(design: Design, tables: Tables) -> Answers:
             estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
             answers.add("fracture", f"{name}_at_fracture", p, estimate, unit=unit, runs=first.size)
     return answers
+
+
+def _each_once(limits: Sequence[Limit]) -> list[Limit]:
+    """The limits that count as fracture, one for each strength: a sphere that must not break below
+    one speed and must above another has one strength.
+    """
+    once: list[Limit] = []
+    strengths: list[object] = []
+    for limit in limits:
+        strength = (limit.quantity, limit.strength, limit.model_factor)
+        if limit.fracture is not False and strength not in strengths:
+            once.append(limit)
+            strengths.append(strength)
+    return once
 
 
 def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
