@@ -690,8 +690,8 @@ RULES: Final[tuple[Rule, ...]] = (
         measure=lambda s, a: np.where(a.grazes, 1.0, 0.0),
         information=0.0,
         words="the contact force nearly vanishes, or contact is lost too often to keep the "
-        "tolerance: time to first contact loss and contact duration may be wrong by one "
-        "oscillation of the sphere",
+        "tolerance: time to first contact loss, contact duration and force imbalance may be wrong "
+        "by what one oscillation of the sphere changes",
     ),
     Rule(
         name="chatter",

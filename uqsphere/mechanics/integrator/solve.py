@@ -561,6 +561,11 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
+#: answers of long rows that are compared at two tolerances
+_COMPARED = (
+    (tracked.WANT_DURATION, tracked.ANSWER_DURATION),
+    (tracked.WANT_DIFFERENCE, tracked.ANSWER_DIFFERENCE),
+)
 
 
 def look_closer(
@@ -576,8 +581,9 @@ def look_closer(
 
     ANSWER_GRAZED is then 1 where the finest tolerance still leaves a doubt, else 0: where an error
     of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
-    tolerances; and where a duration that counts contacts behind the first loss differs by as much
-    from that at a hundred times the tolerance.
+    tolerances; and where a duration that counts contacts behind the first loss, or the difference
+    of the forces in a row of many steps, differs by as much from that at a hundredth of the
+    tolerance.
     """
     n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["rigs"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
@@ -596,6 +602,9 @@ def look_closer(
     rough, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["rigs"].shape[1] == 0:
         rough = (status == tracked.OK) & _counts_on(answers)
+    if wanted & tracked.WANT_DIFFERENCE:
+        rough |= again
+    columns = [column for wish, column in _COMPARED if wanted & wish]
     while True:
         if timed:
             lost, grazed = (
@@ -619,10 +628,10 @@ def look_closer(
             closest[picked] = closer
             # one that has no room for so many steps keeps the answers that it has
             done = look.status == tracked.OK
-            durations = answers[picked, tracked.ANSWER_DURATION]
-            change = np.abs(look.answers[:, tracked.ANSWER_DURATION] / durations - 1.0)
+            closer_by, coarse = look.answers[:, columns], answers[picked][:, columns]
+            agrees = np.abs(closer_by - coarse) <= _FIRM * tolerance * np.abs(closer_by)
             compared[picked] = True
-            rough[picked] &= ~(done & (change <= _FIRM * tolerance))
+            rough[picked] &= ~(done & agrees.all(axis=1))
             answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
             closest[picked[~done]] = _FINEST
         again[:] = False
