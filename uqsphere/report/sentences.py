@@ -360,7 +360,7 @@ def _words(doubt: Doubt) -> tuple[str, str]:
     rests on.
     """
     family = f"{_family(doubt.option)} distribution"
-    plastic = f"contacts that yield{_besides(doubt)}"
+    plastic = f"contacts that yield{_further_assumption(doubt)}"
     transferred = f"strength transferred by {meaning(doubt.option)}"
     words = {
         "computation": (
@@ -411,7 +411,7 @@ def _family(option: str) -> str:
     return text
 
 
-def _besides(doubt: Doubt) -> str:
+def _further_assumption(doubt: Doubt) -> str:
     """What is considered of the strength where contacts yield."""
     if not doubt.option:
         return ""

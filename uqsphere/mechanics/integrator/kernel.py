@@ -450,7 +450,7 @@ def _turn(s, j, ending, made):
     """The state from which the next step of a lane starts, or the end of its row; whether the waves
     jump.
     """
-    reaches = records.approach_alone(s, j, ending)
+    reaches = records.approach_after_loss(s, j, ending)
     before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
     _move_on(s, j, ending)
     at_stop = at_stop and s.why[j] < End.CONTACT

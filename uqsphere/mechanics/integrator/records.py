@@ -171,7 +171,7 @@ def _largest_squeeze(s, j):
 
 
 @compiled
-def approach_alone(s, j, theta):
+def approach_after_loss(s, j, theta):
     """Approach that the sphere's own speed gives one face where a step ends with the loss of the
     other; 0 if that falls already.
     """
