@@ -248,21 +248,24 @@ def _parts(text: str) -> tuple[str, ...]:
     )
 
 
-def refusal(
-    path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()
-) -> StudyError:
-    """The error of an input file: every fault with the line of its place, or of the nearest table
-    above it.
-    """
-    lines, problems = lines_of(text), set()
+def located(text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()) -> list[Problem]:
+    """Each fault with the line of its place in a text, or of the nearest table above it."""
+    lines, problems = lines_of(text), []
     for fault in faults:
         line, message = 1, str(fault)
         for n in range(len(fault.at)):
             line = lines.get(fault.at[: n + 1], line)
         if any(fault.at[: len(place)] == place for place in overridden):
             message += " (set by --set)"
-        problems.add(Problem(line=line, path=as_text(path_of(fault.at)), message=message))
-    return StudyError(str(path), list(problems))
+        problems.append(Problem(line=line, path=as_text(path_of(fault.at)), message=message))
+    return list(dict.fromkeys(problems))
+
+
+def refusal(
+    path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()
+) -> StudyError:
+    """The error of an input file, with every fault at its line."""
+    return StudyError(str(path), located(text, faults, overridden))
 
 
 # --- values set from outside a file, and tables as its text ---------------------------------------
@@ -339,7 +342,7 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
 # --- what pydantic finds, in these words ----------------------------------------------------------
 
 _MEMBER: Final = re.compile(
-    r"\[key\]|(literal|tuple|list|dict|nullable|function-[a-z]+|constrained-[a-z]+)\[.*\]"
+    r"\[key\]|constrained-\w+(\[.*\])?|(literal|tuple|list|dict|nullable|function-[a-z]+)\[.*\]"
 )
 _WORDS: Final = {
     r"\w+ should ": "it must ",

@@ -45,11 +45,13 @@ class Problem:
     message: str
 
     def render(self, file: str) -> str:
-        """``file:line: path: message``; the path is left out where the file as a whole is meant."""
-        place = f"{as_text(file)}:{self.line}: "
-        if self.path:
-            place += f"{self.path}: "
-        return place + self.message
+        """``file:line: path: message``, without the file where there is none, and without the path
+        where the file as a whole is meant.
+        """
+        parts = [self.path, self.message]
+        if file:
+            parts = [f"{as_text(file)}:{self.line}", *parts]
+        return ": ".join(filter(None, parts))
 
 
 class StudyError(UsageError):

@@ -326,7 +326,7 @@ CASES = [
     one("an unknown quantity", 'quantity = "p_max"', 'quantity = "pmax"', "did you mean 'p_max'?"),
     one("a strength in newton", STRENGTH, 'strength = "4 kN"', "unknown unit 'kN' for a pressure"),
     one("no strength", STRENGTH, "", "strength is missing", at="[limits.crushing]"),
-    one("a target of one", "target = 0.01", "target = 1.0", "must be less than 1, not 1"),
+    one("a target of one", "target = 0.01", "target = 1.0", "must be a fraction above 0"),
     one("a limit with a strange name", "[limits.crushing]", '[limits."a/b"]', "letters, digits"),
     # dependence
     one(
@@ -413,7 +413,7 @@ CASES = [
         'measures = ["active"]',
         "must be 'morris', 'delta', 'pawn' or 'hdmr'",
     ),
-    one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "must be less than 1"),
+    one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "must be a fraction"),
     one(
         "a budget of nothing",
         "quantiles = [0.05, 0.5]",

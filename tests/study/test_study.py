@@ -283,7 +283,7 @@ def test_warnings_of_laws(load: Load) -> None:
     (warning,) = load(
         BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05 }')
     ).warnings
-    assert warning.startswith("sphere.nu: 2.3 % of the distribution ")
+    assert "study.toml:7: sphere.nu: 2.3 % of the distribution " in warning
     assert (
         load(
             BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')
@@ -291,7 +291,9 @@ def test_warnings_of_laws(load: Load) -> None:
         == ()
     )
     (warning,) = load(BASE, ('lower = "9 mm"', 'lower = "11 mm"')).warnings
-    assert warning.startswith("sphere.radius.lower: the mean 10 mm lies below the bound 11 mm: ")
+    assert (
+        "study.toml:8: sphere.radius.lower: the mean 10 mm lies below the bound 11 mm: " in warning
+    )
 
 
 def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:

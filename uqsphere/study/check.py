@@ -19,7 +19,17 @@ from typing import Final
 import numpy as np
 from pydantic import ValidationError
 
-from uqsphere.documents import Fault, Place, faults_of, one_of, shown, suggestion, unknown, within
+from uqsphere.documents import (
+    Fault,
+    Place,
+    faults_of,
+    one_of,
+    path_of,
+    shown,
+    suggestion,
+    unknown,
+    within,
+)
 from uqsphere.errors import as_text
 from uqsphere.materials import MATERIAL_KINDS, Material, library
 from uqsphere.mechanics import forms
@@ -102,8 +112,9 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
             update={"quantities": document.analysis.quantities or usual}
         ),
         outputs=outputs,
-        warnings=tuple(draft.warnings),
-        caveats=tuple(draft.caveats),
+        caveats=tuple(
+            (holds, path_of(place), text) for place, text, holds in draft.warnings if holds
+        ),
         gauges=gauges,
         files=tuple(draft.files.items()),
     )

@@ -26,7 +26,7 @@ from pydantic import (
 )
 from pydantic import model_validator as checked
 
-from uqsphere.documents import Fault, Place, TomlTable, path_of, shown, table_in
+from uqsphere.documents import Fault, Place, TomlTable, shown, table_in
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
@@ -35,10 +35,10 @@ from uqsphere.study.values import (
     Number,
     Observations,
     Positive,
+    fraction,
     keyed,
     number_of,
     numbers_of,
-    percent,
     value_of,
 )
 from uqsphere.units import UNITS, Quantity
@@ -107,15 +107,26 @@ def _several(least: int = 1, most: int = 200) -> Any:
     return Field(min_length=least, max_length=most, strict=False), AfterValidator(_unique)
 
 
+def _policy(raw: Any) -> Any:
+    """A word, or a fraction of the model runs."""
+    if isinstance(raw, str) and "%" not in raw:
+        return raw
+    return fraction(raw)
+
+
 Preset = Literal[*PRESETS]  # type: ignore[valid-type]
 Shape = Literal[*SHAPES, "measured"]  # type: ignore[valid-type]
 Criterion = Literal[*CRITERIA]  # type: ignore[valid-type]
 Aim = Literal["survive", "break"]
+Policy = Literal["abort", "bound", "drop"]
 #: a value, with its unit where it has one, or a distribution
 Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 _Part = Annotated[float, Field(gt=0.0, lt=1.0)]
-Share = Annotated[_Part, BeforeValidator(percent, json_schema_input_type=_Part | str)]
+Share = Annotated[float, BeforeValidator(fraction, json_schema_input_type=_Part | str)]
+PolicyOrShare = Annotated[
+    Policy | _Part, BeforeValidator(_policy, json_schema_input_type=Policy | _Part | str)
+]
 Shares = Annotated[tuple[Share, ...], *_several()]
 Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
@@ -394,7 +405,7 @@ class Analysis(TomlTable):
     damage_counts: bool = keyed(
         "a ring crack, which damages the surface, counts as fracture (glass, catalysts)", False
     )
-    on_failure: Literal["abort", "bound", "drop"] | Share = keyed(
+    on_failure: PolicyOrShare = keyed(
         'failed model runs: `"bound"`, the interval covers both outcomes; `"drop"`, up to 1 % are '
         'dropped, or up to a percentage such as `"5 %"`',
         "abort",
@@ -521,8 +532,7 @@ class Draft:
     scene: Scene | None = None
     limits: dict[str, Limit] = field(default_factory=dict)
     margins: Margins | None = None
-    warnings: list[str] = field(default_factory=list)
-    caveats: list[tuple[str, str, str]] = field(default_factory=list)
+    warnings: list[tuple[Place, str, str]] = field(default_factory=list)
     files: dict[str, Path] = field(default_factory=dict)
 
     def warn(self, place: Place, message: str, holds: str = "") -> None:
@@ -530,13 +540,8 @@ class Draft:
 
         holds : code of the caveat by which no verdict is established, `unit` or `plausibility`
         """
-        text = message
-        if place:
-            text = f"{path_of(place)}: {message}"
-        if text not in self.warnings:
-            self.warnings.append(text)
-            if holds:
-                self.caveats.append((holds, path_of(place), message))
+        if (place, message) not in [warning[:2] for warning in self.warnings]:
+            self.warnings.append((place, message, holds))
 
     def mean(self, path: str, absent: float = math.nan) -> float:
         """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places
 from uqsphere.documents import Fault, Place, declared, one_of, shown, suggestion, unknown, within
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
@@ -23,6 +23,7 @@ from uqsphere.study import values
 from uqsphere.study.document import Draft, LimitTable
 from uqsphere.study.study import DEFAULT_TARGET, Limit
 from uqsphere.study.values import Number, Observations, Tested, number_of, value_of
+from uqsphere.tables import Table
 from uqsphere.units import UNITS
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
@@ -56,9 +57,12 @@ _POWERS: Final = {
 #: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
 _USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT: Final = (3e7, 1e11)
-#: usual 0.9 P/D² of brittle spheres [Pa], and units that a file of tests may have been in
-_TENSION: Final = (2e5, 5e8)
-_UNITS: Final = ("um", "mm", "cm", "m", "N", "kN", "MN")
+#: usual 0.9 P/D² of brittle spheres [Pa]; of a material how far from its tensile strength
+_TENSION, _FAR = (2e5, 5e8), 20.0
+#: units that a file of tests may have been in
+_LENGTHS, _FORCES = ("um", "mm", "cm", "m"), ("N", "kN", "MN")
+#: 0.9 P/D² of a test over the median, or the other way round, above which its unit is asked about
+_SLIP: Final = 300.0
 _FACTOR: Final = replace(
     plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0)
 )
@@ -122,16 +126,15 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
                 "energy_is",
             )
         criterion = _ENERGIES[table.energy_is or "contact"]
-    values_of = {part: getattr(table, part) for part in PARAMETERS}
-    parameters = {part: value for part, value in values_of.items() if value is not None}
-    entry = CRITERIA.get(str(criterion))
-    if entry is None:
+    parameters = {part: value for part, value in table if part in PARAMETERS and value is not None}
+    if criterion is None:
         for part in parameters:
             raise Fault(
                 f"{part} is used only with a criterion (uqsphere list criteria). Add criterion = …",
                 part,
             )
     else:
+        entry = CRITERIA[criterion]
         takes = (*entry.parameters, *entry.optional)
         for part in parameters:
             if part not in takes:
@@ -224,22 +227,23 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     """The distribution of the strength from forces at failure, and the tests themselves; raises
     Fault.
     """
-    if limit.criterion is None and not follows_force(limit.quantity):
+    demand, kind = limit.criterion or limit.quantity, table.fit or "weibull"
+    if limit.criterion is None and not follows_force(demand):
         raise Fault(
-            f"forces at failure do not determine {limit.quantity}. Use a criterion (uqsphere list "
+            f"forces at failure do not determine {demand}. Use a criterion (uqsphere list "
             "criteria)",
             "force",
         )
-    kind, platens, radii = table.fit or "weibull", _platens(draft, table.platens), _radii(draft)
+    platens = _platens(draft, table.platens)
     sphere = _sphere(draft, platens)
     cells, rows, columns, stopped = values.observations(
         table, draft, force="force", diameter="length", rate="loading_rate"
     )
     force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
-    values.warn_of_rows(cells, rows, 0.9 * force / np.square(diameter), stopped, draft, place)
-    hint = _warn_of_tests(table, force, diameter, draft, place)
+    tension = _warn_of_slips(table, cells, rows, columns, draft, place)
+    values.warn_of_rows(cells, rows, tension, stopped, draft, place)
 
-    power, mean = _power(limit), float(diameter.mean())
+    power, mean = _POWERS.get(demand, 2.0), float(diameter.mean())
     # flaws lie in the surface around a contact, or in the volume
     flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
@@ -257,7 +261,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         law=law,
         exponent=exponent,
     )
-    compare_sizes(replace(limit, tested=tested), radii, draft, (*place, "diameter"))
+    compare_sizes(replace(limit, tested=tested), _radii(draft), draft, (*place, "diameter"))
     if not RIGS[draft.rig].by_press and "rate_0" not in limit.parameters:
         draft.warn(
             place,
@@ -273,18 +277,15 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         return value_at(factor * force, weakest.demand, sphere, 0.5 * diameter, platens, rate)
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
-    demand, bound = (
-        limit.criterion or limit.quantity,
-        limit.parameters.get("largest_energy", math.inf),
-    )
-    if not (value(8.0) < bound * _BEYOND).all():
+    largest = limit.parameters.get("largest_energy", math.inf)
+    if not (value(8.0) < largest * _BEYOND).all():
         raise Fault(
             f"some tests exceed the largest possible {demand}. Raise largest_energy or the hardness"
         )
     if not (slopes > _RISES).all():
         raise Fault(
             f"{demand} is insensitive to the force of such tests, so the strength cannot be "
-            f"inferred. Use another criterion{hint and f' ({hint})'}"
+            "inferred. Use another criterion"
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:
@@ -293,10 +294,6 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
 
     law, _ = _fixed_point(by_value, 8.0) if limit.needs_modulus else by_value(8.0)
     return Number(value=law, synthetic=table.synthetic, tested=tested)
-
-
-def _power(limit: Limit) -> float:
-    return _POWERS.get(limit.criterion or limit.quantity, 2.0)
 
 
 def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> tuple[Law, float]:
@@ -341,7 +338,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
         way = 'set fit = "weibull"'
         if tested.law is None:
             way = "fit again with strength_at of this size"
-        elif not _power(limit):
+        elif not _POWERS.get(limit.criterion or limit.quantity, 2.0):
             way = "hold the tests against a pressure or tension: a force has no size law"
         raise Fault(
             f"{sizes}, and no size law covers more than 50 %. Test spheres of this size, or {way}",
@@ -356,38 +353,72 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
         draft.warn(place, f"{sizes}: the strength is {scaling}")
 
 
-def _warn_of_tests(
-    table: Observations, force: Array, diameter: Array, draft: Draft, place: Place
-) -> str:
-    """Warn of forces [N] and diameters [m] that no sphere has, with the unit that would make them
-    usual; returns the warning, or an empty text.
+def _warn_of_slips(
+    table: Observations,
+    cells: Table,
+    rows: Places,
+    columns: Mapping[str, Array],
+    draft: Draft,
+    place: Place,
+) -> Array:
+    """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
+
+    Returns 0.9 P/D² [Pa] of every test (n,), that of a test of which a slip is told at the median.
     """
-    size = diameter / (2.0 * draft.mean("sphere.radius"))
-    far = (size > 3.0) | (size < 1.0 / 3.0)
-    tension = float(np.median(0.9 * force / np.square(diameter)))
-    if far.any():
-        first = int(np.argmax(far))
-        key, units, unit = "diameter", UNITS["length"], table.diameter_unit
-        actual, (low, high) = float(size[first]), (1.0 / 3.0, 3.0)
+    force, diameter = columns["force"], columns["diameter"]
+    across, (low, high) = 2.0 * draft.mean("sphere.radius"), _usual_tension(draft)
+
+    def is_usual(force: Array, diameter: Array) -> bool:
+        typical = np.median(0.9 * force / np.square(diameter))
+        return bool(low <= typical <= high and 1 / 3 <= np.median(diameter) / across <= 3.0)
+
+    factors = {}
+    for key, dimension in (("force", "force"), ("diameter", "length")):
+        column, unit = getattr(table, key), getattr(table, f"{key}_unit")
+        if unit is None and not column[:1].isdigit():
+            unit = cells.unit_of(column, dimension)
+        factors[key] = UNITS[dimension].get(unit or "", math.nan)
+    in_units = columns["force"] / factors["force"], columns["diameter"] / factors["diameter"]
+    tension: Array = 0.9 * force / np.square(diameter)
+    typical, far = np.median(tension), np.abs(np.log(diameter / across)) > math.log(3.0)
+    slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
+    key, text, likely = "force", "", list[str]()
+    if slips.any():
+        first = int(np.argmax(slips))
+        ratios = {key: columns[key][first] / np.median(columns[key]) for key in factors}
+        key = max(ratios, key=lambda key: abs(math.log(ratios[key])))
+        text = f"line {cells.lines[rows[first]]}: the {key} is {ratios[key]:,.4g} times the median"
+        tension[slips] = typical
+    elif far.any():
+        first, key = int(np.argmax(far)), "diameter"
         text = (
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
             f"of three, the first is {1e3 * diameter[first]:.4g} mm"
         )
-    elif not _TENSION[0] <= tension <= _TENSION[1]:
-        key, units, unit = "force", UNITS["force"], table.force_unit
-        actual, (low, high) = tension, _TENSION
+        likely = [u for u in _LENGTHS if is_usual(force, in_units[1] * UNITS["length"][u])]
+    elif not low <= typical <= high:
         text = (
-            f"0.9 P/D² is {1e-6 * tension:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
+            f"0.9 P/D² is {1e-6 * typical:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
             "MPa"
         )
-    else:
-        return ""
-    scale = actual / units.get(unit or "", math.nan)
-    likely = [name for name in _UNITS if low < scale * units.get(name, 0.0) < high]
-    hint = f"is the unit {one_of(likely)}?" if likely else "are the units right?"
-    message = f"{table.file}: {text}: {hint}"
-    draft.warn((*place, key), message, holds="unit")
-    return message
+        likely = [u for u in _FORCES if is_usual(in_units[0] * UNITS["force"][u], diameter)]
+    if not text:
+        return tension
+    hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
+    if is_usual(in_units[1] * factors["force"], in_units[0] * factors["diameter"]):
+        hint = "are the columns of force and diameter swapped?"
+    draft.warn((*place, key), f"{table.file}: {text}: {hint}", holds="unit")
+    return tension
+
+
+def _usual_tension(draft: Draft) -> tuple[float, float]:
+    """Usual 0.9 P/D² [Pa] of spheres: around the tensile strength of their material."""
+    material = library()["sphere"].get(draft.materials.get("sphere", ""))
+    if material is None or "tensile_strength" not in material.properties:
+        return _TENSION
+    strength = material.properties["tensile_strength"]
+    low, high = strength.range or (strength.value, strength.value)
+    return low / _FAR, high * _FAR
 
 
 # --- the sphere in the tests ----------------------------------------------------------------------

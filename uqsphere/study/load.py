@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uqsphere.documents import Fault, parse_text, read_text, refusal, set_value, toml_text
+from uqsphere.documents import (
+    Fault,
+    Place,
+    located,
+    parse_text,
+    read_text,
+    refusal,
+    set_value,
+    toml_text,
+)
 from uqsphere.study.check import BOX_STAGES, STAGES, resolve
 from uqsphere.study.document import Draft
 from uqsphere.study.study import Study
@@ -53,6 +62,7 @@ def load_study(
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
     <Study 'Two tables': 1 random input, black box>
     """
+    tables, name = path, ""
     if isinstance(path, Mapping):
         text, path = toml_text(path, law_table), "study.toml"
     path = Path(path)
@@ -60,6 +70,8 @@ def load_study(
         text = read_text(path)
     data = parse_text(text, path)
     overridden = [set_value(data, override) for override in overrides]
+    if not isinstance(tables, Mapping):
+        tables, name = data, path.name
     draft = Draft(
         folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs"))
     )
@@ -71,5 +83,38 @@ def load_study(
             except Fault as fault:  # behind those that the check has yielded
                 faults.append(fault)
         if faults:
-            raise refusal(path, text, faults, overridden)
-    return replace(resolve(draft, path, text), overrides=tuple(overrides))
+            if draft.scene is not None:
+                faults += [*_doubts(draft, faults)]
+            at_keys = [Fault(str(fault), *_written(fault.at, tables)) for fault in faults]
+            raise refusal(path, text, at_keys, overridden)
+    notes = [Fault(message, *_written(place, tables)) for place, message, _ in draft.warnings]
+    warnings = [note.render(name) for note in located(text, notes, overridden)]
+    study = resolve(draft, path, text)
+    return replace(study, overrides=tuple(overrides), warnings=tuple(warnings))
+
+
+def _written(place: Place, tables: object) -> Place:
+    """A place as far as it was written: a number or a distribution of SciPy has no further keys."""
+    for n, part in enumerate(place):
+        if isinstance(tables, Mapping):
+            tables = tables.get(part, {})
+        elif isinstance(tables, list | tuple) and isinstance(part, int):
+            tables = tables[part]
+        else:
+            return place[:n]
+    return place
+
+
+def _doubts(draft: Draft, faults: list[Fault]) -> Iterator[Fault]:
+    """Numbers whose unit seems wrong, since a refusal of the scene or of a limit may follow from
+    them; a fault of the same number is told behind the doubt.
+    """
+    for place, message, holds in draft.warnings:
+        if holds != "unit":
+            continue
+        number = place[: 3 if place[0] == "limits" else 2]
+        of_it = [fault for fault in faults if fault.at[: len(number)] == number]
+        if not of_it:
+            yield Fault(message, *place)
+        for fault in of_it:
+            fault.args = (f"{message} As it is, {fault}",)

@@ -251,6 +251,19 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
 # --- tables of data -------------------------------------------------------------------------------
 
 
+def fraction(raw: Any) -> float:
+    """A fraction between 0 and 1, plain or in percent; raises Fault."""
+    value = value_of(raw, plain_quantity("share"))
+    if 0.0 < value < 1.0:
+        return value
+    hint = ""
+    if 1.0 <= value < 100.0 and "%" not in str(raw):
+        hint = f'; did you mean "{value:g} %"?'
+    raise Fault(
+        f'must be a fraction above 0 and below 1, such as 0.02 or "2 %", not {shown(raw)}{hint}'
+    )
+
+
 def percent(raw: Any) -> Any:
     if isinstance(raw, str) and raw.rstrip().endswith("%"):
         return value_of(raw, plain_quantity("share"))

@@ -1,0 +1,176 @@
+"""Slips of units, of columns and of fractions: the first words of a refusal name the slip, and
+cautions name the line of their key.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from uqsphere.errors import StudyError
+from uqsphere.study import Study, load_study
+
+SCENE = """\
+[sphere]
+material = "limestone"
+radius = "6 mm"
+[bars]
+material = "steel"
+diameter = "40 mm"
+incident_length = "2 m"
+receiving_length = "2 m"
+[striker]
+speed = "0.5 m/s"
+length = "0.5 m"
+[limits.a]
+criterion = "core_tension"
+strength = { file = "t.csv", force = "F", diameter = "D", platens = "rigid", UNITS }
+target = 0.02
+"""
+PLAIN = SCENE[: SCENE.index("strength =")] + 'strength = "4 MPa"\n' + SCENE[SCENE.index("target") :]
+FORCES = np.array([2.55, 2.45, 2.76, 2.54, 2.29, 2.64, 3.02, 2.88, 2.22, 1.99, 2.25, 2.52])
+DIAMETERS = np.array([11.5, 12.0, 11.9, 12.1, 12.2, 11.8, 12.0, 12.3, 11.7, 12.1, 11.9, 12.0])
+#: forces and diameters as they stand in the file, the units of the study, and what is asked
+SLIPS = {
+    "a force 1,000 times too large": (
+        (np.r_[1e3 * FORCES[:1], FORCES[1:]], DIAMETERS),
+        ("kN", "mm"),
+        "line 2: the force is 1,0",
+    ),
+    "a diameter in um": (
+        (FORCES, np.r_[1e3 * DIAMETERS[:1], DIAMETERS[1:]]),
+        ("kN", "mm"),
+        "line 2: the diameter is 9",
+    ),
+    "columns swapped": ((DIAMETERS, FORCES), ("kN", "mm"), "force and diameter swapped?"),
+    "N given as kN": ((1e3 * FORCES, DIAMETERS), ("kN", "mm"), "is the unit N?"),
+    "mm given as m": ((FORCES, 1e-3 * DIAMETERS), ("kN", "mm"), "is the unit m?"),
+}
+
+
+def refused(folder: Path, text: str) -> str:
+    with pytest.raises(StudyError) as caught:
+        load_study(folder / "study.toml", text=text)
+    return str(caught.value)
+
+
+def of_tests(
+    folder: Path, columns: tuple[np.ndarray, np.ndarray], units: tuple[str, str], heading: bool
+) -> str:
+    """The study of a table of tests, whose units are keys or stand in its headings."""
+    force, diameter = units
+    head, keys = "F,D", f'force_unit = "{force}", diameter_unit = "{diameter}"'
+    if heading:
+        head, keys = f"F [{force}],D [{diameter}]", "synthetic = false"
+    rows = [f"{F:.6g},{D:.6g}" for F, D in zip(*columns, strict=True)]
+    (folder / "t.csv").write_text("\n".join([head, *rows]) + "\n")
+    return SCENE.replace("UNITS", keys)
+
+
+@pytest.mark.parametrize("heading", [True, False])
+@pytest.mark.parametrize("name", SLIPS)
+def test_a_slip_in_the_tests_is_asked_about_first(tmp_path: Path, name: str, heading: bool) -> None:
+    columns, units, words = SLIPS[name]
+    message = refused(tmp_path, of_tests(tmp_path, columns, units, heading))
+    assert message.index(words) < message.index("As it is, "), message
+    # another slip is asked about in its own words
+    for other, (columns, units, _) in SLIPS.items():
+        if other != name:
+            assert words not in refused(tmp_path, of_tests(tmp_path, columns, units, heading))
+
+
+def test_tests_in_order_are_not_asked_about(tmp_path: Path) -> None:
+    study = load_study(
+        tmp_path / "study.toml",
+        text=of_tests(tmp_path, (FORCES, DIAMETERS), ("kN", "mm"), heading=True),
+    )
+    assert not [caveat for caveat in study.caveats if caveat[0] == "unit"]
+    # a criterion that cannot say it is told by itself
+    broad = of_tests(tmp_path, (20 * FORCES, DIAMETERS), ("kN", "mm"), heading=True)
+    message = refused(tmp_path, broad)
+    assert "insensitive" in message
+    assert "As it is" not in message
+
+
+def test_a_radius_in_m_is_asked_about_before_the_bar(tmp_path: Path) -> None:
+    text = PLAIN.replace("6 mm", "6 m")
+    message = refused(tmp_path, text)
+    assert message.startswith(f"{tmp_path}/study.toml:3: sphere.radius: 6000 mm is unusual")
+    assert "bars.diameter must be at least 12000 mm" in message
+    thick = PLAIN.replace("6 mm", "30 mm")
+    assert "is unusual" not in refused(tmp_path, thick)
+    # what no number can bring about stands alone
+    assert "is unusual" not in refused(tmp_path, text.replace("target = 0.02", "target = 2"))
+
+
+@pytest.mark.parametrize(
+    ("value", "words", "hint"),
+    [
+        ("5", "must be a fraction above 0 and below 1", 'did you mean "5 %"?'),
+        ("1", "must be a fraction above 0 and below 1", 'did you mean "1 %"?'),
+        ('"2"', "must be a fraction above 0 and below 1", 'did you mean "2 %"?'),
+        ("0", 'such as 0.02 or "2 %", not 0', ""),
+        ('"200 %"', 'such as 0.02 or "2 %", not "200 %"', ""),
+        ('"1,5 %"', "has a decimal comma", ""),
+        ("true", "must be a number, not a boolean", ""),
+    ],
+)
+@pytest.mark.parametrize(
+    "key", ["limits.a.target", "analysis.quantiles", "analysis.on_failure", "for_probability"]
+)
+def test_a_fraction_says_how_it_is_written(
+    tmp_path: Path, key: str, value: str, words: str, hint: str
+) -> None:
+    text = PLAIN.replace("target = 0.02\n", "")
+    if key == "limits.a.target":
+        text += f"target = {value}\n"
+    elif key == "for_probability":
+        text += "[margins]\nsolve = 'striker.speed'\nbetween = ['1 m/s', '2 m/s']\n"
+        text += f"for_probability = [0.1, {value}]\n"
+    else:
+        name, listed = key.split(".")[1], key.endswith("s")
+        text += f"[analysis]\n{name} = {f'[{value}]' if listed else value}\n"
+    if key == "analysis.on_failure" and value == '"2"':
+        words, hint = "must be 'abort', 'bound' or 'drop'", ""
+    if key == "analysis.on_failure" and value == '"1,5 %"':
+        words = "has a decimal comma"
+    message = refused(tmp_path, text)
+    assert len(message.splitlines()) == 1, message
+    assert words in message
+    assert hint in message
+    assert ("did you mean" in message) == bool(hint)
+
+
+def test_a_key_that_was_not_written_is_not_named() -> None:
+    long = {"material": "steel", "diameter": "40 mm", "incident_length": "2 m"}
+    scene = {
+        "bars": {**long, "receiving_length": "2 m"},
+        "striker": {"speed": "1 m/s", "length": "0.5 m"},
+    }
+    sphere = {"material": "granite", "radius": "6 mm"}
+    with pytest.raises(StudyError, match=r"sphere\.nu: Poisson ratio of the sphere must be"):
+        Study(**scene, sphere={**sphere, "nu": stats.triang(0.9, -2.0, 2.3)})
+    table = {"dist": "triangular", "lower": -2.0, "upper": 0.3, "mode": 0.2}
+    with pytest.raises(StudyError, match=r"sphere\.nu\.lower: Poisson ratio of the sphere must be"):
+        Study(**scene, sphere={**sphere, "nu": table})
+
+
+def test_a_caution_names_the_line_of_its_key(tmp_path: Path) -> None:
+    text = PLAIN.replace('"0.5 m/s"', '"0.2 mm/s"')
+    text = text.replace("4 MPa", "4 Pa")
+    study = load_study(tmp_path / "s.toml", text=text)
+    assert [warning.partition(" is ")[0] for warning in study.warnings] == [
+        "s.toml:10: striker.speed: 0.0002 m/s",
+        "s.toml:14: limits.a.strength: 4e-06 MPa",
+        "s.toml:14: limits.a.strength: 4e-06 MPa",
+    ]
+    # one without a key has no line, and tables have no file
+    tables = {
+        "inputs": {"x": {"dist": "normal", "mean": 1.0, "sd": 1.5}},
+        "outputs": "y",
+    }
+    (warning,) = Study(**tables).warnings
+    assert warning.startswith("inputs.x: the coefficient of variation is 1.5")
