@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from tables_of import tables_of
 
-from uqsphere.propagation.write import Cost, results_of, samples_of
+from uqsphere.propagation.write import Cost, cells_of, results_of, samples_of
 from uqsphere.results import Answers
+from uqsphere.results.answers import answers_csv, csv_text, frame_of
+from uqsphere.results.types import Answer, Kind
 from uqsphere.study import Study
 
 INPUTS = {
@@ -73,9 +76,21 @@ def test_cost_and_identity_are_the_runs_own():
 def test_samples_have_inputs_strengths_and_answers_row_by_row():
     design, tables = tables_of(study(), model)
     table = samples_of(design, tables)
-    assert len(table) == 16 * 1024
-    assert table["y"].to_numpy() == pytest.approx((table["a"] * table["b"]).to_numpy())
+    assert len(table["y"]) == 16 * 1024
+    assert table["y"] == pytest.approx(table["a"] * table["b"])
     strengths = table["limits.high.strength"]
     scale = 10.0 / stats.weibull_min(5).mean()
     assert stats.kstest(strengths, stats.weibull_min(5, scale=scale).cdf).pvalue > 1e-3
     assert abs(np.corrcoef(strengths, table["a"])[0, 1]) < 0.05
+
+
+def test_tables_are_written_as_pandas_reads_and_writes_them():
+    columns = {"x": np.array([0.1, np.nan, 1e-300]), "late": np.array([True, False, True])}
+    text = csv_text(columns, zip(*map(cells_of, columns.values()), strict=True))
+    assert text == "x,late\n0.1,True\n,False\n1e-300,True\n"
+    assert pd.DataFrame(columns).to_csv(index=False) == text
+    rows = [
+        Answer(subject="p, max", answer=Kind.MEAN, at="", value=0.1 + 0.2, unit="Pa"),
+        Answer(subject="p_max", answer=Kind.QUANTILE, at=0.05, value=None, unit="Pa"),
+    ]
+    assert answers_csv(rows) == frame_of(rows).to_csv(index=False)

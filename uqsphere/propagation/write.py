@@ -5,15 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
@@ -30,7 +30,7 @@ from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.tested import points_of_tests
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
-from uqsphere.results.answers import frame_of
+from uqsphere.results.answers import answers_csv, csv_text
 from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
     AccuracyEntry,
@@ -50,9 +50,6 @@ from uqsphere.results.types import (
 )
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law, random_generator
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: rows of samples.csv
 MOST_ROWS: Final = 16_384
@@ -373,14 +370,12 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
+def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
     """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
-    import pandas as pd
-
     sample = tables.rows
     count = max(min(sample.count, MOST_ROWS // sample.replicates), 1)
     head = sample.head(count)
-    table: dict[str, Any] = {name: head.input(name).ravel() for name in head.names}
+    table: dict[str, Array | Flags] = {name: head.input(name).ravel() for name in head.names}
     generator = random_generator(seed=design.study.seed, task="strengths of samples")
     for limit in design.limits:
         state = state_of(design, limit, head)
@@ -393,26 +388,33 @@ def samples_of(design: Design, tables: Tables) -> pd.DataFrame:
     }
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()
-    return pd.DataFrame(table)
+    return table
+
+
+def cells_of(column: Array | Flags) -> list[Any]:
+    """A column as cells of a table: a number that is not known is left empty."""
+    if column.dtype == bool or not np.isnan(column).any():
+        return list(column.tolist())
+    return [None if math.isnan(number) else number for number in column.tolist()]
 
 
 def written(
     folder: Path | None,
     study: Study,
     results: Results,
-    samples: pd.DataFrame,
+    samples: Mapping[str, Array | Flags],
     live: dict[str, Any],
 ) -> Run:
     """The run, kept in its folder with its page where it has one."""
-    run = Run(results=results, folder=folder, table=samples, live=live)
+    run = Run(results=results, folder=folder, columns=samples, live=live)
     if folder is None:
         return run
     files: dict[str, str | bytes] = {
         "study.toml": study.text,
         **{f"files/{name}": path.read_bytes() for name, path in study.files if path.is_file()},
         "results.json": results.to_json(),
-        "answers.csv": frame_of(results.answers).to_csv(index=False),
-        "samples.csv": samples.to_csv(index=False),
+        "answers.csv": answers_csv(results.answers),
+        "samples.csv": csv_text(samples, zip(*map(cells_of, samples.values()), strict=True)),
     }
     from uqsphere.report import page_files
 

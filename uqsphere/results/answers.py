@@ -4,6 +4,8 @@ from.
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Required, TypedDict, Unpack
 
@@ -123,3 +125,19 @@ def frame_of(rows: Sequence[Answer]) -> pd.DataFrame:
     numbers = ["value", "low", "high", "low_unseen", "high_unseen", "std_error"]
     table[numbers] = table[numbers].astype(float)
     return table
+
+
+def answers_csv(rows: Sequence[Answer]) -> str:
+    """Rows as the text of answers.csv."""
+    cells = ({**vars(row), "answer": row.answer.value} for row in rows)
+    return csv_text(COLUMNS, ([row[name] for name in COLUMNS] for row in cells))
+
+
+def csv_text(names: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A table as CSV, in Python's shortest digits; None is an empty cell."""
+    # not by pandas: a run that keeps its results in a folder would import it for nothing else
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(rows)
+    return text.getvalue()

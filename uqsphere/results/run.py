@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
 from uqsphere.results.answers import frame_of
 from uqsphere.results.folder import read_checked, read_results
@@ -32,13 +34,13 @@ class Run:
 
     results : what results.json holds
     folder : where it lies; None for a run that was not given a folder
-    table : the samples, for a run of this process
+    columns : the samples, for a run of this process
     live : what only a run of this process has: expansions and pairs, by quantity
     """
 
     results: Results
     folder: Path | None = None
-    table: pd.DataFrame | None = field(default=None, repr=False)
+    columns: Mapping[str, Array | Flags] | None = field(default=None, repr=False)
     live: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
@@ -69,8 +71,8 @@ class Run:
         """
         import pandas as pd
 
-        if self.table is not None:
-            return self.table.copy()
+        if self.columns is not None:
+            return pd.DataFrame(dict(self.columns))
         assert self.folder is not None
         return pd.read_csv(io.BytesIO(read_checked(self.folder, "samples.csv")))
 
