@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from uqsphere.cli import EXIT_CODES, LABS, main
+from uqsphere.report.study import described
+from uqsphere.study import load_study, shipped_studies
 
 STUDIES = Path(__file__).parents[1] / "studies"
 COMMANDS = [
@@ -116,3 +118,21 @@ def test_a_shell_completes_commands_and_templates(line: str, words: list[str]) -
         check=False,
     )
     assert Path("words").read_text().split() == words
+
+
+def test_check_tells_long_sources_below_its_table() -> None:
+    text = described(load_study(shipped_studies()["granite"]))
+    table, notes = text.split("\n[1] ")
+    assert max(map(len, table.splitlines())) < 100
+    assert "Inco databook" not in table
+    assert (
+        "bars.E                 190 GPa     –         –                   fixed         [1]" in text
+    )
+    assert "Inco databook" in notes
+
+
+def test_list_tells_the_keys_of_every_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "distributions"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line.split()) > 1 for line in lines)
+    assert "uniform       lower, upper" in lines

@@ -209,6 +209,8 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
 
     >>> format_probability_estimate(0.02017, 0.0199, 0.0204)
     '2.02 % (1.99 to 2.04 %)'
+    >>> format_probability_estimate(0.99904, 0.999, 0.99911)
+    '99.904 % (99.900 to 99.911 %)'
     >>> format_probability_estimate(None, 0.0, 1e-5), format_probability_estimate(0.2, 0.2, 0.2)
     ('below 0.001 %', '20 %')
     """
@@ -217,6 +219,10 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
     if (value == 0.0 and high < 1.0) or (value == 1.0 and low > 0.0):
         return format_probability(value, high, low)
     texts = [_percent(number) for number in (value, low, high)]
+    if low > 0.99 and high <= 0.9999:
+        # as many digits as the one next to 100 % has
+        decimals = -1 - math.floor(math.log10(1.0 - high))
+        texts = [f"{100.0 * number:.{decimals}f} %" for number in (value, low, high)]
     if low >= 1e-4 and high <= 0.99:
         # as many digits as keep the ends apart, at most three of the value
         value_digits = 2 - math.floor(math.log10(100.0 * min(value, 1.0 - value)))

@@ -1,5 +1,5 @@
 """Every command, output and `>>>` line of README.md and the tutorials is executed, in order, in one
-folder a page.
+folder a page, which is empty at first.
 
 A ```console block has commands behind "$ " and what they print; "..." stands for anything.  A
 ```toml or ```python block whose first line is a comment with a file's name is that file.  In
@@ -67,7 +67,6 @@ def test_page_says_what_happens(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    (tmp_path / "studies").symlink_to(ROOT / "studies")
     checker, parser, names, ran = doctest.OutputChecker(), doctest.DocTestParser(), {}, 0
     for language, body in blocks(page.read_text("utf-8")):
         name = re.match(r"# (\S+\.(?:toml|py|csv))\n", body)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from uqsphere.report.format import value
-from uqsphere.report.page import _linked, page
+from uqsphere.report.page import _cell, _linked, page
 from uqsphere.report.pictures import indices_of
 from uqsphere.report.tables import assumptions, certificate
 from uqsphere.results.types import Results
@@ -151,3 +151,9 @@ def test_probabilities_of_a_column_have_one_unit() -> None:
     assert table is not None
     for column in list(zip(*table.rows, strict=True))[2:]:
         assert {text.split()[-1].rstrip(")") for text in column} == {"%"}
+
+
+def test_a_range_in_a_source_is_no_interval_of_an_estimate() -> None:
+    assert "<small" in _cell("2.77 (2.44 to 3.10) GPa")
+    assert "<small" in _cell("0.201 % (0.201 to 0.202 %)")
+    assert "<small" not in _cell("From memory of a handbook (0.7 to 1.0 GPa)")

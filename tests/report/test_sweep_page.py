@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from uqsphere.cli import main
+from uqsphere.report.tables import columns
 from uqsphere.results import open_run
 
 STUDY = """
@@ -55,6 +56,19 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     assert main([*SWEEP, "--over", "inputs.c=1, 2, 3"]) == 3
     assert Path("s-sweep/c-1/results.json").stat().st_mtime_ns == stored
     assert len(pd.read_csv("s-sweep/sweep.csv")) == 3
+
+
+@pytest.mark.parametrize("width", [79, 60, 50])
+def test_the_terminal_has_every_head_and_value_whole(width: int) -> None:
+    head = ("target.thickness", "sphere.radius", "decision", "fracture probability at the plan")
+    rows = [head, ("10 mm", "8 mm", "Use at most 2.3 m", "0.018 %")]
+    lines = columns(rows, width)
+    assert max(map(len, lines)) <= width
+    assert "…" not in "".join(lines)
+    assert "10 mm" in lines[-1]
+    for text, start in zip(head, (0, *map(lines[-1].index, ("8 mm", "Use", "0.018"))), strict=True):
+        parts = [line[start:].partition("  ")[0].strip() for line in lines[:-1]]
+        assert "".join(parts).replace(" ", "") == text.replace(" ", "")
 
 
 @pytest.mark.slow

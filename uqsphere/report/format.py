@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Final
+
+import numpy as np
 
 from uqsphere.quantities import (
     format_estimate,
@@ -117,9 +120,40 @@ def plain_probability(row: Estimated) -> str:
     return format_probability(row.value, row.high, row.low)
 
 
+def change_text(before: Sequence[float], after: Sequence[float]) -> str:
+    """How an answer (value, low, high) changed: in per cent, as a factor, or in orders of
+    magnitude; in words where one of the values is zero within its interval.
+
+    >>> change_text((2.5, 2.4, 2.6), (3.0, 2.9, 3.1)), change_text((2.0, 2, 2), (9.0, 9, 9))
+    ('+20 %', 'times 4.5')
+    >>> change_text((1e-15, 9e-16, 2e-15), (0.02, 0.01, 0.03))
+    '+13 orders of magnitude'
+    >>> change_text((1e-17, -2e-14, 2e-14), (0.3, 0.29, 0.31))
+    'zero within its interval before'
+    """
+    for (number, low, high), when in ((before, "before"), (after, "after")):
+        if number == 0.0 or low < 0.0 < high:
+            return f"zero within its interval {when}"
+    ratio = after[0] / before[0]
+    if ratio < 0.0:
+        return "other sign"
+    if not 1e-3 < ratio < 1e3:
+        return f"{math.log10(ratio):+.0f} orders of magnitude"
+    if not 0.5 < ratio < 2.0:
+        return f"times {float(f'{ratio:.2g}'):g}"
+    return f"{100.0 * (ratio - 1.0):+.3g} %"
+
+
 def complement(p: Range) -> Range:
-    """The probability of the opposite event."""
+    """The probability of the opposite event; of one that is certain but for the last bit, below
+    that bit.
+
+    >>> complement(Range(value=0.25)).value, probability(complement(Range(value=1.0)))
+    (0.75, 'below 2.3e-14 %')
+    """
     value, high, low = (None if x is None else 1.0 - x for x in (p.value, p.low, p.high))
+    if value == 0.0 and not high:
+        high = float(np.finfo(float).eps)
     return Range(value=value, low=low, high=high, note=p.note)
 
 

@@ -108,7 +108,7 @@ def _cell(text: str) -> Markup:
     """A text of a table; an estimate with its interval below it, both unbroken."""
     from markupsafe import Markup
 
-    parts = re.fullmatch(r"(.*?) \((-?\d\S* to [^)]+)\)(.*)", text)
+    parts = re.fullmatch(r"(-?\d\S*(?: %)?) \((-?\d\S* to [^)]+)\)(.*)", text)
     if parts is not None:
         stacked = Markup('<span class="v">{}</span><br><small class="v soft">{}</small>')
         return stacked.format(parts[1] + parts[3], parts[2])

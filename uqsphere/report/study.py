@@ -31,7 +31,13 @@ TRIAL_RUNS, REPORT_SECONDS = 1400, 4.0
 def described(study: Study) -> str:
     """Inputs with their distribution and source, strengths with their tests, and dependences."""
     lines = [f"{study.title}: the study is valid"]
-    for table in _tables(study):
+    inputs, *others = _tables(study)
+    sources = list(dict.fromkeys(row[-1] for row in inputs.rows if row[-1] != "study"))
+    marks = {source: f"[{number}]" for number, source in enumerate(sources, 1)}
+    rows = [(*cells, marks.get(source, source)) for *cells, source in inputs.rows]
+    lines += ["", *columns([inputs.head, *rows])]
+    lines += [f"{mark} {source}" for source, mark in marks.items()]
+    for table in others:
         lines += ["", *columns([table.head, *table.rows])]
     if study.dependence:
         lines += ["", *_ties(study)]
@@ -195,7 +201,7 @@ def listing(what: str) -> str:
         rows += [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
     else:
         for name, family in FAMILIES.items():
-            rows.append((name, ", ".join(getattr(family, "keys", ()))))
+            rows.append((name, family.allowed() or "values, or a file"))
     return "\n".join(columns(rows))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -56,22 +57,42 @@ class PageTable(NamedTuple):
 
 
 def columns(rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
-    """Rows of texts as lines of a terminal; the first column gives way where that is narrow.
+    """Rows of texts as lines of a terminal, heads first; where that is narrow, heads are broken
+    and, if that is not enough, the texts of the first column.
 
-    >>> columns([("input", "mean"), ("Young's modulus", "52 GPa")], 18)
-    ['input       mean', "Young's m…  52 GPa"]
+    >>> columns([("input", "mean of it"), ("Young's modulus", "52 GPa")], 18)
+    ['input       mean', '            of it', "Young's     52 GPa", 'modulus']
     """
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    if width is not None:
-        room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
-        widths[0] = max(min(widths[0], room), 8)
+    table = list(zip(*rows, strict=True))
+    widths = [max(map(len, column)) for column in table]
+    room = math.inf if width is None else width - 2 * (len(table) - 1)
+    if sum(widths) > room:
+        for k, (head, *cells) in enumerate(table):
+            widths[k] = max(map(len, [*cells, *_pieces(head)]))
+        least = max(len(piece.rstrip()) for text in table[0] for piece in _pieces(text))
+        widths[0] = max(min(widths[0], int(room) - sum(widths[1:])), least)
     lines = []
-    for first, *others in rows:
-        if len(first) > widths[0]:
-            first = f"{first[: widths[0] - 1]}…"
-        cells = zip((first, *others), widths, strict=True)
-        lines.append("  ".join(text.ljust(w) for text, w in cells).rstrip())
+    for row in rows:
+        broken = [_broken(text, w) for text, w in zip(row, widths, strict=True)]
+        for line in itertools.zip_longest(*broken, fillvalue=""):
+            padded = (text.ljust(w) for text, w in zip(line, widths, strict=True))
+            lines.append("  ".join(padded).rstrip())
     return lines
+
+
+def _pieces(text: str) -> list[str]:
+    """A text in parts between which a line may break: words, and the names in a key."""
+    return re.split(r"(?<= )|(?<=[._])(?=[A-Za-z])", text)
+
+
+def _broken(text: str, width: int) -> list[str]:
+    """A text in lines of a width."""
+    lines = [""]
+    for piece in _pieces(text):
+        if lines[-1] and len((lines[-1] + piece).rstrip()) > width:
+            lines.append("")
+        lines[-1] += piece
+    return [line.rstrip() for line in lines]
 
 
 # --- decisions ------------------------------------------------------------------------------------

@@ -101,10 +101,9 @@ class Study:
 
     Parameters
     ----------
-    title, seed : str, int
-        As in a study file.
-    inputs, outputs, limits, margins, analysis, ... : mapping
-        The other tables of a study file, with distributions of this package, of scipy.stats or
+    **tables : str, int or mapping
+        `title`, `seed` and the tables of a study file by their names (`inputs`, `outputs`,
+        `limits`, `margins`, `analysis`, ...), with distributions of this package, of scipy.stats or
         chaospy where a number is random; `outputs` may be a name or a list of names.
 
     Raises
