@@ -31,7 +31,7 @@ def normals(n: int, d: int, seed: int = 1) -> np.ndarray:
 
 
 def drawn(copula: Copula, z: np.ndarray) -> np.ndarray:
-    return copula.conditional_scores((), np.empty((len(z), 0)), z)
+    return copula.dependent(z)
 
 
 @pytest.mark.parametrize("kind", COPULAS)
@@ -68,11 +68,7 @@ def test_the_joint_density_of_the_t_copula_is_that_of_scipy() -> None:
     assert np.isfinite(x).all()
     found, h = stats.norm.logpdf(scores[:, 0]), 1e-4
     for k in (1, 2):
-        given = list(range(k))
-        ends = [
-            ndtr(copula.conditional_score(k, given, scores[:, :k], scores[:, k] + e))
-            for e in (h, -h)
-        ]
+        ends = [ndtr(copula.conditional_score(scores[:, :k], scores[:, k] + e)) for e in (h, -h)]
         found = found + np.log((ends[0] - ends[1]) / (2.0 * h))
     assert np.allclose(found, log_density(scores), atol=1e-5)
     gradient = copula.score_gradient(scores)
@@ -95,10 +91,9 @@ def test_conditioning_there_and_back_on_any_subset(kind: str) -> None:
     copula = made(kind, 3, 0.5)
     scores = drawn(copula, normals(500, 3))
     for k, given in ((1, [0]), (2, [0, 1]), (0, [2, 1])):
-        conditional = copula.conditional_score(k, given, scores[:, given], scores[:, k])
-        assert np.allclose(
-            copula.score_at(k, given, scores[:, given], conditional), scores[:, k], atol=1e-8
-        )
+        among = copula.among([*given, k])
+        conditional = among.conditional_score(scores[:, given], scores[:, k])
+        assert np.allclose(among.score_at(scores[:, given], conditional), scores[:, k], atol=1e-8)
         assert stats.kstest(conditional, "norm").statistic < 0.06
 
 
@@ -107,7 +102,7 @@ def test_conditioning_there_and_back_on_any_subset(kind: str) -> None:
 def test_tails_are_finite_and_monotone_out_to_1e_minus_300(kind: str, tau: float) -> None:
     copula, z = made(kind, 3, tau), np.linspace(-37.0, 37.0, 149)
     for level in (-37.0, -3.0, 0.0, 8.0):
-        found = copula.conditional_scores((0, 1), np.full((z.size, 2), level), z[:, None])[:, 0]
+        found = copula.dependent(np.column_stack([np.full((z.size, 2), level), z]), 2)[:, 2]
         assert np.isfinite(found).all()
         assert (np.diff(found) >= -1e-9).all()
 
@@ -119,8 +114,7 @@ def test_tail_dependence_of_the_t_copula() -> None:
     rho, nu, low = math.sin(0.25 * math.pi), 4.0, np.array([-9.0])
     expected = stats.t(nu + 1.0).cdf(-math.sqrt((nu + 1.0) * (1.0 - rho) / (1.0 + rho)))
     found = [
-        float(ndtr(made(kind, 2, 0.5).conditional_score(1, (0,), low[:, None], low))[0])
-        for kind in COPULAS
+        float(ndtr(made(kind, 2, 0.5).conditional_score(low[:, None], low))[0]) for kind in COPULAS
     ]
     assert found[1] == pytest.approx(expected, rel=1e-2)
     assert found[0] < 1e-3
@@ -184,7 +178,7 @@ def test_the_tie_of_what_is_not_drawn() -> None:
     rho = 2.0 * math.sin(math.pi * 0.6 / 6.0)
     tie = joint.tie("c", ("a", "b", "d"), scores)
     assert tie is not None
-    found = tie.copula.score_at(1, (0,), tie.scores, scores[:, 3])
+    found = tie.copula.score_at(tie.scores, scores[:, 3])
     assert found == pytest.approx(rho * scores[:, 0] + math.sqrt(1.0 - rho * rho) * scores[:, 3])
     other = joint.tie("e", ("a", "b", "c", "d"), scores)
     assert other is not None

@@ -45,11 +45,7 @@ class Line:
     @cached_property
     def rows(self) -> Sample:
         """The rows of all values, one value after the other."""
-        whole, start = self.samples[0].with_room(sum(self._counts)), 0
-        for sample in self.samples:
-            whole.fill(start, sample)
-            start += sample.count
-        return whole
+        return self.samples[0].join(*self.samples[1:])
 
     @cached_property
     def places(self) -> Array:

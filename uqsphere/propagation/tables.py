@@ -151,12 +151,8 @@ class Tables:
     @cached_property
     def along(self) -> Sample:
         """The rows of the line, value by value."""
-        parts = [*self.line.values()]
-        whole, start = parts[0].with_room(sum(part.count for part in parts)), 0
-        for part in parts:
-            whole.fill(start, part)
-            start += part.count
-        return whole
+        first, *others = self.line.values()
+        return first.join(*others)
 
 
 def stacked(columns: Sequence[Array], count: int = 1) -> Array:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import (
     SURE,
     Estimate,
@@ -52,46 +53,31 @@ def fragility(
     more than once.  `folds` (K, F) are probabilities of expansions at the same points: what their
     values differ by is the error of one expansion more.
     """
-    grid = np.asarray(grid, dtype=float)
+    grid, replicates = np.asarray(grid, dtype=float), probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
         raise ValueError("the grid must hold at least two increasing values")
-    least = 0.5 / (samples * probabilities.shape[1])
-    curve = _curve(grid, probabilities, samples)
-    turn = _turning(grid, probabilities)
-    values: dict[float, Estimate] = {}
-    for target in targets:
-        if turn is not None and not _passes_once(probabilities, target):
-            reason = f"the probability is not monotone: it turns back near {turn:.4g}"
-            values[target] = absent(reason, METHOD, evaluations)
-        else:
-            value = _value(grid, probabilities, target, least, folds)
-            values[target] = replace(value, evaluations=evaluations)
-    return Fragility(curve=curve, values=values)
-
-
-def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]:
-    """Rows of the curve, the interval in logits; none or all exceeding gets the bound of a count of
-    zero.
-    """
-    replicates = probabilities.shape[1]
-    rows = []
-    for value, row in zip(grid, probabilities, strict=True):
-        p = float(row.mean())
-        q = float((1.0 - row).mean())
+    curve, values = [], dict[float, Estimate]()
+    for level, row in zip(grid.tolist(), probabilities, strict=True):
+        p, q = float(row.mean()), float((1.0 - row).mean())
         # counts that agree in all replicates are still known to one sample only
         error = spread(row) or spread(row, 1.0 / samples)
         low, high, _ = probability_ends(p, q, error, replicates, samples * replicates)
-        rows.append([float(value), p, min(low, p), max(high, p)])
-    return rows
-
-
-def _passes_once(probabilities: Array, target: float) -> bool:
-    """Whether curves (K, R) are surely on one side of a probability at first and on the other from
-    some value on.
-    """
-    above = probabilities - target
-    sides = np.sign(above.mean(axis=1))[_surely_not_zero(above)]
-    return int(np.count_nonzero(np.diff(sides))) == 1
+        curve.append([level, p, min(low, p), max(high, p)])
+    # where a curve that has surely risen surely falls, or has fallen and rises
+    steps = np.diff(probabilities, axis=0)
+    sure, rises = np.flatnonzero(_surely_not_zero(steps)), steps.mean(axis=1) > 0.0
+    turns = grid[sure[rises[sure] != rises[sure[:1]]]]
+    for target in targets:
+        above = probabilities - target
+        sides = np.sign(above.mean(axis=1))[_surely_not_zero(above)]
+        if turns.size and np.count_nonzero(np.diff(sides)) != 1:
+            reason = f"the probability is not monotone: it turns back near {turns[0]:.4g}"
+            values[target] = absent(reason, METHOD, evaluations)
+        else:
+            least = 0.5 / (samples * replicates)
+            value = _value(grid, probabilities, target, least, folds)
+            values[target] = replace(value, evaluations=evaluations)
+    return Fragility(curve=curve, values=values)
 
 
 def _surely_not_zero(values: Array) -> Flags:
@@ -100,39 +86,26 @@ def _surely_not_zero(values: Array) -> Flags:
     return np.asarray(np.abs(values.mean(axis=1)) > SURE * error + 1e-9)
 
 
-def _turning(grid: Array, probabilities: Array) -> float | None:
-    """Value at which a curve that has risen falls, or has fallen rises, by more than four standard
-    errors, if any.
-    """
-    steps = np.diff(probabilities, axis=0)
-    sure, rises = np.flatnonzero(_surely_not_zero(steps)), steps.mean(axis=1) > 0.0
-    back = sure[rises[sure] != rises[sure[:1]]]
-    if not back.size:
-        return None
-    return float(grid[int(back[0])])
-
-
 def _crossings(places: Array, probabilities: Array, target: float, least: float) -> Array:
     """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal
     scores; NaN if nowhere."""
     from scipy.interpolate import PchipInterpolator
-    from scipy.special import ndtri
 
     above, below = (
         0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities)
     )
     bounded = np.clip(probabilities, np.minimum(least, above), 1.0 - np.clip(below, 1e-16, least))
     direction = np.where(bounded[-1] >= bounded[0], 1.0, -1.0)
-    scores = direction * (np.asarray(ndtri(bounded)) - float(ndtri(target)))
+    scores = direction * (special.ndtri(bounded) - special.ndtri(target))
     # half-way between the running maximum and the running minimum from the right
     scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
     passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
-    crossings = np.full(scores.shape[1], math.nan)
+    crossings = np.full(passes.size, math.nan)
     # of curves with the same root SciPy gives it to the first one alone
     different, place = np.unique(scores, axis=1, return_inverse=True)
     roots = PchipInterpolator(places, different).roots(extrapolate=False)
     for r in np.flatnonzero(passes):
-        nearest = places[int(np.argmin(np.abs(scores[:, r])))]
+        nearest = places[np.abs(scores[:, r]).argmin()]
         crossings[r] = next(filter(np.isfinite, roots[place[r]]), nearest)
     return crossings
 
@@ -146,26 +119,28 @@ def _value(
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
     places, pooled = forward(grid), probabilities.mean(axis=1)[:, None]
-    centre = float(_crossings(places, pooled, target, least)[0])
+
+    def crossings(curves: Array, every: Any = slice(None)) -> Array:
+        return _crossings(places[every], curves[every], target, least)
+
+    centre = float(crossings(pooled)[0])
     if math.isnan(centre):
         reason = (
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
             f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}"
         )
         return absent(reason, METHOD, 0)
-    crossings = _crossings(places, probabilities, target, least)
-    half, replicates = student(len(crossings)) * spread(crossings), len(crossings)
+    replicates = crossings(probabilities)
+    half = student(replicates.size) * spread(replicates)
     if folds is not None:
-        half = math.hypot(half, float(fold_spread(_crossings(places, folds, target, least))))
+        half = math.hypot(half, float(fold_spread(crossings(folds))))
     if math.isnan(half):
-        return absent(
-            "too close to an end of the range: some replicates do not reach it", METHOD, 0
-        )
+        reason = "too close to an end of the range: some replicates do not reach it"
+        return absent(reason, METHOD, 0)
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
-    coarse = np.unique(np.concatenate([np.arange(0, grid.size, 2), [grid.size - 1]]))
-    other = float(_crossings(places[coarse], pooled[coarse], target, least)[0])
+    other = float(crossings(pooled, np.unique([*range(0, grid.size, 2), grid.size - 1]))[0])
     if not math.isnan(other):
         half += abs(other - centre) / 4.0
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
-    return between(value, low, high, replicates, METHOD, 0)
+    return between(value, low, high, replicates.size, METHOD, 0)

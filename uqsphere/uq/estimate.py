@@ -44,10 +44,10 @@ class Estimate:
     evaluations : model runs that it rests on
     """
 
-    value: float | None
-    low: float | None
-    high: float | None
-    std_error: float | None
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    std_error: float | None = None
     method: str
     evaluations: int
     reason: str | None = None
@@ -99,25 +99,25 @@ def absent(reason: str, method: str, evaluations: int, *, below: float | None = 
     """An answer that cannot be given, and why; of a probability what it is below, if that is
     known.
     """
+    low = None if below is None else 0.0
+    return Estimate(low=low, high=below, method=method, evaluations=evaluations, reason=reason)
+
+
+def bounded(
+    value: float, low: float, high: float, error: float, method: str, evaluations: int
+) -> Estimate:
+    """A value between ends, which hold it; absent where one of them is beyond floating point."""
+    if not np.isfinite([value, low, high, error]).all():
+        return absent("the answer is beyond floating point", method, evaluations)
+    low, high = min(low, value), max(high, value)
     return Estimate(
-        value=None,
-        low=None if below is None else 0.0,
-        high=below,
-        std_error=None,
-        method=method,
-        evaluations=evaluations,
-        reason=reason,
+        value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations
     )
 
 
 def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:
-    """A value with this half-width to either side; absent where it is beyond floating point."""
-    low, high = value - half, value + half
-    if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(error)):
-        return absent("the answer is beyond floating point", method, evaluations)
-    return Estimate(
-        value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations
-    )
+    """A value with this half-width to either side."""
+    return bounded(value, value - half, value + half, error, method, evaluations)
 
 
 def between(
@@ -126,17 +126,8 @@ def between(
     """A value between ends that were read off at so many replicates: the standard error is that of
     Student's half.
     """
-    if not all(map(math.isfinite, (value, low, high, high - low))):
-        return absent("the answer is beyond floating point", method, evaluations)
     error = 0.5 * (high - low) / student(replicates)
-    return Estimate(
-        value=value,
-        low=min(low, value),
-        high=max(high, value),
-        std_error=error,
-        method=method,
-        evaluations=evaluations,
-    )
+    return bounded(value, low, high, error, method, evaluations)
 
 
 def student(replicates: float) -> float:
@@ -290,9 +281,9 @@ def share(
 
     None or all True gets the one-sided 95 % bound on the count.
     """
-    (replicates, n), every = flags.shape, bool(flags.all())
-    p, error, rows = float(every), 0.0, flags.mean(axis=1)
-    if every or not flags.any():
+    (replicates, n), rows = flags.shape, flags.mean(axis=1)
+    p, error = float(flags.all()), 0.0
+    if p or not flags.any():
         method += ", one-sided 95 % bound"
     elif replicates < 2:
         return absent("an interval needs at least two independent replicates", method, flags.size)
@@ -301,10 +292,8 @@ def share(
             weights = np.ones(replicates)
         p = float((weights * rows).mean())
         error = spread(weights * (rows - p), 1.0 / n)
-    low, high, error = probability_ends(p, 1.0 - p, error, replicates, flags.size)
-    return Estimate(
-        value=p, low=low, high=high, std_error=error, method=method, evaluations=flags.size
-    )
+    ends = probability_ends(p, 1.0 - p, error, replicates, flags.size)
+    return bounded(p, *ends, method, flags.size)
 
 
 # --- quantiles ------------------------------------------------------------------------------------

@@ -67,9 +67,7 @@ class LocationScale:
         """Shape of the law with the scale s, and the other way round: s itself, or 1/s (a
         modulus).
         """
-        if self.normal:
-            return s
-        return 1.0 / s
+        return s if self.normal else 1.0 / s
 
     def terms(self, z: Array, failures: Any, stopped: Any) -> tuple[Array, Array, Array]:
         """Log-likelihood without ln(1/s) of so many failures and stopped tests at each z, and its
@@ -77,14 +75,10 @@ class LocationScale:
         """
         if self.normal:
             hazard = math.sqrt(2.0 / math.pi) / special.erfcx(z / math.sqrt(2.0))  # phi(z)/S(z)
-            value = stopped * special.log_ndtr(-z) - failures * (
-                0.5 * z * z + 0.5 * math.log(2.0 * math.pi)
-            )
-            return (
-                value,
-                -failures * z - stopped * hazard,
-                -failures - stopped * hazard * (hazard - z),
-            )
+            density = 0.5 * z * z + 0.5 * math.log(2.0 * math.pi)
+            value = stopped * special.log_ndtr(-z) - failures * density
+            second = -failures - stopped * hazard * (hazard - z)
+            return value, -failures * z - stopped * hazard, second
         power = (failures + stopped) * np.exp(np.minimum(z, 700.0))
         return failures * z - power, failures - power, -power
 
@@ -99,7 +93,7 @@ class LocationScale:
         centre = (u @ failures / count)[:, None]
         spread = np.sqrt(np.square(u - centre) @ failures / count)[:, None]
         y = (u - centre) / spread
-        at, step = np.array([np.ones(len(y)), np.zeros(len(y))]), np.zeros((2, len(y)))
+        at, step = np.outer([1.0, 0.0], np.ones(len(y))), np.zeros((2, len(y)))
         best = np.full(len(y), -math.inf)
         for _ in range(200):
             h, g = at + step
@@ -110,9 +104,8 @@ class LocationScale:
             slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
             hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
             gg = second.sum(axis=1)
-            newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g]) / (
-                hh * gg - hg * hg
-            )
+            newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g])
+            newton /= hh * gg - hg * hg
             # a step that leaves h > 0 ends before it does, one that does not climb is halved
             newton *= np.minimum(1.0, 0.9 * h / np.maximum(-newton[0], 1e-300))
             step = np.where(climbs, newton, 0.5 * step)
@@ -128,9 +121,7 @@ class LocationScale:
         229): the distribution of (m* - m)/s* and s*/s depends on neither m nor s, exactly without
         stopped tests and with tests stopped at the r-th failure.
         """
-        steps = (
-            generator.standard_exponential((count, leaving.size)) / np.cumsum(leaving[::-1])[::-1]
-        )
+        steps = generator.standard_exponential((count, leaving.size)) / _at_risk(leaving)
         return self._of_hazard(np.cumsum(steps, axis=1))
 
     def _of_hazard(self, hazards: Array) -> Array:
@@ -144,18 +135,18 @@ class LocationScale:
         """
         ones, stopped = np.ones(leaving.size), leaving - 1.0
         if leaving.size > MANY:
-            z = self._of_hazard(np.cumsum(1.0 / np.cumsum(leaving[::-1])[::-1]))
+            z = self._of_hazard(np.cumsum(1.0 / _at_risk(leaving)))
             second = self.terms(z, ones, stopped)[2]
             mixed = (second * z).sum()
             information = [[ones.sum() - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
-            logs, places = generator.multivariate_normal(
-                [0.0, 0.0], np.linalg.inv(information), count
-            ).T
+            covariance = np.linalg.inv(information)
+            logs, places = generator.multivariate_normal([0.0, 0.0], covariance, count).T
             return places, np.exp(logs)
+        series = self.series(leaving, count, generator)
         # a thousand series at a time
-        blocks = [min(1000, count - done) for done in range(0, count, 1000)]
         fits = [
-            self.maximum(self.series(leaving, block, generator), ones, stopped) for block in blocks
+            self.maximum(series[start : start + 1000], ones, stopped)
+            for start in range(0, count, 1000)
         ]
         location, scale = np.concatenate(fits, axis=1)
         return location / scale, 1.0 / scale
@@ -188,6 +179,12 @@ LOCATION_SCALE: Final = {
     # the negative of a largest value is the logarithm of a Weibull variable
     "gumbel": LocationScale(u=np.negative, parameters=lambda m, s: {"location": -m, "scale": s}),
 }
+
+
+def _at_risk(leaving: Array) -> Array:
+    """Tests that have not ended before each failure (r,)."""
+    return np.cumsum(leaving[::-1])[::-1]
+
 
 # --- tests ----------------------------------------------------------------------------------------
 
@@ -242,7 +239,7 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
                 f"stopped must be 0 (failed) or 1 (stopped), found {flag!r}: tests known only to "
                 "lie below a value, or between two, cannot be given"
             )
-    if not (np.isfinite(many).all() and (many >= 1.0).all() and (many % 1.0 == 0.0).all()):
+    if not (np.isfinite(many) & (many >= 1.0) & (many == np.floor(many))).all():
         raise ValueError("counts must be whole numbers from 1 on")
     if not np.isfinite(x).all():
         raise ValueError("the tests hold values that are not finite numbers")
@@ -250,14 +247,12 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
         raise ValueError(f"a strength must be positive, the smallest found is {x.min():g}")
     tests = _gathered(x, flags.astype(bool), many)
     broke, total = tests.values[tests.failures > 0.0], tests.failures.sum()
-    if broke.size == 0:
+    if total == 0.0:
         raise ValueError(
             f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength"
         )
     if np.isclose(broke[0], broke[-1], atol=0.0):
-        what = f"all {total:.0f} failures are equal"
-        if total == 1.0:
-            what = "only one failure"
+        what = "only one failure" if total == 1.0 else f"all {total:.0f} failures are equal"
         raise ValueError(
             f"{what}: the scatter is not known, at least two different failures are needed"
         )
@@ -266,10 +261,9 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
 
 def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
     different, at = np.unique(values, return_inverse=True)
-    failures, ended = (
-        np.bincount(at, counts * flags, different.size).astype(float)
-        for flags in (~stopped, stopped)
-    )
+    failures, ended = np.zeros(different.size), np.zeros(different.size)
+    np.add.at(failures, at, counts * ~stopped)
+    np.add.at(ended, at, counts * stopped)
     return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
@@ -325,13 +319,9 @@ class StrengthFit:
         """Two rows, shape and scale: value, low, high."""
         from pandas import DataFrame
 
-        rows = {
-            "shape": (self.shape, *self.shape_interval),
-            "scale": (self.scale, *self.scale_interval),
-        }
-        return DataFrame.from_dict(
-            rows, orient="index", columns=["value", "low", "high"]
-        ).rename_axis("parameter")
+        rows = [(self.shape, *self.shape_interval), (self.scale, *self.scale_interval)]
+        frame = DataFrame(rows, index=["shape", "scale"], columns=["value", "low", "high"])
+        return frame.rename_axis("parameter")
 
 
 def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
@@ -358,14 +348,15 @@ def fit_strength(
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
     shapes = np.quantile(law.shape(spread * inverse), ENDS).tolist()
     places = np.exp(np.quantile(location - spread * centre, ENDS)).tolist()
+    shape = law.shape(spread)
     return StrengthFit(
         tests=int((tests.failures + tests.stopped).sum()),
         failures=int(tests.failures.sum()),
-        shape=law.shape(spread),
-        shape_interval=(shapes[0], shapes[1]),
-        unbiased=law.shape(spread) * unbiasing(law, tests.leaving, inverse),
+        shape=shape,
+        shape_interval=tuple(shapes),
+        unbiased=shape * unbiasing(law, tests.leaving, inverse),
         scale=math.exp(location),
-        scale_interval=(places[0], places[1]),
+        scale_interval=tuple(places),
         log_likelihood=float((terms - tests.failures * (y + math.log(spread))).sum()),
         p_value=probability_of(tests, law),
     )
@@ -375,7 +366,7 @@ def distance(below: Array, leaving: Array) -> Array:
     """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the
     Kaplan-Meier estimate.
     """
-    after = 1.0 - np.cumprod(1.0 - 1.0 / np.cumsum(leaving[::-1])[::-1])
+    after = 1.0 - np.cumprod(1.0 - 1.0 / _at_risk(leaving))
     before = np.concatenate([[0.0], after[:-1]])
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
 
@@ -389,15 +380,14 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     """
     location, spread = _best(tests, law)
     z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
-    apart = distance(law.form.tails(z)[0][None, :], tests.leaving)[0]
-    firsts = np.arange(0, z.size, max(1, -(-z.size // MANY)))
+    apart = distance(law.form.tails(z)[0][None, :], tests.leaving)
+    firsts = np.arange(0, z.size, -(-z.size // MANY))
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
-    drawn = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
-    centres, scales = (part[:, None] for part in law.maximum(drawn, np.ones(few.size), few - 1.0))
-    others = distance(law.form.tails((drawn - centres) / scales)[0], few) * math.sqrt(
-        few.size / z.size
-    )
-    return float((1 + (others >= apart).sum()) / (_OTHERS + 1))
+    series = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
+    centres, scales = np.array(law.maximum(series, np.ones(few.size), few - 1.0))[:, :, None]
+    others = distance(law.form.tails((series - centres) / scales)[0], few)
+    farther = others * math.sqrt(few.size / z.size) >= apart
+    return float((1 + farther.sum()) / (_OTHERS + 1))
 
 
 # --- a law from a column --------------------------------------------------------------------------
@@ -483,17 +473,12 @@ def fitted_law(
     if how == "kde" and values.size > MOST_KERNELS:
         raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
     family = FAMILIES.get(how, FAMILIES["empirical"])
-    law = Law(
-        family=family,
-        lower=a,
-        upper=b,
-        data=tuple(values.tolist()),
-        censored=tuple(sorted(censored)),
-    )
+    observed = tuple(values.tolist())
+    law = Law(family=family, lower=a, upper=b, data=observed, censored=tuple(sorted(censored)))
     if family.observed is not None:
         width = bandwidth(values) if how == "kde" else 0.0
         return checked(replace(law, parameters={"bandwidth": width}))
-    least, largest = float(values[0]), float(values[-1])
+    least, largest = observed[0], observed[-1]
     if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if family.bounded and not a < least <= largest < b:
@@ -590,13 +575,12 @@ def possible_laws(
     n, family = len(law.data), law.family
     if n < LEAST_TESTS:
         raise LawError(
-            (
-                f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} "
-                "are needed"
-            ),
+            f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} "
+            "are needed",
             "file",
         )
-    if (kind := LOCATION_SCALE.get(family.name)) is None:
+    kind = LOCATION_SCALE.get(family.name)
+    if kind is None:
         again = (_made_again(law, generator) for _ in range(count))
         # only laws of many observations need be made one by one; a fit that fails is known before a
         # law is used
@@ -604,13 +588,15 @@ def possible_laws(
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests = series_behind(law)
     location, scale = _best(tests, kind)
-    pivots = kind.pivots(tests.leaving, count if at is None else FINER * count, generator)
-    centre, inverse = pivots if at is None else kind.ranked(*pivots, at)
+    if at is None:
+        centre, inverse = kind.pivots(tests.leaving, count, generator)
+    else:
+        centre, inverse = kind.ranked(*kind.pivots(tests.leaving, FINER * count, generator), at)
     columns = kind.parameters(location - scale * centre, scale * inverse)
-    values = np.column_stack(list(columns.values())).tolist()
+    rows = np.column_stack(list(columns.values())).tolist()
     return (
         replace(law, parameters={**law.parameters, **dict(zip(columns, row, strict=True))})
-        for row in values
+        for row in rows
     )
 
 
@@ -625,17 +611,16 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
     """
     family, n = law.family, len(law.data)
     for _ in range(20):
-        if family.observed is None:
-            with contextlib.suppress(ValueError):
-                again = _likeliest(
-                    replace(law, data=tuple(law.ppf(generator.random(n)).tolist()))
-                ).parameters
-                return replace(
-                    law, parameters={key: law.parameters[key] ** 2 / again[key] for key in again}
-                )
-        elif np.ptp(sample := np.sort(generator.choice(law.data, n))) > 0.0:
-            width = 0.0 if law.is_steps else bandwidth(sample)
-            return replace(law, parameters={"bandwidth": width}, data=tuple(sample.tolist()))
+        if family.observed is not None:
+            sample = np.sort(generator.choice(law.data, n))
+            if np.ptp(sample) > 0.0:
+                width = 0.0 if law.is_steps else bandwidth(sample)
+                return replace(law, parameters={"bandwidth": width}, data=tuple(sample.tolist()))
+            continue
+        sample = law.ppf(generator.random(n))
+        with contextlib.suppress(ValueError):
+            again = _likeliest(replace(law, data=tuple(sample.tolist()))).parameters
+            return replace(law, parameters={k: law.parameters[k] ** 2 / again[k] for k in again})
     raise LawError(f"samples of this {family.name} law cannot be fitted again", "fit")
 
 

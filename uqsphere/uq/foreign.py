@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import BY_FUNCTIONS, PREFIX, family_named
+from uqsphere.uq.families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
 from uqsphere.uq.fitting import fitted_law
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint
@@ -23,8 +23,6 @@ from uqsphere.uq.law import Law, checked, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike: TypeAlias = Any
-#: the keys of a law in a study: `dist`, parameters and bounds
-Parameters: TypeAlias = dict[str, Any]
 
 #: families of this package by SciPy's names, and the keys of its shapes, loc and scale; "-": none,
 #: so that a loc must be 0
@@ -39,26 +37,13 @@ DIRECT: Final = {
     "lognorm": ("lognormal", "log_sd - log_mean"),
     "expon": ("exponential", "- rate"),
 }
-#: the parameters that are functions of SciPy's scale
-OF_SCALE: Final[Mapping[str, Callable[[float], float]]] = {
-    "log_mean": math.log,
-    "rate": lambda scale: 1.0 / scale,
-}
-
-
-def _between(name: str, lower: float, upper: float, **parameters: float) -> Parameters:
-    return {"dist": name, "lower": lower, "upper": upper, **parameters}
-
-
-#: bounded families by SciPy's names, from its shapes, loc and scale
-BOUNDED: Final[Mapping[str, Callable[..., Parameters]]] = {
-    "uniform": lambda loc, scale: _between("uniform", loc, loc + scale),
-    "loguniform": lambda a, b, loc, scale: _between("loguniform", loc + scale * a, loc + scale * b),
-    "triang": lambda c, loc, scale: _between("triangular", loc, loc + scale, mode=loc + c * scale),
-    "beta": lambda a, b, loc, scale: _between("beta", loc, loc + scale, alpha=a, beta=b),
-    "truncnorm": lambda a, b, loc, scale: _between(
-        "normal", loc + scale * a, loc + scale * b, mean=loc, sd=scale
-    ),
+#: bounded families by SciPy's names: its shapes, loc and scale -> family, bounds and parameters
+BOUNDED: Final[Mapping[str, Callable[..., tuple[Any, ...]]]] = {
+    "uniform": lambda loc, scale: ("uniform", loc, loc + scale),
+    "loguniform": lambda a, b, loc, scale: ("loguniform", loc + scale * a, loc + scale * b),
+    "triang": lambda c, loc, scale: ("triangular", loc, loc + scale, loc + c * scale),
+    "beta": lambda a, b, loc, scale: ("beta", loc, loc + scale, a, b),
+    "truncnorm": lambda a, b, loc, scale: ("normal", loc + a * scale, loc + b * scale, loc, scale),
 }
 
 #: SciPy's names of the distributions of chaospy that are laws of this package, by their standard
@@ -81,18 +66,19 @@ EACH: Final = (
     "give each number its own law by name, and their rank correlations by uqsphere.analysis.joint"
 )
 
-#: SALib's distributions by their names, from the two to four numbers that it calls bounds
-SALIB: Final[Mapping[str, Callable[..., Parameters]]] = {
-    "unif": lambda a, b: _between("uniform", a, b),
-    "logunif": lambda a, b: _between("loguniform", a, b),
-    "norm": lambda m, s: {"dist": "normal", "mean": m, "sd": s},
-    "truncnorm": lambda a, b, m, s: _between("normal", a, b, mean=m, sd=s),
-    "lognorm": lambda m, s: {"dist": "lognormal", "log_mean": m, "log_sd": s},
-    "triang": lambda a, b, c: _between("triangular", a, b, mode=a + c * (b - a)),
+#: families and keys of SALib's distributions, in the order of the two to four numbers that it calls
+#: bounds; its mode is a share of the way from one bound to the other
+SALIB: Final = {
+    "unif": ("uniform", "lower upper"),
+    "logunif": ("loguniform", "lower upper"),
+    "norm": ("normal", "mean sd"),
+    "truncnorm": ("normal", "lower upper mean sd"),
+    "lognorm": ("lognormal", "log_mean log_sd"),
+    "triang": ("triangular", "lower upper mode"),
 }
 
 
-def law_table(distribution: LawLike) -> Parameters:
+def law_table(distribution: LawLike) -> dict[str, Any]:
     """The table by which a study file has a law, or a distribution of SciPy or chaospy.
 
     Raises LawError for anything else, and for a law that has no table: observations, or functions
@@ -106,12 +92,11 @@ def law_table(distribution: LawLike) -> Parameters:
     if law.family.observed is not None or law.data:
         raise LawError(
             "a study file has no table for it: write a sample or the observations to a CSV and "
-            "name that, "
-            '{ file = "rows.csv", column = "x" }, or give it to uqsphere.analysis'
+            'name that, { file = "rows.csv", column = "x" }, or give it to uqsphere.analysis'
         )
-    ends = {"lower": law.lower, "upper": law.upper}
-    bounds = {key: end for key, end in ends.items() if math.isfinite(end)}
-    return {"dist": law.family.name, **law.parameters, **bounds}
+    table = {**law.parameters, "lower": law.lower, "upper": law.upper}
+    finite = {key: value for key, value in table.items() if math.isfinite(value)}
+    return {"dist": law.family.name, **finite}
 
 
 def as_law(distribution: LawLike) -> Law:
@@ -150,8 +135,10 @@ def as_law(distribution: LawLike) -> Law:
         values = np.zeros(0)
     if values.ndim == 1 and values.size >= 2:
         return fitted_law(values.tolist())
-    ways = "a law, its table, a distribution of scipy.stats or chaospy, or observations (n,)"
-    raise LawError(f"found {kind}: give {ways}")
+    raise LawError(
+        f"found {kind}: give a law, its table, a distribution of scipy.stats or chaospy, or "
+        "observations (n,)"
+    )
 
 
 def _of_table(table: Mapping[str, Any]) -> Law:
@@ -164,8 +151,12 @@ def _of_table(table: Mapping[str, Any]) -> Law:
                 f"{key} of a law must be a number; observations are given as an array in its place",
                 key,
             )
-    bounds = numbers.pop("lower", None), numbers.pop("upper", None)
-    return make_law(str(table.get("dist")), numbers, *bounds)
+    lower, upper = numbers.pop("lower", None), numbers.pop("upper", None)
+    return make_law(str(table.get("dist")), numbers, lower, upper)
+
+
+def _bounded(name: str, lower: float, upper: float, *parameters: float) -> Law:
+    return make_law(name, dict(zip(FAMILIES[name].keys, parameters, strict=False)), lower, upper)
 
 
 def _of_scipy(distribution: Any, kind: str) -> Law:
@@ -216,7 +207,7 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
         standard = standard._dist
     name, shapes = type(standard).__name__, standard._parameters.values()
     if name == "trunc_normal" and (shift, scale) == (0.0, 1.0):
-        return as_law(SALIB["truncnorm"](*map(_number, shapes)))
+        return _bounded("normal", *map(_number, shapes))
     if name not in CHAOSPY:
         return checked(Law(family=BY_FUNCTIONS, source=distribution))
     if name == "log_uniform":
@@ -226,22 +217,25 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
 
 def _by_name(name: str, *parameters: Any) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
-    numbers = list(map(_number, parameters))
+    numbers = [_number(parameter) for parameter in parameters]
     shifted = numbers[-2] != 0.0
     if name in BOUNDED and not (name == "loguniform" and shifted):
-        return as_law(BOUNDED[name](*numbers))
+        return _bounded(*BOUNDED[name](*numbers))
     if name in DIRECT:
-        family_name, keys = DIRECT[name]
+        family, keys = DIRECT[name]
         table = dict(zip(keys.split(), numbers, strict=True))
         if not table.pop("-", 0.0):
-            values = {key: OF_SCALE.get(key, float)(value) for key, value in table.items()}
-            return as_law({"dist": family_name, **values})
-    family = family_named(PREFIX + name)
-    if family is None:
+            if "log_mean" in table:
+                table["log_mean"] = math.log(table["log_mean"])
+            if "rate" in table:
+                table["rate"] = 1.0 / table["rate"]
+            return make_law(family, table)
+    other = family_named(PREFIX + name)
+    if other is None:
         raise LawError(
             f"scipy.stats has no law {name!r} by this name: give it by rows of its values"
         )
-    return as_law({"dist": family.name} | dict(zip(family.parameters_of, numbers, strict=True)))
+    return make_law(other.name, dict(zip(other.parameters_of, numbers, strict=True)))
 
 
 def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:
@@ -252,9 +246,9 @@ def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Ar
         shares = np.ravel(share(values))
         if np.ptp(shares) <= 1e-9 * shares.max():
             return discrete_law(values.tolist())
-    table = '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
     raise LawError(
-        f"{name} is discrete, and its values are not equally probable: give them as {table}"
+        f"{name} is discrete, and its values are not equally probable: give them as "
+        '{"dist": "discrete", "values": [1, 2, 3], "weights": [2, 3, 5]}'
     )
 
 
@@ -271,8 +265,10 @@ def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependenc
     if isinstance(laws, Joint):
         return laws
     if not isinstance(laws, Mapping):
-        ways = "a mapping of name to law, a problem of SALib, or a Joint"
-        raise LawError(f"found {type(laws).__name__}, allowed: {ways}; {EACH}")
+        raise LawError(
+            f"found {type(laws).__name__}, allowed: a mapping of name to law, a problem of SALib, "
+            f"or a Joint; {EACH}"
+        )
     laws = of_salib(laws)
     return make_joint(tuple(laws), tuple(as_law(law) for law in laws.values()), dependence)
 
@@ -293,14 +289,23 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
             "groups of SALib have no place here: leave them out, and read the indices by input",
             "groups",
         )
+    kinds = problem.get("dists") or ["unif"] * count
     try:
-        kinds = problem.get("dists") or ["unif"] * count
         return {
-            str(n): SALIB[kind](*map(float, row))
-            for n, kind, row in zip(names, kinds, bounds, strict=True)
+            str(name): _salib_table(kind, row)
+            for name, kind, row in zip(names, kinds, bounds, strict=True)
         }
-    except (KeyError, TypeError) as error:
-        hint = f"known: {', '.join(SALIB)}, each with its two to four numbers"
+    except (KeyError, TypeError, ValueError) as error:
         raise LawError(
-            f"found dists {kinds} with bounds {list(bounds)}; {hint}", "bounds"
+            f"found dists {kinds} with bounds {list(bounds)}; known: {', '.join(SALIB)}, each with "
+            "its two to four numbers",
+            "bounds",
         ) from error
+
+
+def _salib_table(kind: str, numbers: Sequence[float]) -> dict[str, Any]:
+    family, keys = SALIB[kind]
+    table = dict(zip(keys.split(), map(float, numbers), strict=True))
+    if "mode" in table:
+        table["mode"] = table["lower"] + table["mode"] * (table["upper"] - table["lower"])
+    return {"dist": family} | table

@@ -14,7 +14,7 @@ freedom are those of the replicates and of the points that carry the answer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Final, TypeAlias
@@ -63,8 +63,6 @@ class Blocks:
         [[1.0, 2.0], [3.0, 2.0], [1.0, 4.0], [1.0, 4.0], [3.0, 2.0], [3.0, 4.0]]
         """
         d = self.inputs_count
-        if a.shape != b.shape or a.shape[1] != d:
-            raise ValueError(f"two halves (N, {d}) are required, found {a.shape} and {b.shape}")
         inputs = np.arange(d)
         blocks = np.repeat(a[:, None, :], self.count, axis=1)
         blocks[:, inputs + 1, inputs] = b
@@ -148,14 +146,6 @@ def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     return numerator, np.repeat(0.5 * _mean(a * a + b * b), rows.size, axis=1)
 
 
-#: order -> name and ratio of a, b, ab for an input whose total index is small, and for one whose is
-#: large
-ESTIMATORS: Final[Mapping[str, Sequence[tuple[str, Callable[..., Ratio]]]]] = {
-    "first": (("Saltelli 2010", saltelli_first), ("correlation of pairs", janon_first)),
-    "total": (("Jansen", jansen_total), ("correlation of pairs", janon_total)),
-}
-
-
 # --- indices of a design --------------------------------------------------------------------------
 
 
@@ -184,23 +174,14 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     outputs : (R, N, blocks.count) the model on the blocks of R independent replicates; a constant
         is answered by absent estimates
 
-    Nothing is clipped.  Raises ValueError for outputs that are not finite or of another shape.
+    Nothing is clipped.
     """
-    outputs, d = np.asarray(outputs, dtype=float), blocks.inputs_count
-    if outputs.ndim != 3 or outputs.shape[2] != blocks.count or min(outputs.shape[:2]) < 2:
-        raise ValueError(
-            f"outputs must have shape (R, N, {blocks.count}), R >= 2, N >= 2; found {outputs.shape}"
-        )
-    if not np.isfinite(outputs).all():
-        bad = int((~np.isfinite(outputs)).sum())
-        raise ValueError(
-            f"{bad} outputs are not finite: indices of them mean nothing; drop those rows first"
-        )
+    d, evaluations = blocks.inputs_count, outputs.size
     pairs = list(combinations(range(d), 2)) if blocks.second else []
     base = outputs[:, :, [0, -1]]
     centre = float(base.mean())
     if not np.ptp(base) > 1e-14 * np.abs(base).max():
-        none = absent(NO_SCATTER, METHOD, outputs.size)
+        none = absent(NO_SCATTER, METHOD, evaluations)
         return SampledIndices(first=[none] * d, total=[none] * d, second=dict.fromkeys(pairs, none))
     # a power of two is exact, and outputs of 1e300 have squares
     y = (outputs - centre) * 2.0 ** -np.frexp(np.abs(base - centre).max())[1]
@@ -208,45 +189,46 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     second: list[Estimate] = []
     if blocks.second:
         ba = y[:, :, d + 1 : -1]
-        second = _estimates(second_order, (a, b, ab, ba), "second order", outputs.size)
+        second = _estimates(second_order, (a, b, ab, ba), "second order", evaluations)
         a, b, ab = (np.concatenate(part, axis=1) for part in ((a, b), (b, a), (ab, ba)))
     numerator, denominator = jansen_total(a, b, ab)
     large = numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)
-    effects = {}
-    for order, estimators in ESTIMATORS.items():
-        small, big = (
-            _estimates(ratio, (a, b, ab), shown, outputs.size) for shown, ratio in estimators
-        )
-        effects[order] = [big[j] if large[j] else small[j] for j in range(d)]
+
+    def estimates(
+        name: str, ratio: Callable[..., Ratio], of_large: Callable[..., Ratio]
+    ) -> list[Estimate]:
+        small = _estimates(ratio, (a, b, ab), name, evaluations)
+        big = _estimates(of_large, (a, b, ab), "correlation of pairs", evaluations)
+        return [big[j] if large[j] else small[j] for j in range(d)]
+
     return SampledIndices(
-        first=effects["first"], total=effects["total"], second=dict(zip(pairs, second, strict=True))
+        first=estimates("Saltelli 2010", saltelli_first, janon_first),
+        total=estimates("Jansen", jansen_total, janon_total),
+        second=dict(zip(pairs, second, strict=True)),
     )
 
 
 def _estimates(
-    ratio: Callable[..., Ratio], parts: tuple[Array, ...], shown: str, evaluations: int
+    ratio: Callable[..., Ratio], parts: tuple[Array, ...], name: str, evaluations: int
 ) -> list[Estimate]:
     """Indices (m,) by one estimator, with as many degrees of freedom as replicates and carrying
     points allow.
     """
     value, off = ratio_of_means(*ratio(*parts))
-    if not value.size:
-        return []
     # what each point moves the answers by, as if it were a replicate: (R N, m)
     each, scale = ratio(*(part.reshape(-1, 1, part.shape[2]) for part in parts))
     squares = ((each - value * scale) / scale.mean(axis=0)) ** 2
     fourth = (squares**2).sum(axis=0)
-    carriers = np.where(
-        fourth > 0.0, squares.sum(axis=0) ** 2 / np.where(fourth > 0.0, fourth, 1.0), np.inf
-    )
-    estimates, method = [], f"{METHOD}, {shown}"
-    for j in range(value.size):
-        if not np.isfinite(value[j]):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        carriers = np.where(fourth > 0.0, squares.sum(axis=0) ** 2 / fourth, np.inf)
+    estimates, method = [], f"{METHOD}, {name}"
+    for index, deviations, count in zip(value.tolist(), off.T, carriers.tolist(), strict=True):
+        if not np.isfinite(index):
             estimates.append(absent(NO_SCATTER, method, evaluations))
             continue
         error = 0.0
-        if value[j] or np.any(off[:, j]):
-            error = max(spread(off[:, j]), ROUNDING)
-        half = student(1.0 + freedom(len(off), float(carriers[j]))) * error
-        estimates.append(around(float(value[j]), half, error, method, evaluations))
+        if index or deviations.any():
+            error = max(spread(deviations), ROUNDING)
+        half = student(1.0 + freedom(len(off), count)) * error
+        estimates.append(around(index, half, error, method, evaluations))
     return estimates

@@ -15,6 +15,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
+from uqsphere.uq.foreign import SALIB
 from uqsphere.uq.indices import Blocks, base_points
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
@@ -124,28 +125,16 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     }
 
 
-#: SALib's names of the laws that it has, which take the bounds and then the parameters
-SALIB: Final = {
-    "normal": "norm",
-    "lognormal": "lognorm",
-    "uniform": "unif",
-    "loguniform": "logunif",
-    "triangular": "triang",
-}
-
-
 def _law_to_salib(law: Law) -> tuple[str, list[float]]:
     """SALib's name of a law, and the numbers that it calls bounds."""
     ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
     numbers = [*ends, *law.parameters.values()]
-    if law.family.name == "normal" and len(ends) == 2:
-        return "truncnorm", numbers
-    if law.family.name not in SALIB or bool(ends) != law.family.bounded:
-        return "unif", _ends(law)
-    if law.family.name == "triangular":
-        # the mode as a share of the way from one bound to the other
-        numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)
-    return SALIB[law.family.name], numbers
+    for kind, (family, keys) in SALIB.items():
+        if family == law.family.name and len(keys.split()) == len(numbers):
+            if family == "triangular":
+                numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)
+            return kind, numbers
+    return "unif", _ends(law)
 
 
 def to_salib(

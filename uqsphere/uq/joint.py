@@ -43,66 +43,52 @@ class Copula:
     correlation: Array
     dof: float = math.inf
 
-    @property
-    def size(self) -> int:
-        return len(self.correlation)
-
     def among(self, members: Sequence[int]) -> Copula:
         """The copula of some of the members, in the order given."""
         return Copula(correlation=self.correlation[np.ix_(members, members)], dof=self.dof)
 
-    def _conditional(
-        self, target: int, others: Sequence[int], scores: Array
-    ) -> tuple[Array, Array]:
-        """Centre and scale (n,) of the (t) variate of a member, given others at these scores
-        (n, j).
-        """
-        inverse = np.linalg.inv(self.correlation[np.ix_(others, others)])
-        across = self.correlation[list(others), target]
-        weights = inverse @ across
-        remaining = math.sqrt(max(0.0, 1.0 - float(across @ weights)))
-        x = _variate(scores, self.dof)
-        if math.isinf(self.dof):
-            return np.asarray(x @ weights), np.full(len(x), remaining)
-        # scale of the conditional t law: sqrt((dof + x' R⁻¹ x)/(dof + j))
-        distance = self.dof + np.einsum("ni,ij,nj->n", x, inverse, x)
-        return np.asarray(x @ weights), remaining * np.sqrt(distance / (self.dof + x.shape[1]))
+    def _centre_and_scale(self, before: Array) -> tuple[Array, Array]:
+        """Those (n,) of the (t) variate of a member, given the scores (n, j) of the j before it."""
+        j = before.shape[1]
+        inverse, across = np.linalg.inv(self.correlation[:j, :j]), self.correlation[j, :j]
+        weights, x = inverse @ across, _variate(before, self.dof)
+        scale = np.full(len(x), math.sqrt(max(0.0, 1.0 - float(across @ weights))))
+        if math.isfinite(self.dof):
+            distance = self.dof + np.einsum("ni,ij,nj->n", x, inverse, x)
+            scale *= np.sqrt(distance / (self.dof + j))
+        return x @ weights, scale
 
-    def conditional_score(
-        self, target: int, others: Sequence[int], scores: Array, score: Array
-    ) -> Array:
-        """Normal score (n,) of P(member `target` <= `score` | `others` at the scores (n, j))."""
-        centre, scale = self._conditional(target, others, scores)
-        return _score((_variate(score, self.dof) - centre) / scale, self.dof + len(others))
+    def conditional_score(self, before: Array, score: Array) -> Array:
+        """Normal score (n,) of P(a member <= `score` | the scores (n, j) of the j before it)."""
+        centre, scale = self._centre_and_scale(before)
+        return _score((_variate(score, self.dof) - centre) / scale, self.dof + before.shape[1])
 
-    def score_at(self, target: int, others: Sequence[int], scores: Array, normal: Array) -> Array:
+    def score_at(self, before: Array, normal: Array) -> Array:
         """Score (n,) of a member whose conditional score is `normal` (n,): the inverse of
         `conditional_score`.
         """
-        centre, scale = self._conditional(target, others, scores)
-        return _score(centre + scale * _variate(normal, self.dof + len(others)), self.dof)
+        centre, scale = self._centre_and_scale(before)
+        return _score(centre + scale * _variate(normal, self.dof + before.shape[1]), self.dof)
 
-    def conditional_scores(self, others: Sequence[int], scores: Array, normals: Array) -> Array:
-        """Scores (n, size - j) of the members beside the others, in their order, from independent
+    def dependent(self, scores: Array, known: int = 0) -> Array:
+        """Scores (n, size): the first ones are known, and the others made from independent
         standard normals.
         """
-        drawn = list(others)
-        free = [k for k in range(self.size) if k not in others]
-        for member, normal in zip(free, normals.T, strict=True):
-            scores = np.column_stack([scores, self.score_at(member, drawn, scores, normal)])
-            drawn.append(member)
-        return scores[:, len(others) :]
+        scores = scores.copy()
+        for k in range(known, scores.shape[1]):
+            scores[:, k] = self.score_at(scores[:, :k], scores[:, k])
+        return scores
 
     def score_gradient(self, scores: Array) -> Array:
         """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
-        inverse = np.linalg.inv(self.correlation)
-        if math.isinf(self.dof):
+        inverse, nu = np.linalg.inv(self.correlation), self.dof
+        if math.isinf(nu):
             return np.asarray(scores @ inverse)
-        x, nu = _variate(scores, self.dof), self.dof
+        x = _variate(scores, nu)
         distance = np.einsum("ni,ij,nj->n", x, inverse, x)
         # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals t(x); dx/ds =
         # phi(s)/t(x)
-        joint = (nu + self.size) * (x @ inverse) / (nu + distance)[:, None]
+        joint = (nu + len(inverse)) * (x @ inverse) / (nu + distance)[:, None]
         single = (nu + 1.0) * x / (nu + x**2)
         with np.errstate(over="ignore"):
             rate = GAUSS.pdf(scores) / student_t(nu).pdf(x)
@@ -112,14 +98,14 @@ class Copula:
 def _variate(score: Array, dof: float) -> Array:
     """Student's t variate with the same probability below it as a normal score."""
     if math.isinf(dof):
-        return np.asarray(score)
+        return score
     return student_t(dof).quantile(*GAUSS.tails(score))
 
 
 def _score(variate: Array, dof: float) -> Array:
     """Normal score of Student's t variate."""
     if math.isinf(dof):
-        return np.asarray(variate)
+        return variate
     with np.errstate(divide="ignore"):
         return np.clip(GAUSS.quantile(*student_t(dof).tails(variate)), -CERTAIN, CERTAIN)
 
@@ -151,36 +137,34 @@ class Dependence:
                 f"a dependence must name at least two different inputs, not {list(self.of)}", "of"
             )
         ranks = {"spearman": self.spearman, "kendall": self.kendall}
-        there = {key: value for key, value in ranks.items() if value is not None}
-        if len(there) != 1:
+        named = [(key, rank) for key, rank in ranks.items() if rank is not None]
+        if len(named) != 1:
             raise LawError(
                 "one rank correlation between -1 and 1 is required, spearman or kendall",
-                *list(there)[1:],
+                "kendall" if named else "",
             )
-        ((key, value),) = there.items()
-        if not -1.0 < value < 1.0:
-            raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
+        key, rank = named[0]
+        if not -1.0 < rank < 1.0:
+            raise LawError(f"{key} must lie strictly between -1 and 1, found {rank:g}", key)
         if (self.copula == "student_t") != (dof is not None):
             raise LawError('dof (for example 4) is used only with copula = "student_t"', "dof")
         if dof is not None and not 1.0 <= dof <= 1000.0:
             raise LawError(f"dof must lie between 1 and 1000, found {dof}", "dof")
         if key == "kendall":
             # for every dof (Lindskog, McNeil, Schmock 2003)
-            rho = math.sin(0.5 * math.pi * value)
+            rho = math.sin(0.5 * math.pi * rank)
         elif dof is None:
-            rho = 2.0 * math.sin(math.pi * value / 6.0)
+            rho = 2.0 * math.sin(math.pi * rank / 6.0)
         else:
-            rho = _correlation_of_t(value, dof)
+            rho = _correlation_of_t(rank, dof)
         correlation = np.where(np.eye(size), 1.0, rho)
         if np.linalg.eigvalsh(correlation)[0] < _SMALLEST:
             raise LawError(
-                (
-                    f"{size} inputs cannot all have {key} {value:g} with each other (not positive "
-                    "definite)"
-                ),
+                f"{size} inputs cannot all have {key} {rank:g} with each other (not positive "
+                "definite)",
                 key,
             )
-        return Copula(correlation=correlation, dof=math.inf if dof is None else dof)
+        return Copula(correlation=correlation, dof=dof or math.inf)
 
 
 def _correlation_of_t(spearman: float, dof: float) -> float:
@@ -198,6 +182,11 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
     # rho is 1 for r = 1, which the points should say too
     whole = np.arcsin(factor).mean()
     return float(brentq(lambda r: np.arcsin(r * factor).mean() / whole - spearman, -1.0, 1.0))
+
+
+def _ties(correlation: Array) -> bool:
+    """Whether any two of the variables go together."""
+    return bool(np.any(correlation - np.eye(len(correlation))))
 
 
 # --- several inputs -------------------------------------------------------------------------------
@@ -220,9 +209,9 @@ class Tie:
         """Its score where `conditional_score` is this one, elementwise."""
         return self._mapped(self.copula.score_at, normal)
 
-    def _mapped(self, function: Callable[..., Array], score: Array) -> Array:
-        last, near = self.copula.size - 1, np.clip(score, -CERTAIN, CERTAIN).reshape(-1)
-        mapped = function(last, range(last), self.scores.reshape(score.size, -1), near)
+    def _mapped(self, function: Callable[[Array, Array], Array], score: Array) -> Array:
+        near = np.clip(score, -CERTAIN, CERTAIN).ravel()
+        mapped = function(self.scores.reshape(near.size, -1), near)
         return np.where(np.isinf(score), score, mapped.reshape(score.shape))
 
 
@@ -259,48 +248,39 @@ class Joint:
         for columns, copula in self.blocks:
             if math.isinf(copula.dof):
                 matrix[np.ix_(columns, columns)] = copula.correlation
-        if np.any(matrix - np.eye(len(matrix))):
-            return matrix
-        return None
+        return matrix if _ties(matrix) else None
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
         flat = normals.reshape(-1, len(self.names))
         return self.redrawn((), flat, flat).reshape(normals.shape)
 
-    def marginal(self, scores: Array) -> Array:
-        """Dependent normal scores (..., d) -> inputs (..., d) in SI: the laws, without what ties
-        them.
-        """
-        physical = np.empty_like(scores)
-        for column, law in enumerate(self.laws):
-            physical[..., column] = law.from_normal(scores[..., column])
-        return physical
-
     def physical(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> inputs (..., d) in SI, with laws and copulas in
         force.
         """
-        return self.marginal(self.scores(normals))
+        physical = self.scores(normals)
+        for column, law in enumerate(self.laws):
+            physical[..., column] = law.from_normal(physical[..., column])
+        return physical
 
     def marginal_scores(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations:
         1e-15 lies beyond.
         """
-        scores = np.empty_like(physical)
-        for column, law in enumerate(self.laws):
-            scores[:, column] = GAUSS.quantile(*law.tails(physical[:, column]))
-        return np.clip(scores, -8.0, 8.0)
+        columns = [
+            GAUSS.quantile(*law.tails(column))
+            for law, column in zip(self.laws, physical.T, strict=True)
+        ]
+        return np.clip(np.column_stack(columns), -8.0, 8.0)
 
     def normals(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> independent standard normals (n, d): the inverse of `physical`."""
-        scores = self.marginal_scores(physical)
-        normals = scores.copy()
+        normals = self.marginal_scores(physical)
         for columns, copula in self.blocks:
+            scores = normals[:, columns]
             for k, column in enumerate(columns):
-                before = scores[:, list(columns[:k])]
-                score = scores[:, column]
-                normals[:, column] = copula.conditional_score(k, range(k), before, score)
+                normals[:, column] = copula.conditional_score(scores[:, :k], scores[:, k])
         return normals
 
     def only(self, names: Sequence[str]) -> Joint:
@@ -309,9 +289,7 @@ class Joint:
         for columns, copula in self.blocks:
             kept = [columns.index(k) for k in at if k in columns]
             copula = copula.among(kept)
-            if len(kept) > 1 and (
-                np.any(copula.correlation - np.eye(len(kept))) or math.isfinite(copula.dof)
-            ):
+            if len(kept) > 1 and (_ties(copula.correlation) or math.isfinite(copula.dof)):
                 blocks.append((tuple(at.index(columns[k]) for k in kept), copula))
         return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
@@ -322,12 +300,13 @@ class Joint:
         `normals` (n, d) are independent standard normals; those of the given columns are not used.
         """
         drawn = np.array(normals, dtype=float)
-        drawn[:, list(columns)] = scores[:, list(columns)]
+        drawn[:, columns] = scores[:, columns]
         for block, copula in self.blocks:
-            fixed = [k for k, column in enumerate(block) if column in columns]
-            free = [column for column in block if column not in columns]
-            others = drawn[:, [block[k] for k in fixed]]
-            drawn[:, free] = copula.conditional_scores(fixed, others, normals[:, free])
+            # those of the given columns come first
+            members = sorted(range(len(block)), key=lambda k: block[k] not in columns)
+            at = [block[k] for k in members]
+            known = len(set(block) & set(columns))
+            drawn[:, at] = copula.among(members).dependent(drawn[:, at], known)
         return drawn
 
     def score_gradients(self, scores: Array) -> Array:
@@ -336,7 +315,7 @@ class Joint:
         """
         gradients = np.array(scores, dtype=float)
         for columns, copula in self.blocks:
-            gradients[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
+            gradients[:, columns] = copula.score_gradient(scores[:, columns])
         return gradients
 
     def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
@@ -371,14 +350,13 @@ def make_joint(
     pairs, blocks = set[tuple[int, ...]](), list[tuple[tuple[int, ...], Copula]]()
     correlation = np.eye(len(names))
     for tie in dependences:
-        if unknown := [name for name in tie.of if name not in names]:
-            raise LawError(
-                f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}",
-                "of",
-            )
-        copula, columns = tie.make_copula(), [list(names).index(name) for name in tie.of]
+        for name in tie.of:
+            if name not in names:
+                random = ", ".join(names) or "none"
+                raise LawError(f"{name!r} is not a random input; random are: {random}", "of")
+        copula, columns = tie.make_copula(), tuple(list(names).index(name) for name in tie.of)
         if math.isfinite(copula.dof):
-            blocks.append((tuple(columns), copula))
+            blocks.append((columns, copula))
             continue
         for pair in combinations(sorted(columns), 2):
             if pair in pairs:
@@ -388,20 +366,20 @@ def make_joint(
             correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
     tied = sorted(set(chain.from_iterable(pairs)))
     taken = list(chain(tied, *(columns for columns, _ in blocks)))
-    twice = [names[column] for column in taken if taken.count(column) > 1]
-    if twice:
-        raise LawError(
-            f"{twice[0]} is in more than one dependence, and one of them is not Gaussian: name all "
-            "of them in one dependence, or take Gaussian copulas",
-            "of",
-        )
+    for column in taken:
+        if taken.count(column) > 1:
+            raise LawError(
+                f"{names[column]} is in more than one dependence, and one of them is not Gaussian: "
+                "name all of them in one dependence, or take Gaussian copulas",
+                "of",
+            )
     if tied:
         gaussian = Copula(correlation=correlation).among(tied)
-        if (smallest := float(np.linalg.eigvalsh(gaussian.correlation)[0])) < _SMALLEST:
+        smallest = float(np.linalg.eigvalsh(gaussian.correlation)[0])
+        if smallest < _SMALLEST:
             raise LawError(
                 "the dependences cannot hold together: the correlation matrix is not positive "
-                "definite "
-                f"(least eigenvalue {smallest:.3g}); weaken or remove some of them",
+                f"definite (least eigenvalue {smallest:.3g}); weaken or remove some of them",
                 "spearman",
             )
         blocks.insert(0, (tuple(tied), gaussian))

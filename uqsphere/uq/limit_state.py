@@ -18,7 +18,16 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.describe import quantile_estimates
-from uqsphere.uq.estimate import Estimate, absent, between, probability_ends, spread, student
+from uqsphere.uq.estimate import (
+    Estimate,
+    absent,
+    between,
+    bounded,
+    probability_ends,
+    spread,
+    student,
+)
+from uqsphere.uq.forms import GAUSS
 from uqsphere.uq.joint import Tie
 from uqsphere.uq.law import Law
 
@@ -78,7 +87,7 @@ def score_of(below: Array, above: Array) -> Array:
     two.
     """
     with np.errstate(divide="ignore"):
-        return np.where(below <= 0.5, special.ndtri(below), -special.ndtri(above))
+        return GAUSS.quantile(below, above)
 
 
 def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
@@ -87,16 +96,15 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     """
     strength, broken = state.strength, state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
-    if isinstance(strength, Law):
-        # P(S < d): an observation that equals the demand has not been exceeded.
-        if strength.is_steps:
-            demands = np.nextafter(demands, -math.inf)
-        below, above = strength.tails(demands)
-    else:
+    if not isinstance(strength, Law):
         below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
+    elif strength.is_steps:
+        # P(S < d): an observation that equals the demand has not been exceeded.
+        below, above = strength.tails(np.nextafter(demands, -math.inf))
+    else:
+        below, above = strength.tails(demands)
     if state.tie is not None:
-        score = state.score_given_inputs(score_of(below, above))
-        below, above = np.asarray(special.ndtr(score)), np.asarray(special.ndtr(-score))
+        below, above = GAUSS.tails(state.tie.conditional_score(score_of(below, above)))
     return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
 
 
@@ -138,36 +146,24 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
     event, other = (above, below) if aim == "break" else (below, above)
     value, low, high, error = _interval(event, other, kept, cell)
-    bound = state.on_failure == "bound" and bool(broken.any())
-    method = state.method
-    if bound or late.any():
+    method, lost = state.method, broken & (state.on_failure == "bound")
+    if lost.any() or late.any():
         # Censored demands may exceed any strength; failed rows may have gone either way.
-        counts = kept
-        if bound:
-            counts = np.full(replicates, float(n))
-        lost = broken & bound
-        unsure = late | lost
+        counts, unsure = kept + lost.sum(axis=1), late | lost
         # exceedance and its complement, where as little as possible exceeds, and as much
         least = below, above + lost
         most = np.where(unsure, 1.0, below), np.where(unsure, 0.0, above)
         if aim == "break":
-            least, most = (most[1], most[0]), (least[1], least[0])
+            least, most = most[::-1], least[::-1]
         low, high = _interval(*least, counts, cell)[1], _interval(*most, counts, cell)[2]
         error = max(error, 0.5 * (high - low) / student(replicates))
-        causes = {"censored": late.any(), "failed": bound}
-        named = " and ".join(filter(causes.get, causes))
+        causes = {"censored": late, "failed": lost}
+        named = " and ".join(cause for cause, rows in causes.items() if rows.any())
         method += f", interval widened for {named} rows"
     largest = float(event.max()) / (float(event.sum()) or 1.0)
     if largest > 0.2:
         method += f", one sample carries {100.0 * largest:.0f} %"
-    return Estimate(
-        value=value,
-        low=min(low, value),
-        high=max(high, value),
-        std_error=error,
-        method=method,
-        evaluations=broken.size,
-    )
+    return bounded(value, low, high, error, method, broken.size)
 
 
 def reliability_index(probability: float | None) -> float | None:
@@ -218,20 +214,14 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     Absent where the strength or the demand may be zero or negative.
     """
     strength, broken, late = state.strength, state.broken, state.late
-    total = int(state.demands.size)
-
-    def nothing(reason: str, method: str = state.method) -> Estimate:
-        return absent(reason, method, total)
-
-    if isinstance(strength, Law):
-        doubtful = float(strength.cdf(0.0))
-    else:
-        doubtful = float(strength <= 0.0)
+    total, counts = state.demands.size, (~broken).sum(axis=1).astype(float)
+    method, zero = state.method, "the demand may be zero: the margin is unbounded"
+    doubtful = strength.cdf(0.0) if isinstance(strength, Law) else float(strength <= 0.0)
     if doubtful > 1e-6:
-        return nothing("the strength may be zero or negative: strength over demand has no meaning")
-    counts = (~broken).sum(axis=1).astype(float)
+        reason = "the strength may be zero or negative: strength over demand has no meaning"
+        return absent(reason, method, total)
     if counts.min() < 2:
-        return nothing("too few successful samples in a replicate")
+        return absent("too few successful samples in a replicate", method, total)
     if not isinstance(strength, Law):
         # that of a fixed strength is the strength over the demand's quantile at 1 - p
         d = quantile_estimates(
@@ -245,18 +235,12 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
         if d.value is None or d.low is None or d.high is None:
             return d
         if d.low <= 0.0:
-            return nothing("the demand may be zero: the margin is unbounded", d.method)
-        return between(
-            strength / d.value,
-            strength / d.high,
-            strength / d.low,
-            len(state.demands),
-            d.method,
-            total,
-        )
+            return absent(zero, d.method, total)
+        value, low, high = (strength / demand for demand in (d.value, d.high, d.low))
+        return between(value, low, high, counts.size, d.method, total)
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
-        return nothing("the demand may be zero: the margin is unbounded")
+        return absent(zero, method, total)
     typical = float(strength.ppf(p)) / float(np.median(positive))
 
     @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
@@ -266,18 +250,19 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     def pooled(margin: float) -> float:
         return float(replicates(margin) @ counts / counts.sum())
 
-    value = _root(pooled, p, typical)
-    if value is None:
-        return nothing("no margin has this probability")
+    margin = _root(pooled, p, typical)
+    if margin is None:
+        return absent("no margin has this probability", method, total)
     unsure = float(late.sum()) / counts.sum()
-    lost = 0.0
-    if state.on_failure == "bound":
-        lost = float(broken.sum()) / total
-    lowest, highest, _ = probability_ends(p, 1.0 - p, spread(replicates(value)), counts.size, total)
-    low, high = _root(pooled, lowest - unsure - lost, value), _root(pooled, highest + lost, value)
-    if low is None or high is None:
-        return nothing(f"beyond {'the censored share' if unsure else 'what the samples can show'}")
-    return between(value, low, high, counts.size, state.method, total)
+    lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
+    error = spread(replicates(margin))
+    lowest, highest, _ = probability_ends(p, 1.0 - p, error, counts.size, total)
+    least = _root(pooled, lowest - unsure - lost, margin)
+    most = _root(pooled, highest + lost, margin)
+    if least is None or most is None:
+        beyond = "the censored share" if unsure else "what the samples can show"
+        return absent(f"beyond {beyond}", method, total)
+    return between(margin, least, most, counts.size, method, total)
 
 
 def _root(

@@ -95,25 +95,13 @@ class Sample:
         plain = bool(np.isfinite(self.answer(quantity)).all())
         return plain and not (self.failed.any() or self.late(quantity).any())
 
-    def with_answers(
-        self,
-        quantities: Sequence[str],
-        answers: Array,
-        *,
-        censored: Flags | None = None,
-        status: npt.NDArray[np.int64] | None = None,
-        failed: Flags | None = None,
-    ) -> Sample:
-        """The same points with answers (R, n, q), none of them censored or failed by default."""
-        shape = self.scores.shape[:2]
-        return replace(
-            self,
-            quantities=tuple(quantities),
-            answers=answers,
-            censored=np.zeros(answers.shape, dtype=bool) if censored is None else censored,
-            status=np.zeros(shape, dtype=np.int64) if status is None else status,
-            failed=np.zeros(shape, dtype=bool) if failed is None else failed,
-        )
+    def with_answers(self, quantities: Sequence[str], answers: Array, **flags: Any) -> Sample:
+        """The same points with answers (R, n, q); `censored`, `status` and `failed` are zero unless
+        given.
+        """
+        blank = Sample.at(self.names, self.scores, self.inputs)
+        flags = {"censored": np.zeros(answers.shape, dtype=bool)} | flags
+        return replace(blank, quantities=tuple(quantities), answers=answers, **flags)
 
     def with_room(self, count: int) -> Sample:
         """The same rows in arrays of `count` rows of each replicate; those behind have no content
@@ -134,10 +122,12 @@ class Sample:
         for name in _ROWS:
             getattr(self, name)[:, start : start + part.count] = getattr(part, name)
 
-    def join(self, other: Sample) -> Sample:
+    def join(self, *others: Sample) -> Sample:
         """This sample and the rows that continue every replicate."""
-        joined = self.with_room(self.count + other.count)
-        joined.fill(self.count, other)
+        start, joined = self.count, self.with_room(sum(part.count for part in (self, *others)))
+        for part in others:
+            joined.fill(start, part)
+            start += part.count
         return joined
 
     def head(self, count: int) -> Sample:

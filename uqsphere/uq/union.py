@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import Estimate, quantile, sample_reader, spread
-from uqsphere.uq.forms import CERTAIN
+from uqsphere.uq.forms import CERTAIN, GAUSS
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
 
@@ -82,10 +82,8 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     for j, state in enumerate(states):
         below, above = tails(state)
         if np.any(factor[j, :j]):
-            score = (
-                score_of(below, above) - np.tensordot(factor[j, :j], holding[:j], axes=1)
-            ) / factor[j, j]
-            below, above = special.ndtr(score), special.ndtr(-score)
+            centre = np.tensordot(factor[j, :j], holding[:j], axes=1)
+            below, above = GAUSS.tails((score_of(below, above) - centre) / factor[j, j])
         failure_given_inputs[j] = np.where(state.broken, 0.0, below)
         holding[j] = -_drawn_below(above, rng)
     return Union(
@@ -108,12 +106,12 @@ def union_state(union: Union) -> LimitState:
 
     Without any random strength it is counted: something over a strength of 1, or below it.
     """
-    p = union.any
+    p, (first, *_) = union.any, union.states
     counted = LimitState(
         demands=np.where(p > 0.5, 2.0, 0.5),
         strength=1.0,
         failed=union.broken,
-        on_failure=union.states[0].on_failure,
+        on_failure=first.on_failure,
     )
     if not any(isinstance(state.strength, Law) for state in union.states):
         return counted
