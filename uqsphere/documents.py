@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from uqsphere.errors import Problem, StudyError, UsageError, as_text
 from uqsphere.files import read_given
-from uqsphere.units import bare_number
+from uqsphere.units import alien, bare_number
 
 Place = tuple[str | int, ...]
 
@@ -108,7 +108,7 @@ def one_of(words: Iterable[str]) -> str:
 def suggestion(word: object, known: Iterable[str]) -> str:
     """A hint at the known word that was likely meant."""
     for near in get_close_matches(str(word)[:80], list(known), n=1):
-        return f"; did you mean '{near}'?"
+        return f"; did you mean '{as_text(near)}'?"
     return ""
 
 
@@ -196,7 +196,7 @@ def _hint(message: str, text: str, line: int) -> str:
         match = re.search(pattern, seen)
         if match:
             return f"; {match.expand(way)}"
-    return ""
+    return alien(re.sub("\"[^\"]*\"|'[^']*'|#.*", "", seen))
 
 
 def _huge_numbers(node: Any, place: Place = ()) -> Iterator[Place]:

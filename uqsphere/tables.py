@@ -13,7 +13,8 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, zip_longest
@@ -26,14 +27,20 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.documents import suggestion
 from uqsphere.errors import UsageError, as_text
 from uqsphere.files import TooLarge, read_given
-from uqsphere.units import UNITS, nearest_unit, typed_units
+from uqsphere.units import SPELLED, UNITS, alien, nearest_unit, typed_units
 
 LARGEST: Final = 32 << 20
-#: columns of a table, and characters of a line
-MOST_COLUMNS, _LONGEST = 2_000, 100_000
+#: columns of a table, characters of a line, cells and rows of a workbook
+MOST_COLUMNS, _LONGEST, _MOST_CELLS = 2_000, 100_000, 400_000
 _MOST_LINES: Final = 8
-#: cells and rows of a workbook
-_MOST_CELLS: Final = 400_000
+#: rows among which headings with units are looked for
+_PREAMBLE: Final = 40
+#: numbers beyond this have no squares
+LARGEST_NUMBER: Final = 1e150
+_OTHER_SHEETS: Final = "other sheets"
+
+# --- what cells and headings look like ------------------------------------------------------------
+
 _COLUMN_UNIT: Final = re.compile(r"\s*[/,_]\s*|\s+in\s+|\s+")
 _BRACKET: Final = re.compile(r"[\[(]\s*([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)\s*[\])]")
 #: a factor before or behind a unit: x10 MPa, MPa x 10; 10 MPa, 10^3 MPa, 1e3 N
@@ -44,36 +51,6 @@ _FACTOR: Final = re.compile(
 )
 #: #DIV/0!, #N/A, #NAME?, #WERT!, #¡VALOR!, #NV, #GETTING_DATA
 _ERROR_VALUE: Final = re.compile(r"#(?:¡?[^\W\d_][\w/ ]*[!?]|[A-Z]+[/_][A-Z\d]+|NV|NB)")
-_OTHER_SHEETS: Final = "other sheets"
-#: rows among which headings with units are looked for
-_PREAMBLE: Final = 40
-#: numbers beyond this have no squares
-LARGEST_NUMBER: Final = 1e150
-_TOO_LARGE: Final = "a number is too large"
-#: other spellings of units in headings
-_SPELLED: Final = {
-    "µε": "με",
-    "ue": "με",
-    "uε": "με",
-    "µstrain": "με",
-    "ustrain": "με",
-    "microstrains": "microstrain",
-    "strain": "1",
-    "ε": "1",
-    "m/m": "1",
-    "millistrain": "mm/m",
-    "mε": "mm/m",
-    "volt": "V",
-    "volts": "V",
-    "voltage": "V",
-    "v": "V",
-    "µV": "uV",
-    "sec": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "usec": "us",
-    "microseconds": "us",
-}
 NOTHING: Final = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
 NUMBER: Final = {
     mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -84,6 +61,7 @@ _MARKED: Final = re.compile(
     r"[+-]?\d{1,3}(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:['\u00a0\u202f ]\d{3})+(?:[.,]\d*)?)"
 )
 _PERHAPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
+_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d.*|\d\d:\d\d:\d\d.*")
 _SUMMARY: Final = re.compile(
     r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard deviation|cov|cv|var|variance|σ|ø|x̄|"
     r"mittelwert|mittel|mw|durchschnitt|standardabweichung|stabw|varianz|anzahl|moyenne|"
@@ -91,18 +69,8 @@ _SUMMARY: Final = re.compile(
     r"(min|max|minimum|maximum|sum|summe|somme|suma|total)\W*",
     re.IGNORECASE,
 )
-_FLAGS: Final = {
-    "0": False,
-    "1": True,
-    "no": False,
-    "yes": True,
-    "false": False,
-    "true": True,
-    "": False,
-    "ja": True,
-    "nein": False,
-    "x": True,
-}
+_NO, _YES = ("0", "no", "false", "", "nein"), ("1", "yes", "true", "ja", "x")
+_FLAGS: Final = {**dict.fromkeys(_NO, False), **dict.fromkeys(_YES, True)}
 #: keys that a study gives the unit of a column by
 _UNIT_KEYS: Final = {
     "force": "force_unit",
@@ -110,12 +78,10 @@ _UNIT_KEYS: Final = {
     "column": "unit",
     "draws": "unit",
 }
-#: what a row of units below the headings may have
-_ALL_UNITS: Final = {"", "-", *_SPELLED} | {
+#: what a row of units below the headings may have; units of US customary tables that no key takes
+_ALL_UNITS: Final = {"", "-", *SPELLED} | {
     unit for unit in chain(*UNITS.values()) if not unit.isdigit()
 }
-
-#: units of US customary tables that no key takes
 _FOREIGN_UNITS: Final = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
 
 
@@ -127,9 +93,6 @@ class TableError(UsageError):
     def __init__(self, message: str, key: str = "") -> None:
         super().__init__(message)
         self.key = key
-
-
-# --- units in headings ----------------------------------------------------------------------------
 
 
 def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
@@ -171,7 +134,7 @@ def _known_unit(text: str, dimension: str) -> str | None:
     """The unit of a dimension that a text spells."""
     text = text.strip().removeprefix("in ").strip()
     ascii_powers = text.replace("²", "2").replace("³", "3")
-    for spelled in (text, text.replace("_", "/"), ascii_powers, _SPELLED.get(text, "")):
+    for spelled in (text, text.replace("_", "/"), ascii_powers, SPELLED.get(text)):
         if spelled and spelled in UNITS[dimension]:
             return spelled
     return None
@@ -182,11 +145,11 @@ def _is_open(text: str) -> bool:
     return text.count("[") > text.count("]") or text.count("(") > text.count(")")
 
 
-def unknown_unit(heading: str, dimension: str) -> str:
+def _unknown_unit(heading: str, dimension: str) -> str:
     """What is wrong with the unit that a heading seems to have, and the way out; empty where it
     seems to have none.
 
-    >>> unknown_unit("Load [KN]", "force")
+    >>> _unknown_unit("Load [KN]", "force")
     "'KN' is not a unit of this column; did you mean 'kN'?"
     """
     heading = heading[:200].strip()
@@ -207,12 +170,29 @@ def unknown_unit(heading: str, dimension: str) -> str:
         return message
     if text in units:
         return f"is {text!r} its unit? Write a name and [{text}]"
-    message, near = f"{as_text(text, 30)!r} is not a unit of this column", ""
-    if text:
-        near = nearest_unit(text, dimension)
+    message = f"{as_text(text, 30)!r} is not a unit of this column{alien(text)}"
+    near = nearest_unit(text, dimension)
     if near:
         return f"{message}; did you mean {near!r}?"
     return message if brackets else ""
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line is a comment, and not a row that begins with an error of a spreadsheet."""
+    return line.lstrip(" ").startswith("#") and not is_error_value(re.split("[,;\t]", line)[0])
+
+
+def is_error_value(cell: str) -> bool:
+    """Whether a cell is what spreadsheets write for an error, in any of their languages.
+
+    >>> [is_error_value(cell) for cell in ("#DIV/0!", "#N/A", "#NV", "#REF!", "# a note")]
+    [True, True, True, True, False]
+    """
+    return _ERROR_VALUE.fullmatch(cell.strip(' "')) is not None
+
+
+def _is_numeric(cell: str) -> bool:
+    return any(number.fullmatch(cell) for number in NUMBER.values())
 
 
 def _decimal_mark(texts: Iterable[str]) -> str:
@@ -222,6 +202,15 @@ def _decimal_mark(texts: Iterable[str]) -> str:
         if not _PERHAPS.fullmatch(text):
             certain |= {m for m in ".," if m in text and NUMBER[m].fullmatch(text)}
     return "".join(sorted(certain, reverse=True))
+
+
+def _lines(lines: Sequence[int]) -> str:
+    if len(lines) == 1:
+        return f"line {lines[0]}"
+    text = f"lines {', '.join(map(str, lines[:_MOST_LINES]))}"
+    if len(lines) > _MOST_LINES:
+        text += f" and {len(lines) - _MOST_LINES} more"
+    return text
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -250,14 +239,15 @@ class Table:
         return _decimal_mark(chain(*self.rows))
 
     @cached_property
-    def _no_data(self) -> dict[str, Flags]:
-        """Rows that are no data, by what they are."""
-        sums = _each(lambda row: any(map(_SUMMARY.fullmatch, row)), self.rows)
-        again = _each(self.headings.__eq__, self.rows)
-        return {
-            "this is a summary row, not data. Delete it": sums,
-            "the headings are repeated; pasted twice?": again,
-        }
+    def _no_data(self) -> dict[int, str]:
+        """Places of rows that are no data, and what they are."""
+        strange = {}
+        for k, row in enumerate(self.rows):
+            if row == self.headings:
+                strange[k] = "the headings are repeated; pasted twice?"
+            elif any(map(_SUMMARY.fullmatch, row)):
+                strange[k] = "this is a summary row, not data. Delete it"
+        return strange
 
     def place(self, column: str | int, dimension: str = "number", key: str = "") -> int:
         """Where a column stands, by its heading with or without its unit, or its number from 1 on;
@@ -276,7 +266,7 @@ class Table:
                 return int(column) - 1
             same = [h for h in self.headings if _BRACKET.sub("", h).strip() == column]
             if len(same) == 1 and dimension != "number":
-                wrong = unknown_unit(same[0], dimension)
+                wrong = _unknown_unit(same[0], dimension)
                 raise TableError(f"{same[0]!r}: {wrong} ({typed_units(dimension)})", key)
             often, hint = "not", suggestion(column, names)
         hint = hint or _other_sheets(self.notes)
@@ -316,14 +306,19 @@ class Table:
         if column.isdigit():
             column = self.headings[at]
         if dimension != "number":
-            factor = self._factor(at, dimension, unit, key)
-        values = factor * self._parsed(at, column, key, blank)
-        self.refuse(key, f"{column}: {_TOO_LARGE}", np.abs(values) > LARGEST_NUMBER)
+            factor = self._factor(self.headings[at], dimension, unit, key)
+        cells = self._parsed([row[at] for row in self.rows], blank)
+        for message in {cell: 0 for cell in cells if isinstance(cell, str)}:
+            self.refuse(key, f"{column}: {message}", np.array([cell == message for cell in cells]))
+        plain = [math.nan if isinstance(cell, str) else cell for cell in cells]
+        with np.errstate(over="ignore"):
+            values: Array = factor * np.array(plain)
+        self.refuse(key, f"{column}: a number is too large", np.abs(values) > LARGEST_NUMBER)
         return values
 
-    def _factor(self, at: int, dimension: str, unit: str | None, key: str) -> float:
+    def _factor(self, heading: str, dimension: str, unit: str | None, key: str) -> float:
         """The unit of a column in SI: as given or of its heading, which must agree."""
-        heading, units, known = self.headings[at], UNITS[dimension], typed_units(dimension)
+        units, known = UNITS[dimension], typed_units(dimension)
         unit_key, in_heading = _UNIT_KEYS.get(key, "units"), unit_in_heading(heading, dimension)[1]
         if unit is not None and unit not in units:
             near = nearest_unit(unit, dimension)
@@ -334,7 +329,7 @@ class Table:
                 f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key
             )
         if unit is None and in_heading is None:
-            wrong = unknown_unit(heading, dimension)
+            wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({known})", key)
             first, more = next(iter(units)), ""
@@ -347,59 +342,56 @@ class Table:
             )
         return units[unit or in_heading or ""]
 
-    def _parsed(self, at: int, column: str, key: str, blank: bool) -> Array:
-        """Numbers of a column without its unit: which mark is the decimal one, and what is no
-        number.
+    def _parsed(self, texts: list[str], blank: bool) -> list[float | str]:
+        """The number of each cell of a column, nan where there need be none, or what is wrong with
+        the cell.
         """
-        texts = [row[at] for row in self.rows]
-        bad, certain = np.logical_or.reduce([*self._no_data.values()]), _decimal_mark(texts)
-
-        def refuse(message: str, wrong: Flags) -> None:
-            nonlocal bad
-            self.refuse(key, f"{column}: {message}", wrong & ~bad)
-            bad = bad | wrong
-
-        mark = self.decimal or certain or self._mark
-        thousands = "a mark of thousands: write the number without it"
-        refuse(thousands, _each(_MARKED.fullmatch, texts))
-        perhaps = _each(_PERHAPS.fullmatch, texts)
+        certain, thousands = (
+            _decimal_mark(texts),
+            "a mark of thousands: write the number without it",
+        )
+        mark, other, asked, strange = self.decimal or certain or self._mark, "", "", ""
+        perhaps = next(filter(_PERHAPS.fullmatch, texts), "")
         if certain == ".,":
             mark, other = sorted(".,", key=lambda m: -sum(m in text for text in texts))
-            refuse(
-                "decimal point and comma in one column: write all alike",
-                _each(lambda text: other in text, texts),
-            )
-        elif perhaps.any() and not self.decimal:
-            text = texts[int(np.argmax(perhaps))]
+        elif perhaps and not self.decimal:
             whole = next((w for w in texts if w.isdigit() and (len(w) > 3 or not certain)), "")
-            if mark in (".", ",") and mark not in text:
-                refuse(thousands, perhaps)
+            if mark in (".", ",") and mark not in perhaps:
+                asked = thousands
             elif whole:
-                refuse(f"{text!r} beside {whole!r}: a mark of thousands? write it without", perhaps)
-            elif not mark and "," in text:
-                refuse(
-                    f'{text!r} can be a decimal comma or a mark of thousands: add decimal = ","',
-                    perhaps,
+                asked = f"{perhaps!r} beside {whole!r}: a mark of thousands? write it without"
+            elif not mark and "," in perhaps:
+                asked = (
+                    f'{perhaps!r} can be a decimal comma or a mark of thousands: add decimal = ","'
                 )
-        number = _each(NUMBER.get(mark, NUMBER["."]).fullmatch, texts)
-        empty = _each(lambda text: text.lower() in NOTHING if blank else not text, texts)
-        refuse(
-            "a formula without a stored value: save the file in a spreadsheet program, or paste "
-            "values",
-            _each(lambda text: text.startswith("="), texts),
-        )
-        strange = ~(number | empty | bad)
-        if strange.any():
-            refuse(f"{as_text(texts[int(np.argmax(strange))], 60)!r} is not a number", strange)
-        if not blank:
-            refuse("an empty cell", empty)
-        pairs = zip(texts, number & ~bad, strict=True)
-        return np.array([float(t.replace(",", ".")) if good else math.nan for t, good in pairs])
+        number, cells = NUMBER.get(mark, NUMBER["."]), list[float | str]()
+        for k, text in enumerate(texts):
+            cell: float | str = math.nan
+            if k in self._no_data or (blank and text.lower() in NOTHING):
+                pass
+            elif asked and _PERHAPS.fullmatch(text):
+                cell = asked
+            elif number.fullmatch(text):
+                cell = float(text.replace(",", "."))
+            elif _MARKED.fullmatch(text):
+                cell = thousands
+            elif other and other in text:
+                cell = "decimal point and comma in one column: write all alike"
+            elif not text:
+                cell = "an empty cell"
+            elif text.startswith("="):
+                cell = (
+                    "a formula without a stored value: save the file in a spreadsheet program, or "
+                    "paste values"
+                )
+            else:
+                strange = strange or _strange(text)
+                cell = strange
+            cells.append(cell)
+        return cells
 
     def refuse(self, key: str, message: str, wrong: Flags) -> None:
-        """Note that rows are wrong, (n,), which say what the others do not; each line is told of
-        once for one fault.
-        """
+        """Note that rows are wrong, (n,); each line is told of once for one fault."""
         if wrong.any():
             lines = [*self.faults.get((key, message), []), *np.array(self.lines)[wrong].tolist()]
             self.faults[key, message] = list(dict.fromkeys(lines))
@@ -409,23 +401,23 @@ class Table:
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]
-        strange = _each(lambda text: text not in words, texts)
-        strange &= ~np.logical_or.reduce([*self._no_data.values()])
-        if strange.any():
-            text = as_text(texts[int(np.argmax(strange))], 60)
-            self.refuse(key, f"{column}: {text!r} is not {meant}", strange)
-        return _each(lambda text: words.get(text, False), texts)
+        strange = {k: text for k, text in enumerate(texts) if text not in words}
+        strange = {k: text for k, text in strange.items() if k not in self._no_data}
+        for text in [*strange.values()][:1]:
+            wrong = np.array([k in strange for k in range(len(self))])
+            self.refuse(key, f"{column}: {as_text(text, 60)!r} is not {meant}", wrong)
+        return np.array([words.get(text, False) for text in texts], dtype=bool)
 
     def check(self) -> None:
         """Raise TableError with every fault noted so far."""
-        for message, wrong in self._no_data.items():
-            self.refuse("", message, wrong)
-        if self.faults:
+        faults = dict(self.faults)
+        for k, message in self._no_data.items():
+            faults["", message] = [*faults.get(("", message), []), self.lines[k]]
+        if faults:
             messages = [
-                f"{self.name}: {_lines(lines)}: {message}"
-                for (_, message), lines in self.faults.items()
+                f"{self.name}: {_lines(lines)}: {message}" for (_, message), lines in faults.items()
             ]
-            raise TableError("\n".join(messages), next(iter(self.faults))[0])
+            raise TableError("\n".join(messages), next(iter(faults))[0])
 
     def finish(self) -> None:
         """Check, and note rows that seem to be no further data: repeated ones, and sums of the
@@ -452,31 +444,30 @@ class Table:
         One behind an empty line needs a single column for that, and may be another measure; so does
         one of the last two rows of a single column of fine digits.
         """
-        columns, digits = [], []
-        for cells in zip(*self.rows, strict=True):
-            column = [text.replace(",", ".") for text in cells]
-            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
-                columns.append(column)
-                digits.append([len(text.partition(".")[2]) for text in column])
-        if not columns or len(self.rows) < 5:
+        columns = [
+            [text.replace(",", ".") for text in cells] for cells in zip(*self.rows, strict=True)
+        ]
+        columns = [
+            column
+            for column in columns
+            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column))
+        ]
+        rows = len(self)
+        if not columns or rows < 5:
             return
-        values, most = np.array(columns, dtype=float), len(self.rows)
-        for k in range(max(3, most - 8), most):
-            above, step = values[:, :k], np.array([10.0 ** -column[k] for column in digits])
-            apart, sd = self.lines[k] in self.apart, above.std(axis=1, ddof=1)
-            sums = {"mean": above.mean(axis=1), "sd": sd, "sum": above.sum(axis=1)}
-            if apart:
-                sums |= {
-                    name: getattr(np, name)(above, axis=1) for name in ("median", "min", "max")
-                }
-            fine = 10.0 ** -max(digits[0]) <= 0.02 * sd[0]
-            alone = len(columns) == 1 and k >= most - 2 and fine
-            least = 1 if apart or alone else max(2, len(columns) - 1)
+        digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
+        values, steps = np.array(columns, dtype=float), 10.0 ** -np.array(digits)
+        for k in range(max(3, rows - 8), rows):
+            above, step, apart = values[:, :k], steps[:, k], self.lines[k] in self.apart
+            sums = {"mean": above.mean(axis=1), "sd": above.std(axis=1, ddof=1)}
+            for name in ("sum", *(("median", "min", "max") if apart else ())):
+                sums[name] = getattr(np, name)(above, axis=1)
+            sd = sums["sd"]
+            fine = len(columns) == 1 and k >= rows - 2 and steps[0].min() <= 0.02 * sd[0]
+            least = 1 if apart or fine else max(2, len(columns) - 1)
             for name, total in sums.items():
-                alike = (
-                    (np.abs(values[:, k] - total) <= 0.51 * step) & (total != 0.0) & (step <= sd)
-                )
-                if alike.sum() >= least:
+                alike = np.abs(values[:, k] - total) <= 0.51 * step
+                if (alike & (total != 0.0) & (step <= sd)).sum() >= least:
                     self.notes.append(
                         f"{self.name}: line {self.lines[k]} is the {name} of the rows above; if it "
                         "is a summary row, delete it"
@@ -484,18 +475,12 @@ class Table:
                     return
 
 
-def _lines(lines: list[int]) -> str:
-    if len(lines) == 1:
-        return f"line {lines[0]}"
-    text = f"lines {', '.join(map(str, lines[:_MOST_LINES]))}"
-    if len(lines) > _MOST_LINES:
-        text += f" and {len(lines) - _MOST_LINES} more"
-    return text
-
-
-def _each(holds: Callable[[Any], object], cells: Iterable[Any]) -> Flags:
-    """Whether something holds for each cell or row."""
-    return np.array([bool(holds(cell)) for cell in cells], dtype=bool)
+def _strange(text: str) -> str:
+    """What is said of a cell that is not a number."""
+    message = f"{as_text(text, 60)!r} is not a number{alien(text)}"
+    if _DATE.fullmatch(text):
+        message += "; a cell of a workbook that has the format of a date? Change it to a number"
+    return message
 
 
 # --- from files to tables -------------------------------------------------------------------------
@@ -554,11 +539,15 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
     Headings are a row without numbers: one that has a unit in brackets; else the first of several
     cells, below rows of one text; else the last row of texts, if all rows below it are numbers.
     """
+
+    def has_unit(cell: str) -> bool:
+        return bool(_BRACKET.search(cell)) and any(unit_in_heading(cell, name)[1] for name in UNITS)
+
     words = [not any(map(_is_numeric, row)) for row in rows]
     cells = [[*filter(None, row)] for row in rows]
     several = [len(texts) >= min(2, max(map(len, rows))) for texts in cells]
     for place, texts in enumerate(cells[:_PREAMBLE]):
-        if words[place] and several[place] and any(map(_has_unit, texts)):
+        if words[place] and several[place] and any(map(has_unit, texts)):
             return place
     place = next((k for k, texts in enumerate(cells) if len(texts) > 1 or not words[k]), 0)
     if place > 0 and words[place]:
@@ -572,15 +561,6 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
         return 0
     texts = [cell for cell in cells[place] if cell.lower() not in NOTHING]
     return place if len(texts) > 1 and not any(map(is_error_value, texts)) else 0
-
-
-def _has_unit(cell: str) -> bool:
-    """Whether a cell is a name with a unit in brackets."""
-    return bool(_BRACKET.search(cell)) and any(unit_in_heading(cell, name)[1] for name in UNITS)
-
-
-def _is_numeric(cell: str) -> bool:
-    return bool(NUMBER["."].fullmatch(cell) or NUMBER[","].fullmatch(cell))
 
 
 def read_lines(
@@ -613,18 +593,17 @@ def read_lines(
     return {k: line for k, line in lines.items() if line.strip(" ;,\t").strip()}, notes
 
 
-def is_comment(line: str) -> bool:
-    """Whether a line is a comment, and not a row that begins with an error of a spreadsheet."""
-    return line.lstrip(" ").startswith("#") and not is_error_value(re.split("[,;\t]", line)[0])
-
-
-def is_error_value(cell: str) -> bool:
-    """Whether a cell is what spreadsheets write for an error, in any of their languages.
-
-    >>> [is_error_value(cell) for cell in ("#DIV/0!", "#N/A", "#NV", "#REF!", "# a note")]
-    [True, True, True, True, False]
-    """
-    return _ERROR_VALUE.fullmatch(cell.strip(' "')) is not None
+def _decoded(data: bytes, name: str, notes: list[str]) -> str:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace")
+    if b"\0" in data[:4096]:
+        raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        notes.append(f"{name} is not UTF-8: read as Windows text (cp1252)")
+        text = data.decode("cp1252", "replace")
+    return text.lstrip("\ufeff").replace("\N{MINUS SIGN}", "-")
 
 
 def cells_of(
@@ -660,10 +639,16 @@ def table_of(
     (_, headings), *numbered = rows.items()
     headings = _trimmed(headings)
     width = len(headings)
-    wide = [line for line, row in numbered if any(row[width:])]
+    wide = next((line for line, row in numbered if any(row[width:])), 0)
     if wide:
+        # what may have brought a row more cells than headings
+        cells, way = [cell for _, row in numbered[:20] for cell in row if cell], ""
+        if all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells):
+            way = "A decimal comma between commas? Save the file with semicolons"
+        elif sum(map(bool, headings)) == 1 and len(numbered) > 1:
+            way = f"Is {as_text(headings[0], 40)!r} a title? Delete its line"
         raise TableError(
-            f"{name}: line {wide[0]}: more cells than headings. {_way_out(headings, numbered)}"
+            f"{name}: line {wide}: more cells than headings. {way or 'Give every column a heading'}"
         )
     if width > MOST_COLUMNS:
         raise TableError(f"{name!r} has {width:,} columns; {MOST_COLUMNS:,} are read at most")
@@ -683,68 +668,63 @@ def table_of(
     )
 
 
-def _way_out(headings: Sequence[str], numbered: Sequence[tuple[int, list[str]]]) -> str:
-    """What may have brought a row more cells than headings."""
-    cells = [cell for _, row in numbered[:20] for cell in row if cell]
-    if cells and all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells):
-        return "A decimal comma between commas? Save the file with semicolons"
-    if sum(map(bool, headings)) == 1 and len(numbered) > 1:
-        return f"Is {as_text(headings[0], 40)!r} a title? Delete its line"
-    return "Give every column a heading"
-
-
 def are_units(row: list[str]) -> bool:
     """Whether the cells of a row are units."""
     texts = [cell.strip("[]() ") for cell in row]
     if set(texts) <= _ALL_UNITS:
         return any(row)
+
+    def is_like_a_unit(text: str) -> bool:  # misspelled, unknown here, or multiplied by a factor
+        bare = _FACTOR.sub("", text).strip()
+        return bare in _ALL_UNITS | _FOREIGN_UNITS or any(nearest_unit(bare, d) for d in UNITS)
+
     # one of them may be misspelled, or have a factor, which the column tells
     certain = any(len(text) > 1 and text in _ALL_UNITS for text in texts)
-    return certain and all(text in _ALL_UNITS or _is_like_a_unit(text) for text in texts)
+    return certain and all(text in _ALL_UNITS or is_like_a_unit(text) for text in texts)
 
 
-def _is_like_a_unit(text: str) -> bool:
-    """Whether a cell is a unit that is misspelled, unknown here, or multiplied by a factor."""
-    bare = _FACTOR.sub("", text).strip()
-    likely = bare in _ALL_UNITS | _FOREIGN_UNITS or any(nearest_unit(bare, name) for name in UNITS)
-    return likely and bare != ""
-
-
-# --- workbooks, encodings -------------------------------------------------------------------------
+# --- workbooks ------------------------------------------------------------------------------------
 
 
 def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, str]:
-    """Rows of a sheet of a workbook, by default the first that has any, by their numbers, a tab
-    behind each cell.  A formula stands in the place of a value that is not stored.
+    """Rows of a sheet of a workbook, by default the first that has any and is not hidden, by their
+    numbers, a tab behind each cell.  A formula stands in the place of a value that is not stored.
     """
     from openpyxl import load_workbook
 
     try:
         formulas = _has_formulas(data, name)
-        book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        titles = [sheet.title for sheet in book.worksheets]
+        with warnings.catch_warnings():  # of styles and charts, which are not read
+            warnings.simplefilter("ignore")
+            book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+        sheets = sorted(book.worksheets, key=lambda sheet: sheet.sheet_state != "visible")
+        titles = [sheet.title for sheet in sheets]
         if wanted and wanted not in titles:
             listed = ", ".join(repr(as_text(title, 40)) for title in titles[:12])
             raise TableError(
                 f"there is no sheet {wanted!r} in {name!r}, which has {listed}", "sheet"
             )
-        full = {title: _rows_of(book[title]) for title in titles if wanted in ("", title)}
-        title, *others = [title for title, rows in full.items() if rows] or [wanted]
-        rows = full.get(title, {})
-        if formulas and title:
-            written = _rows_of(load_workbook(io.BytesIO(data), read_only=True)[title])
+        full = {sheet: _rows_of(sheet) for sheet in sheets if wanted in ("", sheet.title)}
+        sheet, *others = [sheet for sheet, rows in full.items() if rows] or sheets[:1]
+        rows = full[sheet]
+        if formulas:
+            written = _rows_of(load_workbook(io.BytesIO(data), read_only=True)[sheet.title])
             for k, cells in written.items():
                 both = zip_longest(rows.get(k, []), cells, fillvalue="")
                 rows[k] = [stored or formula for stored, formula in both]
     except TableError:
         raise
     except Exception as error:
-        raise TableError(f"{name!r} cannot be read as .xlsx: {type(error).__name__}") from None
-    if others and not wanted:
-        listed = ", ".join(repr(as_text(other, 40)) for other in others[:6])
+        raise TableError(
+            f"{name!r} cannot be read as .xlsx: {type(error).__name__}. Save the sheet as CSV"
+        ) from None
+    if sheet.sheet_state != "visible" and not wanted:
+        notes.append(f"{name}: the hidden sheet {sheet.title!r} is read; the others are empty")
+    if others:
+        listed = ", ".join(repr(as_text(other.title, 40)) for other in others[:6])
         notes.append(
-            f"{name}: the sheet {title!r} is read; {_OTHER_SHEETS}: {listed} "
-            f'(sheet = "{as_text(others[0], 40)}")'
+            f"{name}: the sheet {sheet.title!r} is read; {_OTHER_SHEETS}: {listed} "
+            f'(sheet = "{as_text(others[0].title, 40)}")'
         )
     # a row ends with its last cell that is not empty
     width = min(max(map(len, rows.values()), default=0), MOST_COLUMNS)
@@ -793,15 +773,3 @@ def _cell_text(cell: object) -> str:
     if '"' in text:
         text = f'"{text.replace(chr(34), 2 * chr(34))}"'
     return text
-
-
-def _decoded(data: bytes, name: str, notes: list[str]) -> str:
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", "replace")
-    if b"\0" in data[:4096]:
-        raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        notes.append(f"{name} is not UTF-8: read as Windows text (cp1252)")
-        return data.decode("cp1252", "replace")

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any, Final
 
 from uqsphere.arrays import Values
@@ -18,126 +21,17 @@ class UnitError(ValueError):
     """A text is not a number with a unit of the required dimension."""
 
 
-_G: Final = 9.80665  # standard gravity [m/s²]
-_LBF: Final = 0.45359237 * _G
+_TABLES: Final = tomllib.loads(
+    resources.files("uqsphere").joinpath("units.toml").read_text(encoding="utf-8")
+)
 #: dimension -> unit -> factor to SI; the first unit of each dimension is the SI unit
-UNITS: Final[dict[str, dict[str, float]]] = {
-    "length": {
-        "m": 1.0,
-        "cm": 1e-2,
-        "mm": 1e-3,
-        "um": 1e-6,
-        "µm": 1e-6,
-        "μm": 1e-6,
-        "in": 0.0254,
-        "ft": 0.3048,
-    },
-    "time": {
-        "s": 1.0,
-        "ms": 1e-3,
-        "us": 1e-6,
-        "µs": 1e-6,
-        "μs": 1e-6,
-        "ns": 1e-9,
-        "min": 60.0,
-        "h": 3600.0,
-    },
-    "speed": {
-        "m/s": 1.0,
-        "mm/s": 1e-3,
-        "cm/s": 1e-2,
-        "um/s": 1e-6,
-        "km/h": 1.0 / 3.6,
-        "mm/min": 1e-3 / 60.0,
-        "ft/s": 0.3048,
-    },
-    "pressure": {
-        "Pa": 1.0,
-        "kPa": 1e3,
-        "MPa": 1e6,
-        "GPa": 1e9,
-        "TPa": 1e12,
-        "psi": 6894.757293168361,
-        "bar": 1e5,
-        "N/mm2": 1e6,
-    },
-    "density": {
-        "kg/m3": 1.0,
-        "kg/m^3": 1.0,
-        "kg/m³": 1.0,
-        "g/cm3": 1e3,
-        "g/cm^3": 1e3,
-        "g/cm³": 1e3,
-        "t/m3": 1e3,
-        "t/m^3": 1e3,
-        "t/m³": 1e3,
-    },
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "MN": 1e6, "kgf": _G, "tf": 1e3 * _G, "lbf": _LBF},
-    "energy": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6, "kJ": 1e3},
-    "specific_energy": {"J/kg": 1.0, "mJ/kg": 1e-3, "kJ/kg": 1e3, "kWh/t": 3600.0, "J/g": 1e3},
-    "mass_per_energy": {"kg/J": 1.0, "kg/kJ": 1e-3, "t/kWh": 1.0 / 3600.0},
-    "share": {"1": 1.0, "%": 0.01},
-    "loading_rate": {
-        "N/s": 1.0,
-        "kN/s": 1e3,
-        "MN/s": 1e6,
-        "GN/s": 1e9,
-        "kN/ms": 1e6,
-        "N/us": 1e6,
-        "kN/min": 1e3 / 60.0,
-        "N/min": 1.0 / 60.0,
-    },
-    "toughness": {"Pa.sqrt(m)": 1.0, "kPa.sqrt(m)": 1e3, "MPa.sqrt(m)": 1e6, "MPa·√m": 1e6},
-    "volume": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
-    "area": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
-    "strain_rate": {"1/s": 1.0},
-    "mass": {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3, "lb": 0.45359237},
-    "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0},
-    "stiffness": {"N/m": 1.0, "N/um": 1e6, "kN/mm": 1e6, "MN/m": 1e6},
-    "strain": {
-        "1": 1.0,
-        "%": 0.01,
-        "mm/m": 1e-3,
-        "microstrain": 1e-6,
-        "um/m": 1e-6,
-        "µm/m": 1e-6,
-        "με": 1e-6,
-    },
-    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
-    "number": {"": 1.0},
-}
+UNITS: Final[dict[str, dict[str, float]]] = _TABLES["units"]
+#: other spellings of units in headings, and of units that were likely meant, in small letters
+SPELLED: Final[dict[str, str]] = _TABLES["headings"]
+_MEANT: Final[dict[str, list[str]]] = _TABLES["meant"]
 
-#: other spellings of units, in small letters, and the units that they may mean
-_MISSPELLED: Final = {
-    "lbs": "lb lbf",
-    "lb": "lbf",
-    "pounds": "lb lbf",
-    "kg": "kgf",
-    "t": "tf",
-    "newton": "N",
-    "newtons": "N",
-    "kilonewton": "kN",
-    "inch": "in",
-    "inches": "in",
-    "micron": "um",
-    "microns": "um",
-    "sec": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "usec": "us",
-    "m/sec": "m/s",
-    "mps": "m/s",
-    "kph": "km/h",
-    "kmh": "km/h",
-    "g/cc": "g/cm3",
-    "n/m2": "Pa",
-    "kn/mm2": "GPa",
-    "kn/m2": "kPa",
-    "degrees": "deg",
-    "joule": "J",
-    "joules": "J",
-    "volts": "V",
-}
+#: what stands in units, and between numbers, beside ASCII
+_TYPED: Final = "µμ°²³√·ε±–—…×¡"
 _SUPERSCRIPTS: Final = str.maketrans("²³", "23", "^* ")
 #: a number, with single underscores between digits as in TOML
 _NUMBER: Final = re.compile(
@@ -248,7 +142,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
                 f"{allowed})"
             )
         return _finite(text, repr(text))
-    stripped = text.strip()
+    stripped = text.strip().replace("\N{MINUS SIGN}", "-")
     if dimension == "speed" and (rotor := _ROTOR.fullmatch(stripped)):
         turns, diameter = parse_value(rotor[1], "number"), parse_value(rotor[2], "length", "m")
         return math.pi * diameter * turns / 60.0
@@ -261,7 +155,9 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         )
     match = _NUMBER.match(stripped)
     if match is None:
-        raise UnitError(f"{text!r} is not a number{with_unit}. Write, for example, {such}")
+        raise UnitError(
+            f"{text!r} is not a number{with_unit}{alien(text)}. Write, for example, {such}"
+        )
     number, unit = match.group(), stripped[match.end() :].strip()
     if _RANGE.match(unit):
         raise UnitError(
@@ -284,7 +180,8 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         near = nearest_unit(unit, dimension)
         hint = f'; did you mean "{number} {near}"?' if near else ""
         raise UnitError(
-            f"unknown unit {unit!r} for a {dimension.replace('_', ' ')}{hint} (units: {allowed})"
+            f"unknown unit {unit!r} for a {dimension.replace('_', ' ')}{alien(unit)}{hint} (units: "
+            f"{allowed})"
         )
     return _finite(float(number) * table[unit], text)
 
@@ -300,7 +197,7 @@ def nearest_unit(text: str, dimension: str) -> str:
     ('', 'GPa')
     """
     plain = text.translate(_SUPERSCRIPTS)
-    for spelled in (plain, *_MISSPELLED.get(plain.lower(), "").split()):
+    for spelled in (plain, *_MEANT.get(plain.lower(), [])):
         if spelled and spelled in UNITS[dimension]:
             return spelled
     near = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
@@ -310,6 +207,21 @@ def nearest_unit(text: str, dimension: str) -> str:
     if prefix in "mM" and stem[:1].isalpha() and stem == plain[1:]:
         return ""  # another power of ten
     return near[0]
+
+
+def alien(text: str) -> str:
+    """A remark on a character that is not typed in numbers and units, but may look as if it was.
+
+    >>> alien("5 \N{CYRILLIC SMALL LETTER EM}m")
+    '; its character U+043C is CYRILLIC SMALL LETTER EM'
+    >>> alien("5 µm")
+    ''
+    """
+    for character in text:
+        if not character.isascii() and character not in _TYPED:
+            name = unicodedata.name(character, "not a letter")
+            return f"; its character U+{ord(character):04X} is {name}"
+    return ""
 
 
 def likely_unit(raw: Any, quantity: Quantity) -> str:

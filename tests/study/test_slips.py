@@ -174,3 +174,83 @@ def test_a_caution_names_the_line_of_its_key(tmp_path: Path) -> None:
     }
     (warning,) = Study(**tables).warnings
     assert warning.startswith("inputs.x: the coefficient of variation is 1.5")
+
+
+LOOKALIKES = {
+    "a minus sign": ('"6 mm"', '"\N{MINUS SIGN}6 mm"', "must be above 0 mm"),
+    "a full-width digit": ('"6 mm"', '"\uff16 mm"', "U+FF16 is FULLWIDTH DIGIT SIX"),
+    "a Cyrillic letter": ('"6 mm"', '"6 \u043cm"', "U+043C is CYRILLIC SMALL LETTER EM"),
+    "a blank that cannot be seen": ('"6 mm"', '"6 mm\u200b"', "U+200B is ZERO WIDTH SPACE"),
+    "a blank in a key": ("radius =", "radius\u00a0=", "U+00A0 is NO-BREAK SPACE"),
+    "a sign in a key": ("radius =", "radius \uff1d", "U+FF1D is FULLWIDTH EQUALS SIGN"),
+    "another unit": ('"6 mm"', '"6 kN"', "unknown unit 'kN' for a length (units:"),
+}
+
+
+@pytest.mark.parametrize("name", LOOKALIKES)
+def test_a_character_that_looks_like_another_is_named(tmp_path: Path, name: str) -> None:
+    old, new, words = LOOKALIKES[name]
+    assert words in refused(tmp_path, PLAIN.replace(old, new, 1))
+    for _, other, _ in LOOKALIKES.values():
+        if other != new:
+            assert words not in refused(tmp_path, PLAIN.replace('"6 mm"', f'"6 mm{other!r}"'))
+
+
+def test_cells_with_marks_and_dates(tmp_path: Path) -> None:
+    columns = of_tests(tmp_path, (FORCES, DIAMETERS), ("kN", "mm"), heading=True)
+    text = (tmp_path / "t.csv").read_text()
+    # two byte order marks, and minus signs of a typesetter
+    (tmp_path / "t.csv").write_text("\ufeff\ufeff" + text.replace("2.45", "2.45e\N{MINUS SIGN}0"))
+    study = load_study(tmp_path / "study.toml", text=columns)
+    assert study.limits[0].tested is not None
+    assert study.limits[0].tested.forces[1] == 2450.0
+    for cell, words in (
+        ("2026-01-02 00:00:00", "the format of a date"),
+        ("２.45", "U+FF12 is FULLWIDTH DIGIT TWO"),
+        ("2.45e306", "a number is too large"),
+        ("2.45 kN", "'2.45 kN' is not a number\n"),
+    ):
+        (tmp_path / "t.csv").write_text(text.replace("2.45", cell))
+        message = refused(tmp_path, columns) + "\n"
+        assert words in message
+        assert "t.csv: line 3: F: " in message
+
+
+def test_a_link_is_not_called_a_path(tmp_path: Path) -> None:
+    text = of_tests(tmp_path, (FORCES, DIAMETERS), ("kN", "mm"), heading=True)
+    folder = tmp_path / "study"
+    folder.mkdir()
+    link = folder / "t.csv"
+    link.symlink_to(tmp_path / "t.csv")
+    assert '"t.csv" is a link to a file outside' in refused(folder, text)
+    link.unlink()
+    link.symlink_to(folder / "nothing.csv")
+    message = refused(folder, text)
+    assert 'there is no file "t.csv"' in message
+    assert "did you mean" not in message
+    assert "must be a relative path" in refused(folder, text.replace('"t.csv"', '"../t.csv"'))
+
+
+def test_a_hidden_sheet_is_read_last(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from openpyxl import Workbook
+
+    text = of_tests(tmp_path, (FORCES, DIAMETERS), ("kN", "mm"), heading=True)
+    text = text.replace("t.csv", "t.xlsx")
+    book = Workbook()
+    hidden, visible = book.active, book.create_sheet("Tests")
+    hidden.sheet_state = "hidden"
+    for factor, sheet in ((100.0, hidden), (1.0, visible)):
+        sheet.append(["F [kN]", "D [mm]"])
+        for row in zip(factor * FORCES, DIAMETERS, strict=True):
+            sheet.append([float(cell) for cell in row])
+    book.save(tmp_path / "t.xlsx")
+    study = load_study(tmp_path / "study.toml", text=text)
+    assert study.limits[0].tested is not None
+    assert study.limits[0].tested.forces[0] == 2550.0
+    book.remove(visible)
+    book.create_sheet("Empty")
+    for row in hidden.iter_rows(min_row=2, max_col=1):
+        row[0].value /= 100.0
+    book.save(tmp_path / "t.xlsx")
+    study = load_study(tmp_path / "study.toml", text=text)
+    assert any("the hidden sheet 'Sheet' is read" in warning for warning in study.warnings)

@@ -88,7 +88,7 @@ def load_study(
             at_keys = [Fault(str(fault), *_written(fault.at, tables)) for fault in faults]
             raise refusal(path, text, at_keys, overridden)
     notes = [Fault(message, *_written(place, tables)) for place, message, _ in draft.warnings]
-    warnings = [note.render(name) for note in located(text, notes, overridden)]
+    warnings = [note.render(name if note.path else "") for note in located(text, notes, overridden)]
     study = resolve(draft, path, text)
     return replace(study, overrides=tuple(overrides), warnings=tuple(warnings))
 

@@ -379,14 +379,16 @@ def opened(
         )
     try:
         path = (home / relative).resolve()
-        outside = relative.drive or relative.root or ".." in relative.parts
-        if outside or not path.is_relative_to(home):
+        if relative.drive or relative.root or ".." in relative.parts:
             raise Fault(
                 f"{key} must be a relative path inside the study's folder, not {shown(name)}", key
             )
+        if not path.is_relative_to(home):
+            raise Fault(
+                f"{shown(name)} is a link to a file outside the study's folder. Copy the file", key
+            )
         if not path.exists():
-            beside = home.iterdir() if home.is_dir() else ()
-            near = suggestion(name, [item.name for item in beside])
+            near = suggestion(name, [item.name for item in home.glob("*") if item.exists()])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
         draft.files[relative.as_posix()] = path
         table = read_table(path, decimal=decimal or "", sheet=sheet or "")
