@@ -16,8 +16,8 @@ import pytest
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.record import load_record
-from uqsphere.labs.shpb.recorded import read_recorded
+from uqsphere.labs.shpb.mending import load_record
+from uqsphere.labs.shpb.recorder import read_recorded
 from uqsphere.labs.shpb.sheet import rows
 from uqsphere.labs.shpb.waves import Reading, read_test
 from uqsphere.mechanics.bars import correct

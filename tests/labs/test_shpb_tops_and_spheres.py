@@ -13,8 +13,8 @@ import pytest
 import uqsphere
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import RecordDocument
+from uqsphere.labs.shpb.mending import load_record
 from uqsphere.labs.shpb.peaks import Force, largest_force
-from uqsphere.labs.shpb.record import load_record
 from uqsphere.labs.shpb.sheet import rows
 from uqsphere.labs.shpb.waves import Reading, read_test
 from uqsphere.study import Study

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.record import Record
-from uqsphere.labs.shpb.signals import Changes, Signal, Wave, smooth
+from uqsphere.labs.shpb.mending import Record, Signal, smooth
+from uqsphere.labs.shpb.recorder import Changes
 
 #: share of the peak at which an arrival is read, and the time [s] over which it is averaged: to
 #: doubt distances, and to shift a steep wave
@@ -25,8 +24,7 @@ _SOFT: Final = 50e-6
 _STEEP: Final = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arrivals:
+class Arrivals(NamedTuple):
     """Delays of the reflected and the transmitted wave behind the incident one, in samples.
 
     doubt_a, doubt_b : why the distance to a face is doubted, empty without a doubt.
@@ -40,13 +38,12 @@ class Arrivals:
     speed_ratio: float = 1.0
 
 
-@dataclass
-class _Delay:
+class _Delay(NamedTuple):
     """Predicted and recorded delay of a wave in samples; None for an arrival that is not seen."""
 
     wave: str
     predicted: float
-    seen: int | None = None
+    seen: int | None
 
     @property
     def late(self) -> float:
@@ -59,19 +56,14 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
 
     Raises UsageError for exchanged columns, and for arrivals that fit another wave speed.
     """
+    wave, receiving, step = record.incident.wave, record.receiving, record.step
     if document.record.aligned:
-        start = record.incident.wave.start
-        reflected = record.reflected or record.incident
-        return Arrivals(
-            reflected=reflected.wave.start - start,
-            transmitted=record.receiving.wave.start - start,
-        )
-    bar, behind, step = document.incident_bar, document.receiving_bar, record.step
-    wave, receiving = record.incident.wave, record.receiving
-    back = _Delay("reflected", 2.0 * bar.gauge / bar.wave_speed / step)
+        starts = (record.reflected.wave.start, receiving.wave.start)
+        return Arrivals(*(start - wave.start for start in starts))
+    bar, behind = document.incident_bar, document.receiving_bar
     passage = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed
-    there = _Delay("transmitted", passage / step)
-    _look(record, back, there, *_SURE)
+    predicted = (2.0 * bar.gauge / bar.wave_speed / step, passage / step)
+    back, there = _delays(record, predicted, *_SURE)
     steep = float(wave.rising)
     if there.seen is not None and there.seen < -steep:
         raise UsageError(
@@ -79,14 +71,14 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
             "incident wave. Are the columns exchanged?"
         )
     fits = 0.5 * (back.seen or 0) * step * bar.wave_speed
-    doubt_a = _doubt(back, _tolerance(back, steep, 5.0), step, (bar.gauge, fits))
+    doubt_a = _doubt(back, (steep, 5.0), step, bar.gauge, fits)
     speed_ratio = 1.0
     if doubt_a:
         doubt_a += " (or another E or density)"
         speed_ratio = back.predicted / max(back.seen or 0, 1)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
     fits = ((there.seen or 0) * step - bar.gauge / bar.wave_speed) * behind.wave_speed
-    doubt_b = _doubt(there, _tolerance(there, steep, soft), step, (behind.gauge, fits))
+    doubt_b = _doubt(there, (steep, soft), step, behind.gauge, fits)
     if doubt_b:
         other = there.predicted / max(there.seen or 0, 1)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
@@ -99,53 +91,47 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
         if there.late < 0.0:
             doubt_a = doubt_a or doubt_b
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
-        return Arrivals(
-            reflected=back.predicted,
-            transmitted=there.predicted,
-            doubt_a=doubt_a,
-            doubt_b=doubt_b,
-            speed_ratio=speed_ratio,
-        )
-    _look(record, back, there, *_FINE)
-    reflected = record.reflected or record.incident
-    return Arrivals(
-        reflected=back.predicted + _shift(back, reflected.name, step, changes),
-        transmitted=there.predicted + _shift(there, receiving.name, step, changes),
-    )
+        return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
+    arrivals, names = [], (record.reflected.name, receiving.name)
+    for name, delay in zip(names, _delays(record, predicted, *_FINE), strict=True):
+        shift = 0.0
+        if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
+            shift = delay.late
+            text = (
+                f"the {delay.wave} wave is shifted by {-shift * step * 1e6:.3g} us: it comes "
+                "earlier than the gauge distances predict"
+            )
+            changes.add("time shift", name, text, shift * step)
+        arrivals.append(delay.predicted + shift)
+    return Arrivals(*arrivals)
 
 
-def _look(record: Record, back: _Delay, there: _Delay, share: float, window: float) -> None:
-    """Note when the waves are seen, by a share and a time such as `_SURE` (in place)."""
+def _delays(
+    record: Record, predicted: tuple[float, float], share: float, window: float
+) -> tuple[_Delay, _Delay]:
+    """The delays of the reflected and the transmitted wave, by a share and a time such as
+    `_SURE`."""
     width = max(1, round(window / record.step))
-    incident, receiving = record.incident, record.receiving
-    wave = incident.wave
-    level = _level(incident, share, width)
-    pressing = -smooth(incident.strain, width)
-    first = _crossing(pressing, level, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
-    if first is None:
-        return
-    seen_back = None
-    if record.reflected is not None:
-        size = np.abs(smooth(record.reflected.strain, width))
-        seen_back = _crossing(size, level, 0, len(size))
-    else:
+
+    def level(signal: Signal) -> float:
+        """The strain at which a wave is there: a share of its peak, or above its noise."""
+        return max(share * signal.wave.peak, 5.0 * signal.noise / math.sqrt(width))
+
+    incident, receiving, wave = record.incident, record.receiving, record.incident.wave
+    pressing, high = -smooth(incident.strain, width), level(incident)
+    first = _crossing(pressing, high, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
+    size, begin = np.abs(smooth(record.reflected.strain, width)), 0
+    if record.shared:
         # the first excursion of either sign behind the end of the incident wave
-        low = np.flatnonzero(pressing[wave.falling :] < level)
-        if len(low):
-            begin = wave.falling + int(low[0]) + 1
-            seen_back = _crossing(np.abs(pressing), level, begin, len(pressing))
-    level = _level(receiving, share, width)
-    pressing = -smooth(receiving.strain, width)
-    seen_there = _crossing(pressing, level, 0, receiving.wave.falling + 1)
-    for delay, seen in ((back, seen_back), (there, seen_there)):
-        delay.seen = seen
-        if seen is not None:
-            delay.seen = seen - first
-
-
-def _level(signal: Signal, share: float, width: int) -> float:
-    """The strain at which a wave is there: a share of its peak, or above its noise."""
-    return max(share * signal.wave.peak, 5.0 * signal.noise / math.sqrt(width))
+        low = np.flatnonzero(pressing[wave.falling :] < high)
+        begin = wave.falling + int(low.min(initial=len(size))) + 1
+    there = -smooth(receiving.strain, width)
+    arrivals = (
+        _crossing(size, high, begin, len(size)),
+        _crossing(there, level(receiving), 0, receiving.wave.falling + 1),
+    )
+    seen = [None if first is None or at is None else at - first for at in arrivals]
+    return _Delay("reflected", predicted[0], seen[0]), _Delay("transmitted", predicted[1], seen[1])
 
 
 def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
@@ -155,50 +141,20 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
     return begin + int(first[0]) if len(first) else None
 
 
-def _tolerance(delay: _Delay, steep: float, late: float) -> tuple[float, float]:
-    """Samples by which a wave may be early (negative) and late."""
-    early = -(_EARLY * delay.predicted + 0.5 * steep + 3.0)
-    return early, late + _LATE * delay.predicted + 2.0 * steep
-
-
 def _doubt(
-    delay: _Delay, tolerance: tuple[float, float], step: float, distance: tuple[float, float]
+    delay: _Delay, spare: tuple[float, float], step: float, distance: float, fits: float
 ) -> str:
-    """Why a delay does not fit the gauge distance; `distance`: given, and fitting [m]."""
-    early, late = tolerance
-    if early <= delay.late <= late:
+    """Why a delay does not fit the gauge distance [m], where another one fits; empty if it does.
+
+    spare : samples in which the wave rises, and by which it may be late beside this.
+    """
+    steep, late = spare
+    early = -(_EARLY * delay.predicted + 0.5 * steep + 3.0)
+    if early <= delay.late <= late + _LATE * delay.predicted + 2.0 * steep:
         return ""
-    given, fitting = distance
-    would = "no distance of this gauge fits"
-    if fitting > 0.0:
-        would = f"{fitting:.4g} m would fit"
     side = "early" if delay.late < 0.0 else "late"
+    would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
     return (
         f"the {delay.wave} wave comes {abs(delay.late) * step * 1e6:.4g} us too {side} for a "
-        f"gauge at {given:.4g} m; {would}"
+        f"gauge at {distance:.4g} m; {would}"
     )
-
-
-def _shift(delay: _Delay, name: str, step: float, changes: Changes) -> float:
-    """Samples by which a steep wave is taken earlier than its distance predicts, 0 or less."""
-    early = -_EARLY * delay.predicted - 3.0
-    if not early <= delay.late < -max(1.0, 1e-6 / step):
-        return 0.0
-    changes.add(
-        "time shift",
-        name,
-        f"the {delay.wave} wave is shifted by {-delay.late * step * 1e6:.3g} us: it comes earlier "
-        "than the gauge distances predict",
-        delay.late * step,
-    )
-    return delay.late
-
-
-def undisturbed(wave: Wave, delay: float) -> tuple[int, int]:
-    """Samples after first touch between which incident and reflected wave do not overlap.
-
-    delay : samples between the two waves at the incident gauge; infinite with a gauge for each.
-    """
-    if not math.isfinite(delay) or wave.end - wave.start <= delay:
-        return 0, 1 << 60
-    return math.ceil(wave.end - wave.start - delay + 0.05 * delay), int(delay)

@@ -33,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
 def _records(chosen: argparse.Namespace) -> int:
     """Every input file: its sheet; of several also tests.csv, one line a test."""
     from uqsphere.labs.shpb import sheet
-    from uqsphere.labs.shpb.record import load_record
+    from uqsphere.labs.shpb.mending import load_record
     from uqsphere.labs.shpb.waves import read_test
 
     several = len(chosen.file) > 1

@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, Section, in_unit
-from uqsphere.labs.shpb.recorded import read_recorded
+from uqsphere.labs.shpb.recorder import read_recorded
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face

@@ -6,15 +6,14 @@ Every check doubts the peaks that it concerns, and widens their intervals to wha
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.peaks import NORMAL, Peaks, stretch
-from uqsphere.labs.shpb.signals import Changes
+from uqsphere.labs.shpb.recorder import Changes
 
 #: difference between two gauges of a bar over the wave that is a gross fault
 _GROSS: Final = 0.25
@@ -29,8 +28,7 @@ EQUILIBRIUM: Final = 0.05
 _MISFIT: Final = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
-class Faces:
+class Faces(NamedTuple):
     """Both forces (n,) [N] over time (n,) [s]; `force_a` is NaN where it is not known.
 
     velocity_a, velocity_b : of the faces of the bars (n,) [m/s].
@@ -53,12 +51,11 @@ def check_striker(
         f"{speed:.3g} m/s"
     )
     if measured is None:
-        changes.add(
-            "gains",
-            "",
+        unseen = (
             "an error common to both bars (gain, E, diameter) does not show in a record; "
-            "record.striker_speed checks the gains",
+            "record.striker_speed checks the gains"
         )
+        changes.add("gains", "", unseen)
         if not _STRUCK[0] <= speed <= _STRUCK[1]:
             peaks.doubt([*peaks], f"{text}: is a unit or a gain wrong?")
     elif abs(speed - measured) > _SPEED_ERROR * measured:
@@ -72,18 +69,15 @@ def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: flo
 
     spread (n,) : half their difference [N]; wave : force of the wave that they record [N].
     """
-    at = int(np.searchsorted(time, peaks[face].time))
+    peak = peaks[face]
+    at = int(np.searchsorted(time, peak.time))
     near = spread[max(at - 3, 0) : at + 4]
     bending = float(near.mean()) if len(near) else 0.0
-    if 2.0 * bending <= _GROSS * wave:
-        return
-    bar = "incident" if face == "A" else "receiving"
-    peaks.doubt(
-        face,
-        f"the gauges of the {bar} bar differ by {2.0 * bending / wave:.0%} of the wave there",
-        peaks[face].low - bending,
-        peaks[face].high + bending,
-    )
+    if 2.0 * bending > _GROSS * wave:
+        bar = "incident" if face == "A" else "receiving"
+        share = f"{2.0 * bending / wave:.0%}"
+        text = f"the gauges of the {bar} bar differ by {share} of the wave there"
+        peaks.doubt(face, text, peak.low - bending, peak.high + bending)
 
 
 def check_impulse(
@@ -120,23 +114,21 @@ def check_impulse(
             gains.append(gain)
             if abs(gain) <= allowed:
                 return mass
-    if abs(plain) <= allowed:
-        return None
-    text = f"A has {1.0 + plain:.3g} times the impulse of B: check gains, zeros and arrivals"
-    for face, peak in [*peaks.items()]:
-        factors = [1.0 + gain for gain in gains]
-        if face != "B":
-            factors = [1.0 / max(factor, 1e-3) for factor in factors]
-        peaks.doubt([face], text, *(peak.value * factor for factor in factors))
+    if abs(plain) > allowed:
+        text = f"A has {1.0 + plain:.3g} times the impulse of B: check gains, zeros and arrivals"
+        for face, peak in [*peaks.items()]:
+            factors = [1.0 + gain for gain in gains]
+            if face != "B":
+                factors = [1.0 / max(factor, 1e-3) for factor in factors]
+            peaks.doubt([face], text, *(peak.value * factor for factor in factors))
     return None
 
 
 def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float, float]:
     """Mass [kg], relative error of gain, and largest misfit over the largest integral of B."""
     step = float(faces.time[1] - faces.time[0])
-    force_a, force_b = faces.force_a[:last], faces.force_b[:last]
-    velocity = 0.5 * (faces.velocity_a + faces.velocity_b)[:last]
-    way = step * np.cumsum(velocity)
+    force_a, force_b, velocity_a, velocity_b = (column[:last] for column in faces[1:])
+    way = step * np.cumsum(0.5 * (velocity_a + velocity_b))
     approaches = np.cbrt(np.square(np.maximum(force_a, 0.0)))
     approaches -= np.cbrt(np.square(np.maximum(force_b, 0.0)))
     impulses = step**2 * np.cumsum(np.cumsum(force_b))
@@ -151,19 +143,19 @@ def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float
     misfit = np.abs(rest + stiffness * approaches - gain * impulses).max() / np.abs(impulses).max()
     # no specimen moves faster than a ball that the faster face hits
     momentum = np.abs(step * np.cumsum(force_a - (1.0 + gain) * force_b)).max()
-    fastest = 2.0 * np.maximum(np.abs(faces.velocity_a), np.abs(faces.velocity_b))[:last].max()
+    fastest = 2.0 * np.maximum(np.abs(velocity_a), np.abs(velocity_b)).max()
     beyond = (momentum - mass * fastest) / np.abs(step * np.cumsum(force_b)).max()
     return mass, float(gain), float(max(misfit, beyond))
 
 
 def check_specimen(
     peaks: Peaks, pressed: float, document: RecordDocument, mass: float | None
-) -> str:
+) -> list[str]:
     """Compare the peaks with each other, with the incident wave [N] and the strength (in place).
 
     mass : of the specimen whose inertia explains that the faces differ [kg], None without one.
 
-    Returns a note on a specimen that is not in equilibrium, else an empty text.
+    Returns a note on a specimen that is not in equilibrium.
     """
     strongest, before = document.specimen.strongest, dict(peaks)
     for face, peak in before.items():
@@ -180,27 +172,26 @@ def check_specimen(
             text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
             peaks.doubt([face], text, strongest)
     if "A" not in before:
-        return ""
+        return []
     a, b = before["A"], before["B"]
     both = f"A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN"
     apart = abs(a.value - b.value) / max(a.value, b.value)
     differ = a.low > b.high or b.low > a.high or apart > _APART
     uncommon = before["mean"].value < (1.0 - EQUILIBRIUM) * 0.5 * (a.value + b.value)
     if mass is not None:
-        if not (differ or uncommon or apart > EQUILIBRIUM):
-            return ""
-        return (
-            f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} g, "
-            "explains the difference. B is the force at the far face"
-        )
+        if differ or uncommon or apart > EQUILIBRIUM:
+            return [
+                f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} "
+                "g, explains the difference. B is the force at the far face"
+            ]
+        return []
     if differ:
-        peaks.doubt(
-            before, f"the faces differ by {apart:.0%} ({both})", a.low, b.low, a.high, b.high
-        )
+        text = f"the faces differ by {apart:.0%} ({both})"
+        peaks.doubt(before, text, a.low, b.low, a.high, b.high)
     if uncommon:
         text = (
             f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean has "
             "no common peak"
         )
         peaks.doubt(["mean"], text, a.high, b.high)
-    return ""
+    return []

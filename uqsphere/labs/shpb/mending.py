@@ -1,4 +1,4 @@
-"""From raw strains to signals about their rest: spikes, clipping, baseline, drift, gauges.
+"""From raw strains to signals about their rest: spikes, clipping, baseline, drift, sign, gauges.
 
 Every step adds a `Change` with its size.  What cannot be mended without inventing a record is
 marked as unknown, or refused.
@@ -7,50 +7,263 @@ marked as unknown, or refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_closing, maximum_filter, median_filter
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.columns import Trace
-from uqsphere.labs.shpb.signals import SHORTEST, Changes, Signal, Wave, first_wave, runs
+from uqsphere.labs.shpb.document import RecordDocument
+from uqsphere.labs.shpb.recorder import Changes, Trace, read_traces
 
+#: no wave of a bar is shorter [s]
+_SHORTEST: Final = 1e-6
+#: part of the longest excursion that a first wave lasts: trigger bursts are shorter
+_LASTS: Final = 0.25
+#: most samples on either side of a running median
+_LONGEST_MEDIAN: Final = 40
 #: fewest samples of a rest, and of a baseline
 _FEWEST, _BASELINE = 20, 10
 #: robust standard deviations, and share of the peak, beyond which a sample is a spike
 _ODD, _ROBUST, _SPIKE_SHARE = 8.0, 1.4826, 0.02
 #: a gauge that records less than this share of its partner's peak is dead
 _DEAD: Final = 0.2
+#: passes of the incident bar that no pulse lasts
+_PASSES: Final = 12.0
+#: share of the largest strain by which the incident wave is found, however large echoes are later
+_INCIDENT: Final = 0.2
 
 
-def rest_of(values: Array) -> float:
-    """The strain at the beginning of a record."""
-    return float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
+class Wave(NamedTuple):
+    """The first wave of a signal, by samples.
+
+    foot, end : first and last sample; half, falling : first and last sample above half its top.
+    rising : samples from a tenth to half of the top.
+    peak : top of the smoothed signal, above 0; sign : +1 for tension.
+    ended : whether the signal returns to rest.
+    """
+
+    foot: int
+    half: int
+    falling: int
+    end: int
+    rising: int
+    peak: float
+    sign: float
+    ended: bool
+
+    @property
+    def lead(self) -> int:
+        """Samples before the foot that belong to the wave."""
+        return max(2, round(0.2 * self.rising))
+
+    @property
+    def start(self) -> int:
+        """The first sample that belongs to the wave."""
+        return max(self.foot - self.lead, 0)
+
+
+class Signal(NamedTuple):
+    """The strain (n,) of one bar or one wave about its rest, compression negative.
+
+    known : (n,) whether a sample is known.
+    noise : standard deviation of a sample at rest, correlated over `memory` samples.
+    offset : standard deviation of the baseline.
+    spread : (n,) half the difference between the gauges of a bar; 0 for one gauge.
+    single : whether a bar has one working gauge, which does not show bending.
+    """
+
+    name: str
+    strain: Array
+    known: Flags
+    noise: float
+    offset: float
+    spread: Array
+    wave: Wave
+    memory: float = 1.0
+    single: bool = False
+
+
+class Record(NamedTuple):
+    """Mended signals over even time: `start` and `step` [s].
+
+    reflected : of its own column; `incident` where the incident gauge records both waves.
+    """
+
+    start: float
+    step: float
+    incident: Signal
+    reflected: Signal
+    receiving: Signal
+    changes: Changes
+
+    @property
+    def shared(self) -> bool:
+        """Whether one gauge records the incident and the reflected wave."""
+        return self.reflected is self.incident
+
+
+def load_record(document: RecordDocument, folder: Path) -> Record:
+    """The record of an input file, read and mended.
+
+    Raises UsageError for columns, units or a clock that cannot be, for a pulse longer than any
+        striker gives, and for a signal without a wave or a rest.
+    """
+    changes, asked = Changes(), document.record
+    bar, behind = document.incident_bar, document.receiving_bar
+    start, step, traces = read_traces(document, folder, changes)
+    traces = {
+        role: [_without_faults(trace, step, changes) for trace in gauges]
+        for role, gauges in traces.items()
+    }
+    stays = [
+        _first_stay(trace.strain - _rest_of(trace.strain), step, _INCIDENT, trace.name)
+        for trace in traces["incident"]
+    ]
+    passage = (bar.length or math.inf) / bar.wave_speed
+    passes = min(stay.last - stay.first + 1 for stay in stays) * step / passage
+    if passes > _PASSES:
+        raise UsageError(
+            f"the pulse lasts {passes:.0f} passes of the incident bar. Is the time in another unit "
+            "(record.time_unit)?"
+        )
+    # the first wave of a signal begins before the first echo of a far end
+    limits = dict.fromkeys(traces, math.inf)
+    if not asked.aligned:
+        first = min(stay.first for stay in stays)
+        delay = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed + behind.echo
+        limits |= {
+            "receiving": first + delay / step,
+            "incident": first + 2.0 * passage / step,
+        }
+    polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
+    signals: dict[str, Signal] = {}
+    pressing = 0.0  # sign of the incident wave in the file
+    for role, gauges in traces.items():
+        end, turned, names = 0, list[Signal](), list[str]()
+        if role == "receiving":
+            end = max(min(stay.first - 2 * stay.rising for stay in stays), 0)
+        for trace in gauges:
+            if asked.aligned:
+                signal = _cut_out(trace, step, changes)
+            else:
+                signal = _about_rest(trace, step, end, limits[role], changes)
+            # one sign a bar: a reflected wave has the sign of its incident gauge
+            sign = polarity or -signal.wave.sign
+            if role == "reflected":
+                sign = polarity or -pressing
+            if role == "incident" and not turned:
+                pressing = -sign
+            if sign < 0.0:
+                names.append(signal.name)
+            passing = signal.wave._replace(sign=signal.wave.sign * sign)
+            turned.append(signal._replace(strain=signal.strain * sign, wave=passing))
+        if names and not polarity:
+            text = "compression is positive in the file; the sign is changed"
+            changes.add("sign", ", ".join(names), text)
+        signals[role] = _joined(turned, step, limits[role], changes)
+    incident = signals["incident"]
+    if asked.window is not None:
+        begin, end = (round((time - start) / step) for time in asked.window)
+        if not 0 <= begin < end < len(incident.strain):
+            raise UsageError("record.window must be [begin, end] within the record")
+        inside = np.zeros(len(incident.strain))
+        inside[begin : end + 1] = incident.strain[begin : end + 1]
+        wave = _first_wave(inside, step, incident.noise, incident.name)
+        incident = incident._replace(wave=wave._replace(foot=begin, end=end))
+    reflected = signals.get("reflected", incident)
+    return Record(start, step, incident, reflected, signals["receiving"], changes)
+
+
+# --- first waves ----------------------------------------------------------------------------------
+
+
+def _runs(same: Flags) -> tuple[Places, Places]:
+    """First places and lengths of the runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    return edges[::2], edges[1::2] - edges[::2]
+
+
+def smooth(values: Array, samples: int) -> Array:
+    """Running means over so many samples."""
+    if samples < 2:
+        return values
+    return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
+
+
+class _Stay(NamedTuple):
+    """The first stay of a smoothed signal above a share of its largest value, by samples."""
+
+    smoothed: Array
+    first: int
+    last: int
+    rising: int
+
+
+def _first_stay(values: Array, step: float, share: float, name: str) -> _Stay:
+    """The first long stay of a signal above a share of its largest value.
+
+    Trigger bursts swing within a few microseconds: running medians remove them.
+
+    Raises UsageError for a signal that stays nowhere.
+    """
+    half = min(3 * round(_SHORTEST / step), _LONGEST_MEDIAN)
+    width = max(1, round(2.0 * _SHORTEST / step))
+    smoothed = smooth(median_filter(values, 2 * half + 1, mode="nearest"), width)
+    size = np.abs(smoothed)
+    begins, lengths = _runs(size > share * float(size.max()))
+    if lengths.max(initial=0) < 3:
+        raise UsageError(f"{name}: no wave rises above the noise before it")
+    chosen = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
+    first, last = int(begins[chosen]), int(begins[chosen] + lengths[chosen]) - 1
+    upward = math.copysign(1.0, smoothed[first]) * smoothed
+    top = float(upward[first : last + 1].max())
+    foot = int(np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0))
+    return _Stay(smoothed, first, last, first - foot)
+
+
+def _first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
+    """The first wave of a signal about zero.
+
+    Raises UsageError for a signal that does not rise above its noise at rest.
+    """
+    smoothed, half, falling, rising = _first_stay(values, step, 0.5, name)
+    width = max(1, round(2.0 * _SHORTEST / step))
+    if not float(np.abs(smoothed).max()) > 5.0 * noise / math.sqrt(width):
+        raise UsageError(f"{name}: no wave rises above the noise before it")
+    sign = math.copysign(1.0, smoothed[half])
+    top = float((sign * smoothed[half : falling + 1]).max())
+    width = max(width, rising // 5 + 1)
+    upward = sign * smooth(values, width)
+    level = max(0.01 * top, 4.0 * noise / math.sqrt(width))
+    before = np.flatnonzero(upward[:half] < level)
+    behind = falling + np.flatnonzero(upward[falling:] < max(0.02 * top, level))
+    return Wave(
+        foot=int(before.max(initial=-1)) + 1,
+        half=half,
+        falling=falling,
+        end=int(behind.min(initial=len(values) - 1)),
+        rising=rising,
+        peak=top,
+        sign=sign,
+        ended=len(behind) > 0,
+    )
 
 
 # --- spikes, clipping -----------------------------------------------------------------------------
 
 
-def without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
-    """A gauge whose spikes are replaced by lines and whose clipped samples are marked unknown."""
-    strain = _without_spikes(trace, step, changes)
-    return replace(trace, strain=strain, known=trace.known & ~_clipped(trace.name, strain, changes))
-
-
-def _without_spikes(trace: Trace, step: float, changes: Changes) -> Array:
-    """Samples that jump up and down faster than any wave of a bar are replaced by lines."""
+def _without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
+    """A gauge whose spikes, which jump up and down faster than any wave of a bar, are replaced by
+    lines, and whose clipped samples are marked unknown."""
     values = trace.strain.copy()
-    longest = min(max(5, math.ceil(SHORTEST / step)), 40)
-    if len(values) < 2 * (4 * longest + 1):
-        return values
+    longest = min(max(5, math.ceil(_SHORTEST / step)), 40)
     removed = list[tuple[int, int, float]]()
     for _ in range(3):  # a large spike hides smaller ones
         spikes = _spikes(values, longest)
-        for first, last, _ in spikes:
+        for first, last, _size in spikes:
             inside, ends = np.arange(first, last + 1), [first - 1, last + 1]
             values[inside] = np.interp(inside, ends, values[ends])
         removed += spikes
@@ -59,14 +272,26 @@ def _without_spikes(trace: Trace, step: float, changes: Changes) -> Array:
     if removed:
         samples = sum(last - first + 1 for first, last, _ in removed)
         first, _, size = max(removed, key=lambda spike: abs(spike[2]))
-        changes.add(
-            "spikes",
-            trace.name,
+        text = (
             f"{_counted(len(removed), 'spike')} ({_counted(samples, 'sample')}) removed, the "
-            f"largest {size * 1e6:.4g} microstrain at sample {first}",
-            size,
+            f"largest {size * 1e6:.4g} microstrain at sample {first}"
         )
-    return values
+        changes.add("spikes", trace.name, text, size)
+    known = trace.known.copy()
+    head = values[: max(len(values) // 20, _FEWEST)]
+    # a recorder writes the end of its range again and again; without noise a top may be flat
+    quiet = int(_runs(np.diff(head) == 0.0)[1].max(initial=0))
+    for extreme in (values.max(), values.min()):
+        same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
+        repeats = int(_runs(same)[1].max())
+        if np.ptp(head) > 0.0 and repeats >= 8 and repeats > 2 * (quiet + 1):
+            known &= ~same
+            text = (
+                f"clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples: its "
+                "peak is not known"
+            )
+            changes.add("clipped", trace.name, text, float(extreme))
+    return Trace(trace.name, values, known)
 
 
 def _counted(number: int, noun: str) -> str:
@@ -77,18 +302,18 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
     """The spikes of a signal, excursions of few samples from its running median: first and last
     sample, and size in strain."""
     width = 4 * longest + 1
+    if len(values) < 2 * width:
+        return []
     middle = median_filter(values, width, mode="nearest")
     left = values - middle
     away = np.abs(left)
-    floor = np.median(away)
-    scatter = _ROBUST * np.maximum(median_filter(away, 5 * width, mode="nearest"), floor)
+    scatter = np.maximum(median_filter(away, 5 * width, mode="nearest"), np.median(away))
     rest = np.median(middle[: max(_FEWEST, len(middle) // 50)])
     peak = float(np.abs(middle - rest).max())
-    bounds = np.maximum(_ODD * scatter, _SPIKE_SHARE * peak)
+    bounds = np.maximum(_ODD * (_ROBUST * scatter), _SPIKE_SHARE * peak)
     near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
-    begins, lengths = runs(binary_closing(near, np.ones(3, dtype=bool)))
     spikes = []
-    for first, length in zip(begins.tolist(), lengths.tolist(), strict=True):
+    for first, length in np.transpose(_runs(binary_closing(near, np.ones(3, dtype=bool)))).tolist():
         last = first + length - 1
         if first < 1 or last > len(left) - 2:
             continue
@@ -104,27 +329,12 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
     return spikes
 
 
-def _clipped(name: str, values: Array, changes: Changes) -> Flags:
-    """Samples (n,) at the end of the recorder's range, where it writes one number repeatedly."""
-    clipped = np.zeros(len(values), dtype=bool)
-    head = values[: max(len(values) // 20, _FEWEST)]
-    if np.ptp(head) == 0.0:  # a record without noise may have a flat top
-        return clipped
-    quiet = int(runs(np.diff(head) == 0.0)[1].max(initial=0))
-    for extreme in (values.max(), values.min()):
-        same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
-        longest = int(runs(same)[1].max())
-        if longest >= 8 and longest > 2 * (quiet + 1):
-            clipped |= same
-            text = (
-                f"clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples: its "
-                "peak is not known"
-            )
-            changes.add("clipped", name, text, float(extreme))
-    return clipped
-
-
 # --- the rest before the first wave ---------------------------------------------------------------
+
+
+def _rest_of(values: Array) -> float:
+    """The strain at the beginning of a record."""
+    return float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
 
 
 class _Line(NamedTuple):
@@ -143,48 +353,72 @@ class _Line(NamedTuple):
 
 
 def _line(quiet: Array, place: Array) -> _Line:
-    about = place - place.mean()
-    squares = float(np.square(about).sum())
     mean, middle = float(quiet.mean()), float(place.mean())
+    about = place - middle
+    squares = float(np.square(about).sum())
     slope = float((about * (quiet - mean)).sum()) / squares
     left = quiet - mean - slope * about
     noise, memory = float(left.std(ddof=2)), 1.0
-    if noise <= 1e-12 * float(np.abs(quiet).max(initial=0.0)):  # rounding is not noise
-        noise, slope_sd = 0.0, 1e-6 * abs(slope)
-    else:
-        for lag in range(1, min(len(left) // 4, 200)):
-            correlation = float((left[lag:] * left[:-lag]).mean() / noise**2)
-            if correlation < 2.0 / math.sqrt(len(left)):
-                break
-            memory += 2.0 * correlation
-        slope_sd = noise * math.sqrt(memory / squares)
-    return _Line(mean, slope, noise, memory, slope_sd, middle)
+    if noise <= 1e-12 * float(np.abs(quiet).max()):  # rounding is not noise
+        return _Line(mean, slope, 0.0, memory, 1e-6 * abs(slope), middle)
+    for lag in range(1, min(len(left) // 4, 200)):
+        correlation = float((left[lag:] * left[:-lag]).mean() / noise**2)
+        if correlation < 2.0 / math.sqrt(len(left)):
+            break
+        memory += 2.0 * correlation
+    return _Line(mean, slope, noise, memory, noise * math.sqrt(memory / squares), middle)
 
 
-def about_rest(
-    trace: Trace, step: float, rest: tuple[int | None, float], changes: Changes
-) -> Signal:
+def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Changes) -> Signal:
     """A gauge about its rest: baseline and drift come from the samples before its first wave.
 
-    rest : sample before which the other bar shows that it is at rest, None where it shows that
-        itself; sample before which its first wave stands.
+    end : sample before which the other bar shows that this one is at rest, 0 where it does not;
+        limit : sample before which its first wave stands.
 
     Raises UsageError for a gauge without a wave or a rest.
     """
-    name, values, end = trace.name, trace.strain, rest[0]
-    wave = _wave_above_rest(trace, step, *rest)
+    name, values, places = trace.name, trace.strain, np.arange(len(trace.strain), dtype=float)
+    seen = slice(int(min(limit, len(values))))
+    wave = _first_wave((values - _rest_of(values))[seen], step, 0.0, name)
+    early = max(wave.half - 3 * wave.rising, end)
+    if early >= 3 * _BASELINE:  # the wave above the scatter of the rest about a line through it
+        third = early // 3
+        climb = float(np.median(values[2 * third : early]) - np.median(values[:third]))
+        slope = climb / (2.0 * third)
+        left = values[:early] - slope * places[:early]
+        level = float(np.median(left))
+        scatter = _ROBUST * float(np.median(np.abs(left - level)))
+        if abs(climb) <= 7.0 * scatter / math.sqrt(third):
+            slope = 0.0
+        wave = _first_wave((values - (level + slope * places))[seen], step, scatter, name)
     count = max(wave.foot - max(3, wave.rising // 5), 0)
-    if end is not None and end >= _BASELINE:
+    if end >= _BASELINE:
         count = max(min(count, len(values)), min(end, wave.half))
-    quiet, place = values[:count], np.arange(count, dtype=float)
+    rest = slice(count)
     if count < _BASELINE:
-        quiet = _rest_at_end(name, values, wave)
-        place = np.arange(len(values) - len(quiet), len(values), dtype=float)
+        rest = slice(-max(2 * _BASELINE, len(values) // 20), None)
+        if np.ptp(values[rest]) > 0.1 * wave.peak:
+            raise UsageError(
+                f"{name}: there is no rest before or after its wave. Was the wave cut out "
+                "(record.aligned = true)?"
+            )
+        mean = float(values[rest].mean())
+        if abs(float(np.median(values[:5])) - mean) > 0.1 * wave.peak:
+            raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         changes.add("baseline", name, "taken from the end of the record")
-        wave = first_wave(values - float(quiet.mean()), step, 0.0, name)
-    calm = _without_bursts(name, quiet, wave, changes)
-    line = _line(quiet[calm], place[calm])
-    offset = line.noise * math.sqrt(min(1.0, line.memory / int(calm.sum())))
+        wave = _first_wave(values - mean, step, 0.0, name)
+    quiet, place = values[rest], places[rest]
+    away = np.abs(quiet - np.median(quiet))
+    burst = away > max(_ODD * _ROBUST * float(np.median(away)), 0.02 * wave.peak)
+    if 0 < burst.sum() < len(quiet) // 3:
+        text = (
+            f"{int(burst.sum())} samples of trigger noise, up to {away.max() * 1e6:.4g} "
+            "microstrain, are left out of the rest"
+        )
+        changes.add("baseline", name, text, float(away.max()))
+        quiet, place = quiet[~burst], place[~burst]
+    line = _line(quiet, place)
+    offset = line.noise * math.sqrt(min(1.0, line.memory / len(quiet)))
     if abs(line.mean) > 0.005 * wave.peak:
         text = (
             f"a baseline of {line.mean * 1e6:.4g} microstrain is subtracted "
@@ -194,112 +428,53 @@ def about_rest(
     zero, reach = np.full(len(values), line.mean), wave.end - line.middle
     drift = line.slope * reach
     if abs(line.slope) > 5.0 * line.slope_sd and abs(drift) > 0.01 * wave.peak:
-        zero += line.slope * (np.arange(len(values)) - line.middle)
+        zero += line.slope * (places - line.middle)
         offset = math.hypot(offset, line.slope_sd * reach)
         text = (
             f"a drift of {line.slope / step * 1e3:.4g} microstrain/ms is subtracted, "
             f"{drift * 1e6:.3g} microstrain in total"
         )
         changes.add("drift", name, text, drift)
-    return Signal(
-        name=name,
-        strain=values - zero,
-        known=trace.known,
-        noise=line.noise,
-        memory=line.memory,
-        offset=offset,
-        spread=np.zeros(len(values)),
-        wave=wave,
-    )
+    spread = np.zeros(len(values))
+    return Signal(name, values - zero, trace.known, line.noise, offset, spread, wave, line.memory)
 
 
-def _wave_above_rest(trace: Trace, step: float, end: int | None, limit: float) -> Wave:
-    """The first wave of a gauge, found about its median and then about its rest."""
-    values = trace.strain
-    seen = slice(int(min(limit, len(values))))
-    wave = first_wave((values - rest_of(values))[seen], step, 0.0, trace.name)
-    early = max(wave.half - 3 * wave.rising, end or 0, 0)
-    if early < 3 * _BASELINE:
-        return wave
-    # the scatter of the rest before the wave, about a line through it
-    third = early // 3
-    climb = float(np.median(values[2 * third : early]) - np.median(values[:third]))
-    slope = climb / (2.0 * third)
-    left = values[:early] - slope * np.arange(early)
-    scatter = _ROBUST * float(np.median(np.abs(left - np.median(left))))
-    level: Array = np.full(len(values), float(np.median(left)))
-    if abs(climb) > 7.0 * scatter / math.sqrt(third):
-        level += slope * np.arange(len(values))
-    return first_wave((values - level)[seen], step, scatter, trace.name)
-
-
-def _rest_at_end(name: str, values: Array, wave: Wave) -> Array:
-    """The last samples of a gauge that has no rest before its wave; UsageError without a rest."""
-    last = values[-max(2 * _BASELINE, len(values) // 20) :]
-    if np.ptp(last) > 0.1 * wave.peak:
-        raise UsageError(
-            f"{name}: there is no rest before or after its wave. Was the wave cut out "
-            "(record.aligned = true)?"
-        )
-    if abs(float(np.median(values[:5])) - float(last.mean())) > 0.1 * wave.peak:
-        raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
-    return last
-
-
-def _without_bursts(name: str, quiet: Array, wave: Wave, changes: Changes) -> Flags:
-    """Samples of a rest that are not trigger noise."""
-    away = np.abs(quiet - np.median(quiet))
-    burst = away > max(_ODD * _ROBUST * float(np.median(away)), 0.02 * wave.peak)
-    if not 0 < burst.sum() < len(quiet) // 3:
-        return np.ones(len(quiet), dtype=bool)
-    size = float(away.max())
-    text = (
-        f"{int(burst.sum())} samples of trigger noise, up to {size * 1e6:.4g} microstrain, are "
-        "left out of the rest"
-    )
-    changes.add("baseline", name, text, size)
-    return np.asarray(~burst)
-
-
-def cut_out(trace: Trace, step: float, changes: Changes) -> Signal:
+def _cut_out(trace: Trace, step: float, changes: Changes) -> Signal:
     """A wave that was cut out at its foot: without a rest, its first samples are its zero."""
     start = float(np.median(trace.strain[:3]))
     values = trace.strain - start
     noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
-    wave = first_wave(values, step, noise, trace.name)
+    wave = _first_wave(values, step, noise, trace.name)
     text = f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero"
     changes.add("baseline", trace.name, text, start)
-    return Signal(
-        name=trace.name,
-        strain=values,
-        known=trace.known,
-        noise=noise,
-        offset=0.01 * wave.peak,
-        spread=np.zeros(len(values)),
-        wave=wave,
-    )
+    spread = np.zeros(len(values))
+    return Signal(trace.name, values, trace.known, noise, 0.01 * wave.peak, spread, wave)
 
 
 # --- the gauges of a bar --------------------------------------------------------------------------
 
 
-def joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes) -> Signal:
+def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending
     that they show."""
-    largest, alive = max(map(_largest_known, gauges)), []
-    for gauge in gauges:
-        share = _largest_known(gauge) / largest
+    peaks = [gauge.wave.peak for gauge in gauges]
+    for k, gauge in enumerate(gauges):
+        if not gauge.known.all():
+            peaks[k] = float(np.abs(gauge.strain[gauge.known]).max(initial=0.0))
+    alive = []
+    for gauge, peak in zip(gauges, peaks, strict=True):
+        share = peak / max(peaks)
         if share >= _DEAD:
             alive.append(gauge)
         else:
             text = f"records {share:.1%} of the wave of its partner and is left out"
             changes.add("gauges", gauge.name, text)
     if len(alive) == 1:
-        return replace(alive[0], single=len(gauges) > 1)
+        return alive[0]._replace(single=len(gauges) > 1)
     first = min(gauge.wave.foot for gauge in alive)
     known = np.stack([gauge.known for gauge in alive], axis=1)
     strains = np.stack([gauge.strain for gauge in alive], axis=1)
-    every = np.asarray(known.all(axis=1))
+    every = known.all(axis=1)
     # where a gauge is not known the others stand for the mean, with the largest difference so far
     mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     spread = 0.5 * np.ptp(strains, axis=1)
@@ -307,14 +482,14 @@ def joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes
     count = max(first - 3, _BASELINE)
     line = _line(mean[:count], np.arange(count, dtype=float))
     name = " and ".join(gauge.name for gauge in alive)
-    wave = first_wave(mean[: int(min(limit, len(mean)))], step, line.noise, name)
+    wave = _first_wave(mean[: int(min(limit, len(mean)))], step, line.noise, name)
     bending = float(spread[wave.foot : wave.end + 1].max())
     text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
     changes.add("gauges", name, text, bending)
     return Signal(
         name=name,
         strain=mean,
-        known=np.asarray(known.any(axis=1)),
+        known=known.any(axis=1),
         noise=line.noise,
         memory=line.memory,
         offset=math.hypot(*(gauge.offset for gauge in alive)) / len(alive),
@@ -322,10 +497,3 @@ def joined(gauges: Sequence[Signal], step: float, limit: float, changes: Changes
         wave=wave,
         single=len(alive) < len(gauges),
     )
-
-
-def _largest_known(gauge: Signal) -> float:
-    """The peak of a gauge, of its known samples where some are not."""
-    if gauge.known.all():
-        return gauge.wave.peak
-    return float(np.abs(gauge.strain[gauge.known]).max(initial=0.0))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,15 +28,14 @@ _QUIET: Final = 0.004
 _FLAT, _BEND = 0.01, 0.005
 
 
-@dataclass(frozen=True, kw_only=True)
-class Peak:
+class Peak(NamedTuple):
     """The largest force [N], its 95 % interval, its time after first touch [s], and its doubts."""
 
     value: float
     low: float
     high: float
     time: float
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[str, ...]
 
 
 class Peaks(dict[str, Peak]):
@@ -48,16 +46,14 @@ class Peaks(dict[str, Peak]):
         for face in faces:
             if text and face in self:
                 peak = self[face]
-                self[face] = replace(
-                    peak,
+                self[face] = peak._replace(
                     doubts=(*peak.doubts, text),
                     low=min((peak.low, *ends)),
                     high=max((peak.high, *ends)),
                 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Force:
+class Force(NamedTuple):
     """A force (n,) [N] over time (n,) [s] with its standard deviation (n,) [N].
 
     noise : part of the standard deviation that differs from sample to sample [N], correlated over
@@ -72,11 +68,26 @@ class Force:
 
     def part(self, zone: slice) -> Force:
         """The samples of a slice."""
-        return replace(self, time=self.time[zone], force=self.force[zone], sd=self.sd[zone])
+        return self._replace(time=self.time[zone], force=self.force[zone], sd=self.sd[zone])
 
     def scatter(self, samples: float) -> float:
         """Standard deviation [N] of the mean of so many neighbouring samples, from noise alone."""
         return self.noise * math.sqrt(min(1.0, self.memory / samples))
+
+    def medians(self, samples: int) -> Array:
+        """Running medians [N]."""
+        return np.asarray(median_filter(self.force, samples, mode="nearest"))
+
+    def means(self, samples: int) -> Array:
+        """Running means [N] over an odd number of samples, of medians of three."""
+        samples = min(samples, self.most)
+        padded = np.pad(self.medians(3), samples // 2, mode="edge")
+        return np.convolve(padded, np.full(samples, 1.0 / samples), mode="valid")
+
+    @property
+    def most(self) -> int:
+        """The largest odd number of samples that it has."""
+        return len(self.force) - 1 + len(self.force) % 2
 
 
 class _Top(NamedTuple):
@@ -91,20 +102,17 @@ class _Top(NamedTuple):
 
 def largest_force(course: Force) -> Peak:
     """The largest force of a record with its 95 % interval and doubts."""
-    force, noise = course.force, course.noise
-    medians = median_filter(force, 5, mode="nearest")
+    medians = course.medians(5)
     highest = int(np.argmax(medians))
-    first, behind = stretch(medians, 0.8 * float(medians[highest]), highest)
+    level, single = float(medians[highest]), float(course.force.max())
+    first, behind = stretch(medians, 0.8 * level, highest)
     count = behind - first
-    width = min(max(5, 2 * (count // 6) + 1), len(force) - 1 + len(force) % 2)
-    top = _flat_top(course, count, width)
-    if top is None:
-        top = _pointed_top(course, _samples_of_mean(course, float(medians[highest]), width))
-    systematic = max(float(course.sd[top.at]) ** 2 - noise**2, 0.0)
+    width = min(max(5, 2 * (count // 6) + 1), course.most)
+    top = _flat_top(course, count, width) or _pointed_top(course, level, width)
+    systematic = max(float(course.sd[top.at]) ** 2 - course.noise**2, 0.0)
     half = NORMAL * math.sqrt(systematic + top.scatter**2)
     high, doubts = top.high + half, []
-    single = float(force.max())
-    if single > top.value + 5.0 * noise + 0.05 * top.value:
+    if single > top.value + 5.0 * course.noise + 0.05 * top.value:
         doubts.append(
             f"isolated samples reach {single * 1e-3:.4g} kN but their neighbours do not (spike?)"
         )
@@ -113,16 +121,10 @@ def largest_force(course: Force) -> Peak:
         doubts.append(f"its top has only {count} samples: the sampling rate is too slow")
         high = max(high, single)
     last = float(medians[-width:].mean())
-    if highest >= len(force) - max(3, width // 2) or last > _FALLEN * top.value:
+    if highest >= len(medians) - max(3, width // 2) or last > _FALLEN * top.value:
         doubts.append("the force is largest where the record ends: the true peak is at least this")
         high = math.inf
-    return Peak(
-        value=top.value,
-        low=top.low - half,
-        high=high,
-        time=float(course.time[top.at]),
-        doubts=tuple(doubts),
-    )
+    return Peak(top.value, top.low - half, high, float(course.time[top.at]), tuple(doubts))
 
 
 def stretch(values: Array, level: float, at: int) -> tuple[int, int]:
@@ -132,50 +134,30 @@ def stretch(values: Array, level: float, at: int) -> tuple[int, int]:
     return int(before.max(initial=-1)) + 1, int(behind.min(initial=len(values)))
 
 
-def _medians(force: Array) -> Array:
-    """Running medians of three samples."""
-    return np.asarray(median_filter(force, 3, mode="nearest"))
-
-
-def _means(force: Array, samples: int) -> Array:
-    """Running means over an odd number of samples, of medians of three."""
-    samples = min(samples, len(force) - 1 + len(force) % 2)
-    padded = np.pad(_medians(force), samples // 2, mode="edge")
-    return np.convolve(padded, np.full(samples, 1.0 / samples), mode="valid")
-
-
-def _samples_of_mean(course: Force, level: float, width: int) -> int:
-    """The odd number of samples whose mean is quiet enough, at most a third of `width`."""
-    most = max(3, 2 * (width // 6) + 1)
-    wanted = course.memory * (course.noise / (_QUIET * level)) ** 2
-    return int(min(max(3, 2 * (min(wanted, 1e9) // 2) + 1), most))
-
-
-def _pointed_top(course: Force, samples: int) -> _Top:
+def _pointed_top(course: Force, level: float, width: int) -> _Top:
     """The top of a force that is round or sharp, from running means over n and 2n samples.
 
-    What the mean over n misses is all of their difference at a sharp top, where it grows with n,
-    and a third of it at a round one, where it grows with n² (L. F. Richardson, 1927).  The middle
-    of both is the value, never above the highest median of three samples; they are its ends.
+    n is odd and makes the mean quiet enough, beside the level of the top, but is at most a third of
+    `width`.  What the mean over n misses is all of their difference at a sharp top, where it grows
+    with n, and a third of it at a round one, where it grows with n² (L. F. Richardson, 1927).  The
+    middle of both is the value, never above the highest median of three samples; they are its ends.
     """
-    means = _means(course.force, samples)
+    wanted = course.memory * (course.noise / (_QUIET * level)) ** 2
+    samples = max(3, 2 * int(min(wanted, 1e9) // 2) + 1)
+    samples = min(samples, max(3, 2 * (width // 6) + 1))
+    means = course.means(samples)
     at, highest = int(np.argmax(means)), float(means.max())
-    missed = max(highest - float(_means(course.force, 2 * samples + 1).max()), 0.0)
+    missed = max(highest - float(course.means(2 * samples + 1).max()), 0.0)
     # the largest of m equal means exceeds them by luck (Blom)
     scatter = course.scatter(samples)
     near = float((means > highest - 2.0 * scatter).sum())
     equal = 1.0 + near / (samples * max(1.0, course.memory / samples))
     value = highest - scatter * float(ndtri((equal - 0.375) / (equal + 0.25)))
     ends = (value + missed / 3.0, value + missed)
-    value = min(value + 2.0 / 3.0 * missed, float(_medians(course.force).max()))
+    value = min(value + 2.0 / 3.0 * missed, float(course.medians(3).max()))
     # means over n and 2n share half of their samples
-    return _Top(
-        value=value,
-        low=min(value, ends[0]),
-        high=max(value, ends[1]),
-        scatter=scatter * math.sqrt((4.0 / 3.0) ** 2 + (1.0 / 3.0) ** 2),
-        at=at,
-    )
+    scatter *= math.sqrt((4.0 / 3.0) ** 2 + (1.0 / 3.0) ** 2)
+    return _Top(value, min(value, ends[0]), max(value, ends[1]), scatter, at)
 
 
 def _flat_top(course: Force, count: int, width: int) -> _Top | None:
@@ -185,7 +167,7 @@ def _flat_top(course: Force, count: int, width: int) -> _Top | None:
     beyond the noise.
     """
     samples = max(3, 2 * (width // 6) + 1)
-    means = _means(course.force, samples)
+    means = course.means(samples)
     at = int(np.argmax(means))
     top = float(means[at])
     first, behind = stretch(means, top - max(5.0 * course.scatter(samples), _FLAT * top), at)
@@ -195,13 +177,12 @@ def _flat_top(course: Force, count: int, width: int) -> _Top | None:
         return None
     flat = course.force[inner]
     fitted = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, number), flat, 2)
-    slope, bend = float(fitted[1]), float(fitted[2])
+    _, slope, bend = fitted.tolist()
     scatter = course.scatter(number)
     # variances of slope and bend: 3 and 45/4 of that of the mean
     unlikely = slope**2 / 3.0 + bend**2 / 11.25 > 6.0 * scatter**2
-    if unlikely and abs(slope) + abs(bend) > _BEND * top:
-        return None
-    if math.sqrt(11.25) * scatter > _FLAT * top:
+    bends = unlikely and abs(slope) + abs(bend) > _BEND * top
+    if bends or math.sqrt(11.25) * scatter > _FLAT * top:
         return None
     value = float(flat.mean())
-    return _Top(value=value, low=value, high=value, scatter=scatter, at=inner.start + number // 2)
+    return _Top(value, value, value, scatter, inner.start + number // 2)

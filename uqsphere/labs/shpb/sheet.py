@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -60,20 +59,20 @@ def document(test: Reading) -> dict[str, Any]:
     return {
         "forces": {
             face: {
-                **asdict(peak),
+                **peak._asdict(),
                 "high": peak.high if math.isfinite(peak.high) else None,
                 "sound": not peak.doubts,
             }
             for face, peak in test.peaks.items()
         },
         "energy": test.energies,
-        "withheld": list(test.withheld),
-        "notes": list(test.notes),
+        "withheld": test.withheld,
+        "notes": test.notes,
         "balanced_share": test.balanced,
         "loading_rate": test.loading_rate,
         "first_touch": test.touch,
         "step": test.step,
-        "mending": [asdict(change) for change in test.changes],
+        "mending": [change._asdict() for change in test.changes],
     }
 
 

@@ -14,17 +14,16 @@ Source: G. T. Gray III, ASM Handbook 8, 2000.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.signal import savgol_filter
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.arrivals import Arrivals, find_arrivals, undisturbed
+from uqsphere.labs.shpb.arrivals import Arrivals, find_arrivals
 from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.doubts import (
     EQUILIBRIUM,
@@ -34,9 +33,9 @@ from uqsphere.labs.shpb.doubts import (
     check_specimen,
     check_striker,
 )
+from uqsphere.labs.shpb.mending import Record, Signal, smooth
 from uqsphere.labs.shpb.peaks import Force, Peak, Peaks, largest_force
-from uqsphere.labs.shpb.record import Record
-from uqsphere.labs.shpb.signals import Change, Changes, Signal, Wave, smooth
+from uqsphere.labs.shpb.recorder import Changes
 from uqsphere.mechanics.bars import correct
 
 #: fewest samples of a wave at a face
@@ -70,23 +69,22 @@ class Reading:
     sd_a: Array
     sd_b: Array
     pulse: Array
-    peaks: Mapping[str, Peak]
-    energies: Mapping[str, float] | None
+    peaks: dict[str, Peak]
+    energies: dict[str, float] | None
     balanced: float | None
     loading_rate: float
-    withheld: tuple[str, ...]
-    notes: tuple[str, ...]
-    changes: tuple[Change, ...]
+    withheld: list[str]
+    notes: list[str]
+    changes: Changes
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Window:
+class _Window(NamedTuple):
     """Which samples after first touch are known at which face.
 
     start : sample of first touch at the incident gauge; alive : samples of the incident wave before
     the reflected one is at this gauge.
     to_a, to_b : sample of first touch of the reflected and the transmitted wave at their gauges.
-    count : samples at face B; first, last : those of face A between which the waves are apart.
+    count : samples at face B; apart : those of face A in which the waves are apart.
     withheld : why the force at A is not given.
     """
 
@@ -95,20 +93,13 @@ class _Window:
     to_a: float
     to_b: float
     count: int
-    first: int
-    last: int
-    withheld: tuple[str, ...]
+    apart: slice
+    withheld: list[str]
 
     @property
     def whole(self) -> bool:
         """Whether face A is known at all samples."""
-        return (self.first, self.last) == (0, self.count)
-
-    def known(self, force: Array) -> Array:
-        """A force at A, NaN where the waves overlap."""
-        known = np.full(len(force), np.nan)
-        known[self.first : self.last] = force[self.first : self.last]
-        return known
+        return self.apart == slice(0, self.count)
 
 
 def read_test(record: Record, document: RecordDocument) -> Reading:
@@ -117,8 +108,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     Raises UsageError for a pulse that cannot be one of these bars, for forces within the noise, and
         for a record that ends at first touch.
     """
-    bar, behind = document.incident_bar, document.receiving_bar
-    step, wave = record.step, record.incident.wave
+    bar, behind, asked = document.incident_bar, document.receiving_bar, document.record
+    step, receiving, wave = record.step, record.receiving, record.incident.wave
     if wave.sign > 0.0:
         raise UsageError(
             "the first wave of the incident bar is tension, compression is required: check "
@@ -127,10 +118,15 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     changes = Changes(record.changes)
     arrivals = find_arrivals(record, document, changes)
     window = _window(record, document, arrivals)
-    disperses = document.record.dispersion
 
-    face_b, transmitted = _far_face(record, behind, window, changes if disperses else None)
-    peaks = Peaks(B=_far_peak(face_b, record.receiving, behind))
+    moved = changes if asked.dispersion else None
+    transmitted = _at_face(receiving, behind, window.to_b, window.count, step, moved)
+    face_b, gain_b = _far_face(record, behind, transmitted)
+    peaks = Peaks(B=largest_force(face_b))
+    independent = max(1.0, (receiving.wave.falling - receiving.wave.half) / receiving.memory)
+    noise = face_b.noise / math.sqrt(independent)
+    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * noise:
+        raise UsageError("no force at the receiving face rises above the noise of the record")
     peaks.doubt("B", arrivals.doubt_b)
     if arrivals.speed_ratio != 1.0:
         other = peaks["B"].value * arrivals.speed_ratio**2
@@ -140,8 +136,9 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     if not window.withheld:
         incident, reflected, doubt = _near_waves(record, document, window, changes)
         face_a = _near_face(record, bar, window, incident, reflected)
-        force_a, sd_a = window.known(face_a.force), face_a.sd
-        _near_peaks(peaks, face_a, face_b, window, wave)
+        force_a, sd_a = np.full(window.count, np.nan), face_a.sd
+        force_a[window.apart] = face_a.force[window.apart]
+        _near_peaks(peaks, face_a, face_b, window, wave.lead)
         peaks.doubt("A", doubt)
         peaks.doubt("A", arrivals.doubt_b)
         faces = Faces(
@@ -151,25 +148,35 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
             velocity_a=bar.wave_speed * (reflected - incident),
             velocity_b=-behind.wave_speed * transmitted,
         )
-        mass = _compare_faces(peaks, faces, record, document)
+        zeros_sd = bar.stiffness * (record.incident.offset + record.reflected.offset)
+        zeros_sd += behind.stiffness * receiving.offset
+        heaviest = document.specimen.heaviest(min(bar.diameter, behind.diameter))
+        mass = check_impulse(peaks, faces, bar.gain_sd + gain_b, zeros_sd, heaviest)
         if window.whole:
-            waves = {"incident": incident, "reflected": reflected, "transmitted": transmitted}
-            energies = _energies(waves, document, step)
+            energies = {}
+            for name, strain, carrier in (
+                ("incident", incident, bar),
+                ("reflected", reflected, bar),
+                ("transmitted", transmitted, behind),
+            ):
+                squares = float(np.square(strain).sum())
+                energies[name] = carrier.stiffness * carrier.wave_speed * step * squares
+            passed = energies["reflected"] + energies["transmitted"]
+            energies["absorbed"] = energies["incident"] - passed
         else:
-            begin, end = window.first * step * 1e6, window.last * step * 1e6
-            changes.add(
-                "overlap",
-                record.incident.name,
+            begin, end = (at * step * 1e6 for at in (window.apart.start, window.apart.stop))
+            text = (
                 "the incident wave is longer than its way to the face and back: A is known from "
-                f"{begin:.4g} to {end:.4g} us",
+                f"{begin:.4g} to {end:.4g} us"
             )
-    check_striker(peaks, wave.peak, bar.wave_speed, document.record.striker_speed, changes)
+            changes.add("overlap", record.incident.name, text)
+    check_striker(peaks, wave.peak, bar.wave_speed, asked.striker_speed, changes)
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
-    note = check_specimen(peaks, pressed, document, mass)
+    notes = check_specimen(peaks, pressed, document, mass)
     _check_gauges(peaks, record, document, window, face_b.time)
     balanced, rate = _balance(face_b.time, force_a, face_b.force, peaks["B"])
     touch = record.start + step * window.start
-    if not document.record.aligned:
+    if not asked.aligned:
         touch += bar.gauge / bar.wave_speed
     return Reading(
         step=step,
@@ -179,14 +186,14 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         force_b=face_b.force,
         sd_a=sd_a,
         sd_b=face_b.sd,
-        pulse=_pulse(record, bar, disperses),
+        pulse=_pulse(record, bar, asked.dispersion),
         peaks=dict(sorted(peaks.items())),
         energies=energies,
         balanced=balanced,
         loading_rate=rate,
         withheld=window.withheld,
-        notes=(note,) if note else (),
-        changes=tuple(changes),
+        notes=notes,
+        changes=changes,
     )
 
 
@@ -196,33 +203,39 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
 def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Window:
     """The samples of both faces; UsageError for too few of the transmitted wave."""
     bar, behind = document.incident_bar, document.receiving_bar
-    incident, receiving, step = record.incident, record.receiving, record.step
-    start = incident.wave.start
+    incident, receiving, step, wave = (
+        record.incident,
+        record.receiving,
+        record.step,
+        record.incident.wave,
+    )
     # first touch; a wave whose distance is wrong begins at its own foot
-    to_a, to_b = start + arrivals.reflected, start + arrivals.transmitted
+    to_a, to_b = wave.start + arrivals.reflected, wave.start + arrivals.transmitted
     if arrivals.doubt_b:
         to_b = float(receiving.wave.foot - receiving.wave.lead)
-    echoes = (bar.echo / step, behind.echo / step)
+    echoes = [bar.echo / step, behind.echo / step]
     if document.record.aligned:
-        echoes = (math.inf, math.inf)
+        echoes = [math.inf, math.inf]
     count = _known_samples(receiving, int(to_b), echoes[1])
     if count < _FEWEST:
         raise UsageError(
             f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: the record "
             "ends too early, or an echo or a gap comes before"
         )
-    count_a = _known_samples(record.reflected or incident, int(to_a), echoes[0])
-    shared = record.reflected is None
-    delay = 2.0 * bar.gauge / bar.wave_speed / step if shared else math.inf
-    first, last = undisturbed(incident.wave, delay)
+    count_a = _known_samples(record.reflected, int(to_a), echoes[0])
+    # samples between both waves at a gauge that they share, and those in which they are apart
+    delay = 2.0 * bar.gauge / bar.wave_speed / step if record.shared else math.inf
+    first, last, length = 0, 1 << 60, wave.end - wave.start
+    if length > delay:
+        first, last = math.ceil(length - delay + 0.05 * delay), int(delay)
     reasons = []
-    if not incident.known[start : incident.wave.end].all():
+    if not incident.known[wave.start : wave.end].all():
         reasons.append("samples of the incident wave are not known")
     if arrivals.doubt_a:
         reasons.append(arrivals.doubt_a)
     if count_a < _FEWEST:
         reasons.append("the record ends before the reflected wave")
-    if shared and (not incident.wave.ended or last - first < 0.5 * delay):
+    if record.shared and (not wave.ended or last - first < 0.5 * delay):
         reasons.append(
             "incident and reflected wave overlap at the incident gauge. Shorten the pulse, move "
             "the gauge away from the specimen, or set record.window"
@@ -230,14 +243,13 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
     if not reasons:
         count = min(count, count_a)
     return _Window(
-        start=start,
-        alive=int(min(count, delay, len(incident.strain) - start)),
+        start=wave.start,
+        alive=int(min(count, delay, len(incident.strain) - wave.start)),
         to_a=to_a,
         to_b=to_b,
         count=count,
-        first=first,
-        last=min(last, count),
-        withheld=tuple(f"force at A: {reason}" for reason in reasons),
+        apart=slice(first, min(last, count)),
+        withheld=[f"force at A: {reason}" for reason in reasons],
     )
 
 
@@ -268,7 +280,7 @@ def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Arra
         wave_speed=bar.wave_speed,
         nu=bar.nu,
     )
-    return np.asarray(moved[room : room + len(wave)])
+    return moved[room : room + len(wave)]
 
 
 def _samples(values: Array, first: float, count: int) -> Array:
@@ -293,37 +305,20 @@ def _at_face(
     return moved
 
 
-def _far_face(
-    record: Record, bar: BarTable, window: _Window, changes: Changes | None
-) -> tuple[Force, Array]:
-    """The force at B, and the transmitted wave there."""
+def _far_face(record: Record, bar: BarTable, transmitted: Array) -> tuple[Force, float]:
+    """The force at B, and the relative standard deviation of its gain, bending included."""
     signal, stiffness = record.receiving, bar.stiffness
-    transmitted = _at_face(signal, bar, window.to_b, window.count, record.step, changes)
+    gain = math.hypot(bar.gain_sd, _BENDING) if signal.single else bar.gain_sd
     force = -stiffness * transmitted
     random = stiffness**2 * (signal.noise**2 + signal.offset**2)
     course = Force(
-        time=np.asarray(record.step * np.arange(window.count), dtype=float),
+        time=record.step * np.arange(len(force), dtype=float),
         force=force,
-        sd=np.sqrt(random + (_gain_b(signal, bar) * force) ** 2),
+        sd=np.sqrt(random + (gain * force) ** 2),
         noise=stiffness * signal.noise,
         memory=signal.memory,
     )
-    return course, transmitted
-
-
-def _gain_b(signal: Signal, bar: BarTable) -> float:
-    """Relative standard deviation of the gain of the receiving bar, bending included."""
-    return math.hypot(bar.gain_sd, _BENDING) if signal.single else bar.gain_sd
-
-
-def _far_peak(course: Force, signal: Signal, bar: BarTable) -> Peak:
-    """The largest force at B; UsageError for a force within the noise."""
-    peak = largest_force(course)
-    independent = max(1.0, (signal.wave.falling - signal.wave.half) / signal.memory)
-    noise = bar.stiffness * signal.noise / math.sqrt(independent)
-    if not peak.low > 0.0 or peak.value < 3.0 * noise:
-        raise UsageError("no force at the receiving face rises above the noise of the record")
-    return peak
+    return course, gain
 
 
 def _near_waves(
@@ -335,15 +330,14 @@ def _near_waves(
     the size of one: a specimen softer than the bar reflects tension.
     """
     bar, asked, count = document.incident_bar, document.record, window.count
-    incident, doubt = np.zeros(count), ""
+    incident, doubt, signal = np.zeros(count), "", record.reflected
     incident[: window.alive] = record.incident.strain[window.start : window.start + window.alive]
     # where the two waves overlap neither can be moved by itself
     moved = changes if asked.dispersion and window.whole else None
     if moved is not None:
         incident = moved_wave(incident, bar.gauge, bar, record.step)
-    signal = record.reflected or record.incident
     reflected = _at_face(signal, bar, window.to_a, count, record.step, moved)
-    if record.reflected is not None and asked.aligned and asked.polarity == "auto":
+    if asked.aligned and asked.polarity == "auto" and not record.shared:
         body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
         if float(reflected[body].mean()) <= 0.0:
             in_file = bar.stiffness * float(-(incident + reflected).min())
@@ -361,19 +355,19 @@ def _near_face(
     record: Record, bar: BarTable, window: _Window, incident: Array, reflected: Array
 ) -> Force:
     """The force at A by two waves."""
-    before, after, stiffness = record.incident, record.reflected or record.incident, bar.stiffness
+    before, after, stiffness = record.incident, record.reflected, bar.stiffness
     force = -stiffness * (incident + reflected)
-    alive = np.arange(window.count) < window.alive
+    alive: Flags = np.arange(window.count) < window.alive
     noise = after.noise**2 + np.where(alive, before.noise**2, 0.0)
     offset = np.where(alive, before.offset + after.offset, after.offset)
     both = stiffness**2 * (incident**2 + reflected**2)
     gain = bar.gain_sd**2 * both
-    if before is after:  # one gauge: its gain is common to both waves
+    if record.shared:  # one gauge: its gain is common to both waves
         gain = (bar.gain_sd * force) ** 2
     if before.single or after.single:
         gain = gain + _BENDING**2 * both
     return Force(
-        time=np.asarray(record.step * np.arange(window.count), dtype=float),
+        time=record.step * np.arange(window.count, dtype=float),
         force=force,
         sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
         noise=stiffness * math.hypot(before.noise, after.noise),
@@ -381,52 +375,21 @@ def _near_face(
     )
 
 
-def _near_peaks(peaks: Peaks, face_a: Force, face_b: Force, window: _Window, wave: Wave) -> None:
+def _near_peaks(peaks: Peaks, face_a: Force, face_b: Force, window: _Window, lead: int) -> None:
     """Add the peaks of A and of the mean (in place)."""
-    zone = slice(window.first, window.last)
-    mean = replace(
-        face_a,
+    mean = face_a._replace(
         force=0.5 * (face_a.force + face_b.force),
         sd=0.5 * np.hypot(face_a.sd, face_b.sd),
         noise=0.5 * face_a.noise,
     )
-    peaks["A"] = largest_force(face_a.part(zone))
-    peaks["mean"] = largest_force(mean.part(zone))
-    edge = min(window.first + wave.lead, window.count - 1)
-    if window.first > 0 and peaks["A"].time < face_a.time[edge]:
+    peaks["A"] = largest_force(face_a.part(window.apart))
+    peaks["mean"] = largest_force(mean.part(window.apart))
+    edge = min(window.apart.start + lead, window.count - 1)
+    if window.apart.start > 0 and peaks["A"].time < face_a.time[edge]:
         peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
 
 
-def _energies(
-    waves: Mapping[str, Array], document: RecordDocument, step: float
-) -> dict[str, float]:
-    """Energies of the waves [J], and what stays between the bars."""
-    energies = {}
-    for name, strain in waves.items():
-        bar = document.incident_bar
-        if name == "transmitted":
-            bar = document.receiving_bar
-        squares = float(np.square(strain).sum())
-        energies[name] = bar.stiffness * bar.wave_speed * step * squares
-    passed = energies["reflected"] + energies["transmitted"]
-    energies["absorbed"] = energies["incident"] - passed
-    return energies
-
-
 # --- checks, equilibrium, pulse -------------------------------------------------------------------
-
-
-def _compare_faces(
-    peaks: Peaks, faces: Faces, record: Record, document: RecordDocument
-) -> float | None:
-    """Compare the impulses of both faces; the mass [kg] whose inertia explains their difference."""
-    bar, behind = document.incident_bar, document.receiving_bar
-    reflected = record.reflected or record.incident
-    gains_sd = bar.gain_sd + _gain_b(record.receiving, behind)
-    zero_a = bar.stiffness * (record.incident.offset + reflected.offset)
-    zeros_sd = zero_a + behind.stiffness * record.receiving.offset
-    heaviest = document.specimen.heaviest(min(bar.diameter, behind.diameter))
-    return check_impulse(peaks, faces, gains_sd, zeros_sd, heaviest)
 
 
 def _check_gauges(
@@ -439,14 +402,13 @@ def _check_gauges(
     if window.withheld:
         peaks.doubt("B", "the force at A is not known: it does not check gauge and gain of B")
         return
-    incident, reflected = record.incident, record.reflected or record.incident
     both = np.maximum(
-        _samples(incident.spread, float(window.start), count),
-        _samples(reflected.spread, window.to_a, count),
+        _samples(record.incident.spread, float(window.start), count),
+        _samples(record.reflected.spread, window.to_a, count),
     )
-    check_bending(peaks, "A", stiffness * both, time, stiffness * incident.wave.peak)
+    check_bending(peaks, "A", stiffness * both, time, stiffness * record.incident.wave.peak)
     every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
-    peaks["mean"] = replace(peaks["mean"], doubts=tuple(every))
+    peaks["mean"] = peaks["mean"]._replace(doubts=(*every,))
 
 
 def _balance(
@@ -469,11 +431,11 @@ def _balance(
 def _pulse(record: Record, bar: BarTable, disperses: bool) -> Array:
     """The incident wave at face A, compression positive, from rest to rest."""
     wave = record.incident.wave
-    pulse = -record.incident.strain[wave.start : wave.end + wave.lead]
+    pulse: Array = -record.incident.strain[wave.start : wave.end + wave.lead]
     # parabolas over half the rise follow the pulse and leave most of the noise
     if 8 <= wave.rising < len(pulse):
         pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2)
     if disperses:
         pulse = moved_wave(pulse, bar.gauge, bar, record.step)
     pulse[[0, -1]] = 0.0
-    return np.asarray(pulse)
+    return pulse

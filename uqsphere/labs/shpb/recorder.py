@@ -1,0 +1,558 @@
+"""From the files of a recorder to strains over even time: tables as recorders write them, units,
+clock."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import mode
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from uqsphere import tables
+from uqsphere.arrays import Array, Flags
+from uqsphere.errors import UsageError
+from uqsphere.labs.shpb.document import BarTable, RecordDocument, RecordTable
+from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_comment
+from uqsphere.units import UNITS
+
+#: dividers of columns with decimal marks
+_WRITTEN: Final = (";.", ";,", "\t.", "\t,", ",.", " .", " ,")
+#: lines from which on the second half of a file shows its form; lines that are looked at
+_LONG, _LOOKED_AT = 60, 200
+#: lines of metadata that are returned where the numbers begin at once
+_METADATA: Final = 40
+#: most bytes of a file
+_LARGEST: Final = 1 << 28
+_RATE: Final = re.compile(
+    r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I
+)
+_INTERVAL: Final = re.compile(
+    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)",
+    re.I,
+)
+#: missing samples in a row that a line fills; fewest samples of a record
+_SHORT_GAP, _FEWEST = 10, 20
+#: largest strain of an elastic bar; longest record of a test [s]
+_MOST_STRAIN, _LONGEST = 0.05, 10.0
+#: largest deviation of even steps from their median; samples that may repeat the time before them
+_UNEVEN, _FEW_TWICE = 0.01, 3
+#: names of the factors of strain
+_STRAINS: Final = {1.0: "strain", 1e-6: "microstrain"}
+
+
+# --- tables of recorders --------------------------------------------------------------------------
+
+
+class _Form(NamedTuple):
+    """How a file is written: divider and decimal mark, cells of a row, places of numbers.
+
+    whole : rows in which every such place has a number.
+    """
+
+    divider: str
+    mark: str
+    width: int
+    places: list[int]
+    whole: int
+
+
+def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str]:
+    """The table of a recorder's file, and the text above its numbers.
+
+    Columns may be divided by blanks too, with metadata above the numbers, with or without headings.
+    The second half of the file shows divider and decimal mark: metadata are above or beside the
+    first half at most.
+
+    Raises TableError for a file without a table of numbers, AccessError as
+        `uqsphere.files.read_given`.
+    """
+    name, (lines, notes) = path.name, tables.read_lines(path, largest)
+    for number, line in lines.items():
+        if re.fullmatch('"[^"]*"', line):  # quotes around a whole line
+            lines[number] = line.strip('"')
+    live = {number: line for number, line in lines.items() if not is_comment(line)}
+    looked_at = [*live.items()][1:] or [*live.items()]
+    if len(live) > _LONG:
+        looked_at = [*live.items()][len(live) // 2 :][:_LOOKED_AT]
+    forms = [_form_of(dict(looked_at), *written, name) for written in _WRITTEN]
+    form = max(forms, key=lambda form: (min(len(form.places), 2), form.whole))
+    divider, mark, width, places, whole = form
+    if not (places and whole):
+        raise TableError(
+            f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
+        )
+    cells = cells_of(live, divider, name, strict=False)
+
+    def has_numbers(row: list[str]) -> bool:
+        """Whether a row is one of numbers, not all of them missing."""
+        if len(row) <= places[-1] or not any(row[place] for place in places):
+            return False
+        return all(_is_number(row[place], mark) for place in places)
+
+    first = next(number for number, row in cells.items() if has_numbers(row))
+    body = {number: row for number, row in cells.items() if number >= first}
+    if divider == "\t":
+        body = {number: row + [""] * (width - len(row)) for number, row in body.items()}
+    ragged = [
+        k for k, row in body.items() if not width <= len(row) <= width + 1 or any(row[width:])
+    ]
+    if ragged:
+        hint = ""
+        if divider == ",":
+            hint = ". With a decimal comma divide the columns by semicolons or tabs"
+        raise TableError(
+            f"{name}: {len(ragged)} lines do not have {width} columns; the first is line "
+            f"{ragged[0]} with {len(body[ragged[0]])}{hint}"
+        )
+    above = [row for number, row in cells.items() if number < first]
+    if not above:
+        comments = {k: x.lstrip("# ") for k, x in lines.items() if k < first and is_comment(x)}
+        above = [*cells_of(comments, divider, name, strict=False).values()]
+    above = [row[:width] for row in above if len(row) in (width, width + 1)]
+    units = []
+    if above and tables.are_units(above[-1]):
+        units = [above.pop()]
+    if not above:
+        above = [[""] * width]
+        notes.append(f"{name} has no headings")
+    if mark == ",":
+        notes.append(f"{name}: decimal comma")
+    # an empty heading is named by its place, a repeated one gets its place
+    headings = [heading or f"column {place}" for place, heading in enumerate(above[-1], 1)]
+    repeated = {heading for heading in headings if headings.count(heading) > 1}
+    for place, heading in enumerate(headings):
+        if heading in repeated:
+            headings[place] = f"{place + 1} {heading}"
+    used = [place for place in range(width) if place in places or above[-1][place]]
+    rows = dict(enumerate([headings, *units], first - len(units) - 1)) | body
+    chosen = {number: [row[place] for place in used] for number, row in rows.items()}
+    metadata = [line for number, line in lines.items() if number < max(first, _METADATA)]
+    return tables.table_of(name, chosen, notes, mark), "\n".join(metadata)
+
+
+def _form_of(lines: dict[int, str], divider: str, mark: str, name: str) -> _Form:
+    """The columns that contain numbers, with words in less than half of the rows."""
+    is_number = NUMBER[mark].fullmatch
+    rows = [*cells_of(lines, divider, name, strict=False).values()]
+    rows = [row for row in rows if any(map(is_number, row))]
+    if not rows:
+        return _Form(divider, mark, 0, [], 0)
+    width = mode(map(len, rows))
+    rows = [row for row in rows if len(row) == width]
+    places, with_words = [], set[int]()
+    for place in range(width):
+        column = [row[place] for row in rows]
+        words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
+        if any(map(is_number, column)) and 2 * len(words) < len(column):
+            places.append(place)
+            with_words |= words
+    return _Form(divider, mark, width, places, len(rows) - len(with_words))
+
+
+def _is_number(cell: str, mark: str) -> bool:
+    """Whether a cell is a number, or says that there is none."""
+    return bool(NUMBER[mark].fullmatch(cell)) or cell.lower() in NOTHING
+
+
+# --- steps of mending -----------------------------------------------------------------------------
+
+
+class Change(NamedTuple):
+    """What a step of mending changed; `size` is a strain, or the time of a shift [s]."""
+
+    step: str
+    signal: str
+    text: str
+    size: float | None
+
+
+class Changes(list[Change]):
+    """The steps of mending in their order."""
+
+    def add(self, step: str, signal: str, text: str, size: float | None = None) -> None:
+        """Add a step; its text begins with the name of the signal."""
+        if signal:
+            text = f"{signal}: {text}"
+        self.append(Change(step, signal, text, size))
+
+
+# --- columns --------------------------------------------------------------------------------------
+
+
+class Trace(NamedTuple):
+    """A gauge over even time: strain (n,), and whether a sample is known (n,)."""
+
+    name: str
+    strain: Array
+    known: Flags
+
+
+class Traces(NamedTuple):
+    """The gauges of a record by role, over even time: `start` and `step` [s]."""
+
+    start: float
+    step: float
+    by_role: dict[str, list[Trace]]
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A column of a file as numbers (n,), NaN for a cell that is not a number."""
+
+    table: Table
+    heading: str
+    values: Array
+
+    @property
+    def name(self) -> str:
+        """The heading without its unit."""
+        return tables.unit_in_heading(self.heading, self.unit()[0] or "number")[0]
+
+    @property
+    def faults(self) -> dict[tuple[str, str], list[int]]:
+        """Lines of cells that are not numbers, by what is wrong with them."""
+        faults = self.table.faults.items()
+        return {fault: lines for fault, lines in faults if fault[0] == self.heading}
+
+    @property
+    def rises(self) -> bool:
+        """Whether it rises like a time."""
+        steps = np.diff(self.values[np.isfinite(self.values)])
+        if self.faults or not len(steps):
+            return False
+        return bool((steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
+
+    def unit(self, key: str = "") -> tuple[str, str]:
+        """Dimension and unit of a key or of the heading; the dimension is empty if not known."""
+        text = f"x [{key}]" if key else self.heading
+        for dimension in ("time", "strain", "voltage", *UNITS):
+            if unit := tables.unit_in_heading(text, dimension)[1]:
+                return dimension, unit
+        if factor := tables.factor_in_heading(text):
+            raise UsageError(
+                f"the heading {text!r} has the factor {factor!r}. Multiply the values by it and "
+                "write only the unit"
+            )
+        return "", key
+
+    def checked(self) -> Array:
+        """The numbers; TableError with the lines of cells that are not numbers."""
+        if self.faults:
+            replace(self.table, faults=self.faults).check()
+        return self.values
+
+    def in_seconds(self, unit: str) -> Array:
+        """The numbers as a time [s] in a unit that is given, that of the heading, or seconds."""
+        return self.checked() * UNITS["time"].get(self.unit(unit)[1] or "s", math.nan)
+
+
+def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Traces:
+    """The gauges of an input file as strains over even time.
+
+    Raises UsageError for columns, units or a clock that cannot be those of a record.
+    """
+    asked, files, metadata = document.record, list[list[Column]](), list[str]()
+    for file in (asked.file, *asked.more_files):
+        table, above = read_recorded(folder / file, _LARGEST)
+        for note in table.notes:
+            changes.add("read", "", note)
+        columns = [(h, table.numbers(h, key=h, blank=True)) for h in table.headings]
+        files.append([Column(table, *column) for column in columns])
+        metadata.append(above)
+    time, place = _clock(asked, files, metadata[0], changes)
+    time = _common(time, place, files, asked.time_unit, changes)
+    strains = list[tuple[str, str, Array]]()
+    for role, gauges in _by_role(asked, files, place, time).items():
+        bar = document.receiving_bar if role == "receiving" else document.incident_bar
+        for column in gauges:
+            name = column.name
+            if len(files) > 1:
+                name = f"{Path(column.table.name).stem} {name}"
+            strains.append((role, name, _strain(column, name, bar, changes)[: len(time)]))
+    return _even(time, strains, changes)
+
+
+# --- time -----------------------------------------------------------------------------------------
+
+
+def _clock(
+    asked: RecordTable, files: list[list[Column]], metadata: str, changes: Changes
+) -> tuple[Array, int]:
+    """The time (n,) [s] of the first file and the place of its column, -1 without one.
+
+    Refused is a time of too few samples, that falls, or that lasts too long.
+    """
+    columns = files[0]
+    table, guessed, interval = columns[0].table, asked.time is None, asked.sample_interval or 0.0
+    if not interval and not columns[0].rises and len(files) == 1:
+        interval = _interval(metadata)
+    if guessed and interval > 0.0:
+        changes.add("read", "", f"no time column: a sample every {interval * 1e6:.6g} us")
+        return interval * np.arange(len(table), dtype=float), -1
+    place = table.place(asked.time or 1)
+    column, name = columns[place], table.name
+    dimension, unit = column.unit(asked.time_unit)
+
+    def other_column() -> UsageError:
+        hint = 'no column does. Without a time column set record.sample_interval = "0.8 us"'
+        rising = [column.name for column in columns if column.rises]
+        if rising:
+            hint = f'column {rising[0]!r} does: record.time = "{rising[0]}"'
+        return UsageError(f"{name}: column {column.name!r} does not rise like a time; {hint}")
+
+    several = len(columns) < 3 or len(files) > 1
+    if guessed and (dimension in ("strain", "voltage") or (several and not column.rises)):
+        raise other_column()
+    if unit and dimension != "time":
+        raise UsageError(
+            f"the unit of time must be one of {', '.join(UNITS['time'])} (record.time_unit), not "
+            f"{unit!r}"
+        )
+    text = f"is in {unit}" if unit else "has no unit: seconds are taken"
+    changes.add("read", column.name, text)
+    time = column.in_seconds(asked.time_unit)
+    good = time[np.isfinite(time)]
+    if len(good) < _FEWEST:
+        raise UsageError(
+            f"{name}: {len(good)} samples with a time; a record has at least {_FEWEST}"
+        )
+    falls, lasts = np.diff(good) < 0.0, good[-1] - good[0]
+    if guessed and falls.mean() > 0.01:
+        raise other_column()
+    if falls.any():
+        raise UsageError(
+            f"{name}: time falls at sample {int(np.argmax(falls)) + 2}. Does the file contain "
+            "several records?"
+        )
+    if lasts > _LONGEST:
+        raise UsageError(
+            f"{name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?"
+        )
+    return time, place
+
+
+def _interval(text: str) -> float:
+    """Time between samples [s] from the metadata, 0 without it."""
+    rated, timed = _RATE.search(text), _INTERVAL.search(text)
+    if rated:
+        rate = float(rated["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[rated["prefix"]]
+        return 1.0 / rate if rate > 0.0 else 0.0
+    if timed:
+        return float(timed["step"]) * UNITS["time"].get(timed["unit"] or "s", 1.0)
+    return 0.0
+
+
+def _common(
+    time: Array, place: int, files: list[list[Column]], unit: str, changes: Changes
+) -> Array:
+    """The time that all files have; UsageError for files that do not have the same clock."""
+    step, count = _step(time), len(time)
+    for columns in files[1:]:
+        table = columns[0].table
+        count = min(count, len(table))
+        if len(columns) <= place:
+            raise UsageError(
+                f"{table.name}: has no column {place + 1}, the time column of the first file"
+            )
+        if place >= 0:
+            apart = np.abs(columns[place].in_seconds(unit)[:count] - time[:count])
+            if not np.nanmax(apart, initial=0.0) <= 0.5 * step:
+                raise UsageError(
+                    f"{table.name}: its clock differs from that of {files[0][0].table.name}. Write "
+                    "both channels with one clock"
+                )
+        if len(table) != len(time):
+            changes.add("read", table.name, "files of different length: the longer one is cut")
+    return time[:count]
+
+
+def _step(time: Array) -> float:
+    """Median of the steps of a time."""
+    return float(np.median(np.abs(np.diff(time))))
+
+
+# --- gauges ---------------------------------------------------------------------------------------
+
+
+def _by_role(
+    asked: RecordTable, files: list[list[Column]], clock: int, time: Array
+) -> dict[str, list[Column]]:
+    """The columns of the incident, the reflected and the receiving gauges.
+
+    Two or four unnamed signals: first those of the incident bar.  `FILE:COLUMN` names a column of
+    another file than the first.
+    """
+
+    def named(name: str | int) -> Column:
+        stem, _, rest = str(name).rpartition(":")
+        for file in files:
+            table = file[0].table
+            if stem and stem in (table.name, Path(table.name).stem):
+                return file[table.place(rest)]
+        return files[0][files[0][0].table.place(name)]
+
+    if asked.incident and asked.receiving:
+        roles = {role: getattr(asked, role) for role in ("incident", "reflected", "receiving")}
+        return {role: [*map(named, names)] for role, names in roles.items() if names}
+    if asked.incident or asked.receiving:
+        raise UsageError("record.incident and record.receiving are both required")
+    signals = [
+        column
+        for file in files
+        for place, column in enumerate(file)
+        if place != clock and not _repeats(column, time, asked.time_unit)
+    ]
+    usable = [column for column in signals if not column.faults]
+    if len(usable) not in (2, 4) or asked.reflected:
+        names = ", ".join(repr(column.name) for column in signals)
+        raise UsageError(
+            f"{files[0][0].table.name}: {len(signals)} signals ({names}); name them by "
+            "record.incident, record.receiving (and record.reflected)"
+        )
+    each = len(usable) // 2
+    return {"incident": usable[:each], "receiving": usable[each:]}
+
+
+def _repeats(column: Column, time: Array, unit: str) -> bool:
+    """Whether a column repeats the time; UsageError for the time of another clock."""
+    dimension = column.unit(unit)[0]
+    if not column.rises or dimension not in ("time", "") or len(column.values) < len(time):
+        return False
+    other = column.in_seconds(unit)[: len(time)]
+    if np.nanmax(np.abs(other - time)) <= 0.5 * _step(time):
+        return True
+    if dimension == "time":
+        raise UsageError(
+            f"{column.table.name}: column {column.name!r} is a second clock that differs from the "
+            "first. Write all channels with one clock"
+        )
+    return False
+
+
+def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array:
+    """A column as strain."""
+    dimension, unit = column.unit(bar.unit)
+    if not unit:
+        factor, text = 1.0, "has no unit: strain is taken"
+    elif dimension == "strain":
+        factor = UNITS["strain"][unit]
+        text = f"is in {_STRAINS.get(factor, unit)}"
+    elif dimension == "voltage":
+        if bar.excitation is None:
+            raise UsageError(
+                f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
+                "(a number, volts)"
+            )
+        factor = UNITS["voltage"][unit] * bar.strain_per_volt
+        text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
+    else:
+        raise UsageError(
+            f"{name}: its unit must be strain, microstrain, % or one of "
+            f"{', '.join(UNITS['voltage'])}, not {unit!r}"
+        )
+    values = column.checked() * factor
+    good = values[np.isfinite(values)]
+    if len(good) < max(_FEWEST, len(values) // 2):
+        raise UsageError(
+            f"{name}: {len(values) - len(good)} of {len(values)} samples are not numbers"
+        )
+    away = np.abs(good - np.median(good))
+    if away.max() == 0.0:
+        raise UsageError(f"{name}: all samples are equal; it contains no wave")
+    size = float(np.quantile(away, 0.98))
+    if size > _MOST_STRAIN:
+        raise UsageError(
+            f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
+            "Is it in another unit (BAR.unit)?"
+        )
+    changes.add("read", name, text)
+    return values
+
+
+# --- even steps -----------------------------------------------------------------------------------
+
+
+def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) -> Traces:
+    """The strains on even steps of time."""
+    raw = np.stack([values for _, _, values in strains])
+    there = np.isfinite(time)
+    if not there.all():
+        changes.add("read", "", f"{int((~there).sum())} rows without a time are ignored")
+        time, raw = time[there], raw[:, there]
+    time, raw = _distinct(time, raw, changes)
+    step, grid = _step(time), time
+    if _is_even(time, _UNEVEN):
+        step = float((time[-1] - time[0]) / (len(time) - 1))
+    else:
+        count = round((time[-1] - time[0]) / step) + 1
+        if count > 4 * len(time) + 1000:
+            raise UsageError("the steps of time differ too much: most of the record is missing")
+        grid = time[0] + step * np.arange(count)
+        changes.add("read", "", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
+    by_role, filled, lost = dict[str, list[Trace]](), 0, 0
+    for (role, name, _), values in zip(strains, raw, strict=True):
+        good = np.isfinite(values)
+        seen = time[good]
+        after = np.clip(np.searchsorted(seen, grid), 1, len(seen) - 1)
+        wide = seen[after] - seen[after - 1]
+        nearest = np.minimum(np.abs(grid - seen[after - 1]), np.abs(seen[after] - grid))
+        between = nearest > 1e-6 * step
+        outside = (grid < seen[0]) | (grid > seen[-1])
+        unknown = between & (outside | (wide > (_SHORT_GAP + 1.5) * step))
+        filled += int((between & (wide > 1.5 * step)).sum())
+        lost += int(unknown.sum())
+        trace = Trace(name, np.interp(grid, seen, values[good]), ~unknown)
+        by_role.setdefault(role, []).append(trace)
+    if filled:
+        changes.add("read", "", f"{filled} missing samples are filled by interpolation")
+    if lost:
+        text = f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
+        changes.add("read", "", text)
+    return Traces(float(grid[0]), step, by_role)
+
+
+def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
+    """Time that rises at every sample: rows that are there twice go, coarse times are spread."""
+    steps = np.diff(time)
+    same = steps == 0.0
+    if not same.any():
+        return time, raw
+    equal = (raw[:, 1:] == raw[:, :-1]) | (np.isnan(raw[:, 1:]) & np.isnan(raw[:, :-1]))
+    twice = same & equal.all(axis=0)
+    kept = np.append(True, ~twice)
+    if _is_even(time[kept], 0.5):
+        changes.add("read", "", f"{int(twice.sum())} repeated rows are ignored")
+        return time[kept], raw[:, kept]
+    first, sample = np.append(True, ~same), int(np.argmax(same)) + 2
+    if same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
+        places = np.flatnonzero(first)
+        text = (
+            f"{int(same.sum())} samples have the time of the sample before, first sample "
+            f"{sample}: their mean is taken"
+        )
+        changes.add("read", "", text)
+        counts = np.diff(np.append(places, len(time)))
+        return time[first], np.add.reduceat(raw, places, axis=1) / counts
+    # a coarse clock takes steps of one digit, again and again
+    digit, even = float(steps.max()), np.linspace(time[0], time[-1], len(time))
+    again = (steps > 0.99 * digit).sum() > _FEW_TWICE
+    if digit == 0.0 or not again or np.abs(even - time).max() > 1.01 * digit:
+        raise UsageError(
+            f"two samples have the same time, first at sample {sample}. Remove one of them, or "
+            "leave out the time column and set record.sample_interval"
+        )
+    text = "the time has too few digits to distinguish its samples: even steps are assumed"
+    changes.add("read", "", text)
+    # the last time is rounded like the others: a line gives the mean step
+    slope = float(np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0])
+    return time[0] + slope * np.arange(len(time)), raw
+
+
+def _is_even(time: Array, tolerance: float) -> bool:
+    """Whether a time rises at every sample, by steps within a share of their median."""
+    steps, step = np.diff(time), _step(time)
+    return bool((steps > 0.0).all() and np.abs(steps - step).max() <= tolerance * step)
