@@ -237,6 +237,13 @@ def test_tests_that_do_not_overlap_show_no_scatter() -> None:
     assert 50.0 < size["breaks_half"]["value"] < 400.0
 
 
+def test_one_break_beside_survivors_shows_no_scatter() -> None:
+    """Without a second energy at failure the scatter may be as small as any."""
+    tests = specimens(0.01, [5.0, 50.0], np.array([False, True]))
+    with pytest.raises(UsageError, match="do not show how strengths scatter"):
+        fit(tests, document())
+
+
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
     assert lines[0] == (

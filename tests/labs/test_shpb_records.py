@@ -420,6 +420,13 @@ def test_gaps_uneven_steps_and_too_few_digits(tmp_path: Path) -> None:
     check_sound(test)
 
 
+def test_channels_without_a_time_column(tmp_path: Path) -> None:
+    frame = waves().rename(columns={INC: "incident", REC: "receiving"})
+    frame[["receiving"]].to_csv(tmp_path / "b.csv", index=False)
+    record = {"more_files": ["b.csv"], "sample_interval": "0.5 us"}
+    check_sound(read(tmp_path, frame[["incident"]], record=record), 0.015)
+
+
 def test_files_that_are_no_records(tmp_path: Path) -> None:
     frame = waves()
     with pytest.raises(UsageError, match="sample_interval"):

@@ -17,66 +17,59 @@ from uqsphere.labs.files import chosen_command, csv_text, finish, table
 
 def main(argv: Sequence[str]) -> int:
     """Run a command of the lab."""
+    commands = {
+        "fit": "fracture energy from tests of single particles; writes draws.csv, a strength "
+        "(default folder: FILE-fit)",
+        "feed": "shares broken, product and energy of a feed under blows (default folder: "
+        "FILE-feed)",
+    }
     return chosen_command(
-        argv,
-        "comminution",
-        __doc__,
-        {
-            "fit": (
-                _run,
-                "fracture energy from tests of single particles; writes draws.csv, a strength "
-                "(default folder: FILE-fit)",
-            ),
-            "feed": (
-                _run,
-                "shares broken, product and energy of a feed under blows (default folder: "
-                "FILE-feed)",
-            ),
-        },
+        argv, "comminution", __doc__, {name: (_run, text) for name, text in commands.items()}
     )
 
 
 def _run(chosen: argparse.Namespace) -> None:
     from uqsphere.labs.comminution.feed import answer_feed
-    from uqsphere.labs.comminution.fit import fit
+    from uqsphere.labs.comminution.fit import UNTESTED, fit
     from uqsphere.labs.comminution.tests import load_tests
 
-    asked = load_document(chosen.file, ComminutionDocument)
-    folder = chosen.file.parent
-    fitted = fit(load_tests(asked, folder), asked)
-    posterior = fitted.posterior
-    at = asked.strength_at or math.sqrt(math.prod(posterior.tested))
-    content = {**fitted.content, "strength_at": at}
+    asked, folder = load_document(chosen.file, ComminutionDocument), chosen.file.parent
+    posterior, fitted = fit(load_tests(asked, folder), asked)
+    low, high = posterior.tested
+    at = asked.strength_at or math.sqrt(low * high)
+    content: dict[str, Any] = {**fitted, "strength_at": at}
     files = {"draws.csv": posterior.strength_csv(at), "fit.json": _json(content)}
-    text, warnings = _fit_text(content), [*content["warnings"], *_untested(content, at)]
+    text, warnings = _fit_text(content), [*fitted["warnings"]]
+    if not low / UNTESTED <= at <= high * UNTESTED:
+        extrapolation = f"an extrapolation by the size law {fitted['size']!r}"
+        if fitted["size"] == "class":
+            extrapolation = "the strength of the nearest tested size"
+        warnings.append(
+            f"strength_at = {at * 1e3:.4g} mm is outside the tested sizes ({low * 1e3:.4g} to "
+            f"{high * 1e3:.4g} mm): draws.csv is {extrapolation}. Test this size"
+        )
     if chosen.command == "feed":
         answer = answer_feed(posterior, asked, folder).content
-        files |= _feed_files(answer)
         content, text = {"fit": content, "feed": answer}, _feed_text(answer)
         warnings += answer["warnings"]
+        files["feed.json"] = _json(answer)
+        rows = [
+            (row["upper"], row["size"], row["mass"], *row["broken"].values())
+            for row in answer["classes"]
+        ]
+        head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
+        files["classes.csv"] = csv_text(head, [*zip(*rows, strict=True)])
+        rows = [tuple(row.values()) for row in answer["product"]]
+        if rows:
+            head = ["sieve [m]", "feed", "passing", "low", "high"]
+            files["product.csv"] = csv_text(head, [*zip(*rows, strict=True)])
     for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
     finish(chosen, content, text, files, Path(f"{chosen.file.stem}-{chosen.command}"))
 
 
-def _untested(content: dict[str, Any], at: float) -> list[str]:
-    """A note on a strength of a size [m] that was not tested."""
-    from uqsphere.labs.comminution.fit import UNTESTED
-
-    low, high = content["tests"]["diameters"]
-    if low / UNTESTED <= at <= high * UNTESTED:
-        return []
-    extrapolation = f"an extrapolation by the size law {content['size']!r}"
-    if content["size"] == "class":
-        extrapolation = "the strength of the nearest tested size"
-    return [
-        f"strength_at = {at * 1e3:.4g} mm is outside the tested sizes ({low * 1e3:.4g} to "
-        f"{high * 1e3:.4g} mm): draws.csv is {extrapolation}. Test this size"
-    ]
-
-
 def _json(content: Any) -> str:
-    return json.dumps(content, indent=1, allow_nan=False, default=float) + "\n"
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -> tuple[str, str]:
@@ -87,18 +80,18 @@ def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -
 def _fit_text(content: dict[str, Any]) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
-    rows: list[tuple[str, ...]] = [
+    sizes: list[tuple[str, ...]] = [
         ("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")
     ]
     for size in content["sizes"]:
-        row = [f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"])]
+        row: tuple[str, ...] = (f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"]))
         for key in ("E50", "breaks_half", "breaks_1_percent"):
             row += _interval(size[key], 1.0, "J/kg")
-        rows.append(tuple(row))
+        sizes.append(row)
     laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
     for name, law in content["laws"].items():
-        score = f"{law['loo']:.2f}"
-        laws.append((name, f"{law['weight']:.0%}", f"{law['log_likelihood']:.2f}", score))
+        numbers = (f"{law['log_likelihood']:.2f}", f"{law['loo']:.2f}")
+        laws.append((name, f"{law['weight']:.0%}", *numbers))
     names = [("parameter", "value", "95 %", "sd of the logarithm: prior, posterior")]
     for name, parameter in content["parameters"].items():
         prior = "flat"
@@ -109,25 +102,7 @@ def _fit_text(content: dict[str, Any]) -> str:
         'In a study: strength = { draws = "draws.csv" }, specific energy of particles of '
         f"{content['strength_at'] * 1e3:.4g} mm"
     )
-    return "\n\n".join([head, table(rows), table(laws), table(names), use])
-
-
-def _feed_files(answer: dict[str, Any]) -> dict[str, str]:
-    """The files of a feed, by name."""
-    classes = [
-        (row["upper"], row["size"], row["mass"], *row["broken"].values())
-        for row in answer["classes"]
-    ]
-    head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
-    files = {
-        "feed.json": _json(answer),
-        "classes.csv": csv_text(head, [*zip(*classes, strict=True)]),
-    }
-    product = [tuple(row.values()) for row in answer["product"]]
-    if product:
-        head = ["sieve [m]", "feed", "passing", "low", "high"]
-        files["product.csv"] = csv_text(head, [*zip(*product, strict=True)])
-    return files
+    return "\n\n".join([head, table(sizes), table(laws), table(names), use])
 
 
 def _feed_text(content: dict[str, Any]) -> str:

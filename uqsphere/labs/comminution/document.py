@@ -28,7 +28,7 @@ _PARAMETERS: Final = frozenset(("e_inf", "C", "d0", "phi", "sigma", "modulus", "
 
 def _one_of(table: Section, *keys: str) -> str:
     """The one of some keys that a table has; ValueError for none or several."""
-    present = [key for key in keys if getattr(table, key) is not None]
+    present = [key for key in keys if getattr(table, key)]
     if len(present) != 1:
         raise ValueError(f"exactly one of {', '.join(keys)} is required")
     return present[0]
@@ -73,26 +73,26 @@ class TestsTable(Section):
 
     file: str
     rig: Literal["platens", "load_cell", "bars", "drop_weight", "impact", "drop"] = "load_cell"
-    rig_column: str | None = None
+    rig_column: str = ""
     where: dict[str, str | int | float] = Field(default_factory=dict)
-    diameter: str | None = None
-    mesh_lower: str | None = None
-    mesh_upper: str | None = None
+    diameter: str = ""
+    mesh_lower: str = ""
+    mesh_upper: str = ""
     diameter_unit: str = ""
-    specific_energy: str | None = None
-    energy: str | None = None
-    speed: str | None = None
-    force: str | None = None
+    specific_energy: str = ""
+    energy: str = ""
+    speed: str = ""
+    force: str = ""
     unit: str = ""
     energy_is: Literal["sphere", "contact", "input"] | None = None
-    outcome: str | None = None
-    specimen: str | None = None
-    blows: str | None = None
-    particles: str | None = None
-    broken: str | None = None
-    mass: str | None = None
+    outcome: str = ""
+    specimen: str = ""
+    blows: str = ""
+    particles: str = ""
+    broken: str = ""
+    mass: str = ""
     mass_unit: str = ""
-    stiffness: str | None = None
+    stiffness: str = ""
     stiffness_unit: str = ""
     assume_intact: bool = False
     partner: Elastic | None = None
@@ -106,11 +106,11 @@ class TestsTable(Section):
     @model_validator(mode="after")
     def _one_of_each(self) -> TestsTable:
         measured = _one_of(self, "specific_energy", "energy", "speed", "force")
-        if self.diameter is None and (self.mesh_lower is None or self.mesh_upper is None):
+        if not (self.diameter or (self.mesh_lower and self.mesh_upper)):
             raise ValueError("diameter, or mesh_lower and mesh_upper, is required")
-        if self.outcome is None and self.broken is None:
+        if not (self.outcome or self.broken):
             raise ValueError("outcome, or broken with particles, is required")
-        if measured == "force" and self.stiffness is None and not self.assume_intact:
+        if measured == "force" and not (self.stiffness or self.assume_intact):
             raise ValueError(
                 "a force needs the stiffness of each particle (stiffness = COLUMN), or "
                 "assume_intact = true"
@@ -140,10 +140,10 @@ class SizesTable(Section):
     top: Length | None = None
     ratio: float = Field(default=2.0**0.5, gt=1.0)
     classes: int = Field(default=14, ge=1, le=200)
-    file: str | None = None
-    sieve: str | None = None
+    file: str = ""
+    sieve: str = ""
     sieve_unit: str = ""
-    passing: str | None = None
+    passing: str = ""
 
     @model_validator(mode="after")
     def _complete(self) -> SizesTable:
@@ -153,7 +153,7 @@ class SizesTable(Section):
             "lognormal": ("d50", "sd", "top"),
             "table": ("file", "sieve", "passing"),
         }[self.law]
-        missing = [key for key in needs if getattr(self, key) is None]
+        missing = [key for key in needs if not getattr(self, key)]
         if missing:
             raise ValueError(f'law = "{self.law}" requires {" and ".join(missing)}')
         return self

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Cells
 from uqsphere.errors import UqsphereError, UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
@@ -36,23 +36,40 @@ def stiffness(body: Elastic) -> float:
 
 
 def particle_energies(
-    asked: ComminutionDocument, table: Table, diameter: Array, rig: np.ndarray
+    asked: ComminutionDocument, table: Table, diameter: Array, rig: Cells
 ) -> tuple[Array, list[str]]:
     """The particle's own energy per mass [J/kg] of every row, and notes."""
-    want, material = asked.tests, asked.material
-    unit, meaning, notes = want.unit or None, want.energy_is, list[str]()
-    mass = _masses(asked, table, diameter)
+    want, material, notes = asked.tests, asked.material, list[str]()
+    if want.mass:
+        mass = table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
+    elif material.density is not None:
+        mass = laws.mass_of(diameter, material.density)
+    else:
+        raise UsageError("material.density is required, or a column tests.mass")
     # a column is named as what it measures
     measured = ("force", "specific_energy", "energy", "speed")
-    name = next(name for name in measured if getattr(want, name) is not None)
-    energy = table.numbers(getattr(want, name), name, unit, key="energy")
-    if name == "force":
-        modulus = _moduli(asked, table, len(energy), notes)
-        energy, meaning = laws.energy_of_force(energy, diameter, modulus, mass), "contact"
-    elif name == "energy":
+    name = next(name for name in measured if getattr(want, name))
+    energy = table.numbers(getattr(want, name), name, want.unit or None, key="energy")
+    meaning = {"force": "contact", "speed": "input"}.get(name, want.energy_is)
+    if name == "energy":
         energy = energy / mass
     elif name == "speed":
-        energy, meaning = 0.5 * np.square(energy), "input"
+        energy = 0.5 * np.square(energy)
+    elif name == "force":
+        # E* of the contacts: as measured, or of intact rock
+        if want.stiffness:
+            unit = want.stiffness_unit or None
+            modulus = table.numbers(want.stiffness, "pressure", unit, key="stiffness")
+        else:
+            compliance = 1.0 / stiffness(material)
+            if want.partner is not None:
+                compliance += 1.0 / stiffness(want.partner)
+            modulus = np.full(len(energy), 1.0 / compliance)
+            notes.append(
+                "the stiffness of intact rock is assumed: energies from the measured stiffness are "
+                "often 2 to 3 times larger"
+            )
+        energy = laws.energy_of_force(energy, diameter, modulus, mass)
     if meaning == "sphere":
         return energy, notes
     if want.partner is None:
@@ -63,43 +80,17 @@ def particle_energies(
         )
         return energy, notes
     share = laws.particle_share(stiffness(material), stiffness(want.partner))
-    shares: Array = np.full(len(energy), share)
+    shares = np.full(len(energy), share)
     if meaning == "input":
         positive = np.isfinite(energy) & (energy > 0.0) & (diameter > 0.0)
-        weight = np.asarray(rig == "drop_weight")
-        for rows, falling in ((positive & weight, True), (positive & ~weight, False)):
+        for falling in (True, False):
+            rows = positive & ((rig == "drop_weight") == falling)
             if rows.any():
                 shares[rows], told = offered_shares(
                     asked, want.partner, falling, energy[rows], diameter[rows]
                 )
                 notes += told
     return energy * shares, notes
-
-
-def _masses(asked: ComminutionDocument, table: Table, diameter: Array) -> Array:
-    """Masses [kg] of the particles, from their column or from density and size."""
-    want = asked.tests
-    if want.mass is not None:
-        return table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
-    if asked.material.density is None:
-        raise UsageError("material.density is required, or a column tests.mass")
-    return laws.mass_of(diameter, asked.material.density)
-
-
-def _moduli(asked: ComminutionDocument, table: Table, count: int, notes: list[str]) -> Array:
-    """E* [Pa] of the contacts: as measured, or of intact rock."""
-    want = asked.tests
-    if want.stiffness is not None:
-        unit = want.stiffness_unit or None
-        return table.numbers(want.stiffness, "pressure", unit, key="stiffness")
-    compliance = 1.0 / stiffness(asked.material)
-    if want.partner is not None:
-        compliance += 1.0 / stiffness(want.partner)
-    notes.append(
-        "the stiffness of intact rock is assumed: energies from the measured stiffness are often "
-        "2 to 3 times larger"
-    )
-    return np.full(count, 1.0 / compliance)
 
 
 def offered_shares(
@@ -115,9 +106,9 @@ def offered_shares(
     import uqsphere
 
     particle = asked.material
-    elastic = laws.particle_share(stiffness(particle), stiffness(partner))
+    elastic = np.full(len(energy), laws.particle_share(stiffness(particle), stiffness(partner)))
     if particle.density is None or partner.density is None:
-        return np.full(len(energy), elastic), []
+        return elastic, []
     sphere, other = _table(particle, "sphere"), _table(partner, "plates", "bars")
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
     tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
@@ -141,8 +132,7 @@ def offered_shares(
         try:
             answers = uqsphere.evaluate(uqsphere.Study(**tables), rows, quantities=quantities)
         except UqsphereError as error:
-            note = f"the shares of the energy are those of elastic contacts: {error}"
-            return np.full(len(energy), elastic), [note]
+            return elastic, [f"the shares of the energy are those of elastic contacts: {error}"]
     notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
     taken, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
     share = taken / whole
@@ -157,6 +147,6 @@ def _table(body: Elastic, *kinds: str) -> dict[str, Any]:
         "nu": body.nu,
         "density": f"{body.density!r} kg/m3",
     }
-    if body.material is not None and any(body.material in library()[kind] for kind in kinds):
+    if any(body.material in library()[kind] for kind in kinds):
         table["material"] = body.material
     return table

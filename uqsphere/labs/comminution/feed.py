@@ -8,26 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import (
-    ComminutionDocument,
-    FeedTable,
-    Lognormal,
-    ProductTable,
-    SizesTable,
-)
+from uqsphere.labs.comminution.document import ComminutionDocument, Lognormal, SizesTable
 from uqsphere.labs.comminution.energies import offered_shares
 from uqsphere.labs.comminution.fit import SYNTHETIC, UNTESTED, Posterior, quantiles
-from uqsphere.tables import Table, read_table
+from uqsphere.tables import read_table
 
 #: draws for which a feed is computed
 DRAWS: Final = 1000
@@ -37,8 +30,10 @@ _CUT: Final = 0.05
 _OFFERED, _DROPPED = (360.0, 9000.0), (0.0132, 0.063)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Classes:
+# --- the feed -------------------------------------------------------------------------------------
+
+
+class Classes(NamedTuple):
     """Size classes from coarse to fine; the last one is all below the last sieve.
 
     edges (K,) : upper ends [m]; the lower end of a class is the upper end of the next.
@@ -47,7 +42,7 @@ class Classes:
 
     edges: Array
     mass: Array
-    notes: tuple[str, ...] = ()
+    notes: list[str]
 
     @property
     def sizes(self) -> Array:
@@ -68,10 +63,9 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
         cut = 1.0 - float(passing(np.asarray(top)))
         if cut > 1e-6:
             notes.append(_cut(cut, f"top = {top * 1e3:.4g} mm"))
-    edges = np.asarray(top * asked.ratio ** -np.arange(asked.classes + 1.0), dtype=float)
+    edges: Array = top * asked.ratio ** -np.arange(asked.classes + 1.0, dtype=np.float64)
     share = np.clip(passing(edges), 0.0, None)
-    mass = np.append(share[:-1] - share[1:], share[-1]) / share[0]
-    return Classes(edges=edges, mass=mass, notes=tuple(notes))
+    return Classes(edges, np.append(share[:-1] - share[1:], share[-1]) / share[0], notes)
 
 
 def _cut(share: float, place: str) -> str:
@@ -83,8 +77,8 @@ def _law(asked: SizesTable, size: Array) -> Array:
     from scipy.special import ndtr
 
     n = asked.n or 1.0
-    if asked.d63 is not None and asked.law == "rosin_rammler":
-        return -np.expm1(-((size / asked.d63) ** n))
+    if asked.law == "rosin_rammler":
+        return -np.expm1(-((size / (asked.d63 or 1.0)) ** n))
     if asked.law == "gaudin_schuhmann":
         return np.asarray((size / (asked.top or math.inf)) ** n)
     return np.asarray(ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0)))
@@ -94,21 +88,31 @@ def _sieves(
     asked: SizesTable, folder: Path, notes: list[str]
 ) -> tuple[Callable[[Array], Array], float]:
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
-    table, column = read_table(folder / str(asked.file)), str(asked.passing)
-    sieve = table.numbers(str(asked.sieve), "length", asked.sieve_unit or None)
-    passing = table.numbers(column)
+    table, column = read_table(folder / asked.file), asked.passing
+    sieve = table.numbers(asked.sieve, "length", asked.sieve_unit or None)
+    share = table.numbers(column)
     table.finish()
     order = np.argsort(sieve)
-    sieve, share = sieve[order], _as_shares(table, column, passing[order], notes)
+    sieve, share = sieve[order], share[order]
+    # a heading says whether it is in percent
+    heading, largest = table.headings[table.place(column)].lower(), float(share[-1])
+    percent = any(word in heading for word in ("%", "percent", "pct"))
+    if percent and largest <= 1.0:
+        raise UsageError(
+            f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
+            "these are shares, remove percent from the heading"
+        )
+    if not percent and largest > 1.0:
+        notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
+    if largest > 1.0:
+        share = share * 0.01
     rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
     if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
         raise UsageError(
             f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
             "up to 100 %"
         )
-    left, top = 1.0 - float(share[-1]), float(sieve[-1])
-    if asked.top is not None:
-        top = asked.top
+    left, top = 1.0 - float(share[-1]), asked.top or float(sieve[-1])
     if top > sieve[-1] * (1.0 + 1e-9):
         sieve, share = np.append(sieve, top), np.append(share, 1.0)
         if left > 1e-4:
@@ -129,77 +133,28 @@ def _sieves(
         power = math.log(share[1] / share[0]) / (log_sieve[1] - log_sieve[0])
 
     def passes(size: Array) -> Array:
-        log_size = np.log(np.asarray(size))
+        log_size = np.log(size)
         below = share[0] * np.exp(power * (log_size - log_sieve[0]))
-        inside = np.interp(log_size, log_sieve, share)
-        return np.where(log_size < log_sieve[0], below, inside)
+        return np.where(log_size < log_sieve[0], below, np.interp(log_size, log_sieve, share))
 
     return passes, top
-
-
-def _as_shares(table: Table, column: str, passing: Array, notes: list[str]) -> Array:
-    """Passing as shares; a heading says whether it is in percent."""
-    heading = table.headings[table.place(column)].lower()
-    percent = any(word in heading for word in ("%", "percent", "pct"))
-    largest = float(passing[-1])
-    if percent and largest <= 1.0:
-        raise UsageError(
-            f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
-            "these are shares, remove percent from the heading"
-        )
-    if not percent and largest > 1.0:
-        percent = True
-        notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
-    if percent:
-        return passing * 0.01
-    return passing
 
 
 # --- blows ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """Classes (K,) of a feed after their blows, over draws, and `content` as plain JSON.
+class Answer(NamedTuple):
+    """A feed after its blows, over draws, and `content` as plain JSON.
 
-    cumulative (D, K, n + 1) : shares broken; struck, broke (D, K) : mass over all blows, struck
-    once for every blow, and broken.
-    offered, taken (K,) : energy of a blow per mass [J/kg], offered and absorbed by a particle.
-    sieves (S,) : [m]; passing (D, S), before (S,) : shares of product and feed that pass them.
-    fineness (K,) : t10; untested (K,) : whether a class is outside the tested sizes.
+    total (D,) : share of the feed that is broken.
+    sieves (S,) : [m]; passing (D, S) : share of the product that passes them.
     """
 
     classes: Classes
-    cumulative: Array
-    struck: Array
-    broke: Array
-    offered: Array
-    taken: Array
+    total: Array
     sieves: Array
     passing: Array
-    before: Array
-    fineness: Array
-    untested: Flags
-    content: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def broken(self) -> Array:
-        """Shares broken after the last blow (D, K)."""
-        return self.cumulative[:, :, -1]
-
-    @property
-    def total(self) -> Array:
-        """Share of the feed that is broken (D,)."""
-        return self.broken @ self.classes.mass
-
-
-def offered(asked: FeedTable, sizes: Array, density: float) -> Array:
-    """Energy offered by one blow per mass of each class (K,) [J/kg]."""
-    if asked.specific_energy is not None:
-        return np.full(len(sizes), asked.specific_energy)
-    if asked.speed is not None:
-        return np.full(len(sizes), 0.5 * asked.speed**2)
-    return (asked.energy or 0.0) / laws.mass_of(sizes, density)
+    content: dict[str, Any]
 
 
 def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
@@ -224,12 +179,22 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     classes = load_classes(feed.sizes, folder)
     posterior, rng = posterior.thin(DRAWS), np.random.default_rng([asked.seed, 739])
     sizes, mass, edges = classes.sizes, classes.mass, classes.edges
-    energy, share, notes = offered(feed, sizes, density), np.ones(len(sizes)), list[str]()
+    # energy of one blow per mass [J/kg], offered and absorbed by a particle
+    each: Array = laws.mass_of(sizes, density)
+    offered, share, notes = (feed.energy or 0.0) / each, np.ones(len(sizes)), list[str]()
+    if feed.specific_energy is not None:
+        offered = np.full(len(sizes), feed.specific_energy)
+    if feed.speed is not None:
+        offered = np.full(len(sizes), 0.5 * feed.speed**2)
     if feed.impact_surface is not None:
-        share, notes = offered_shares(asked, feed.impact_surface, False, energy, sizes)
-    cumulative = broken_by_blow(posterior, energy * share, sizes, feed.blows)
+        share, notes = offered_shares(asked, feed.impact_surface, False, offered, sizes)
+    taken = offered * share
+    cumulative = broken_by_blow(posterior, taken, sizes, feed.blows)
+    hit = np.ones(len(sizes))
     if feed.undersize == "stays":
-        cumulative[:, -1] = 0.0
+        cumulative[:, -1] = hit[-1] = 0.0
+    broken = cumulative[:, :, -1]
+    total = broken @ mass
     # the edges of the classes and fourteen finer sieves
     finer = edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)
     sieves = np.unique(np.concatenate([edges, finer]))
@@ -237,42 +202,106 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     lower = np.append(edges[1:], 1e-6 * edges[-1])
     unbroken = np.clip(np.log(sieves[:, None] / lower) / np.log(edges / lower), 0.0, 1.0)
     unbroken[:, -1] = np.clip(sieves / edges[-1], 0.0, 1.0)
-    fineness, spread, curves = np.full(len(sizes), np.nan), None, None
+    before, spread = unbroken @ mass, None
     if product is not None:
-        fineness = laws.t10(energy, product.A, product.b)
-        curves = _curves(product, fineness, sizes / sieves[:, None], len(posterior), rng)
+        fineness = laws.t10(offered, product.A, product.b)
+        alpha = np.full(1, product.alpha)
+        if isinstance(product.alpha, Lognormal):
+            scatter = product.alpha.log_sd * rng.standard_normal(len(posterior))
+            alpha = np.exp(product.alpha.log_mean + scatter)
+        # share of the fragments of a class that passes a sieve, (D or 1, S, K)
+        ratio = sizes / sieves[:, None]
+        curves = laws.t_n(ratio[None], fineness, product.curve, alpha[:, None, None])
         if feed.rebreak:  # shares of the fragments of a class that are of another one
             among = curves[:, np.searchsorted(sieves, edges)]
             among[:, 0] = 1.0
             spread = -np.diff(among, axis=1, append=0.0)
     struck, broke, whole = population(cumulative, mass, spread)
-    passing = np.full((len(broke), len(sieves)), np.nan)
-    if curves is not None:
+    numbers = {
+        "broken": total,
+        "blows": struck @ hit,
+        "energy [J/kg]": struck @ (hit * taken),
+    }
+    passing, passes = np.full((len(broke), len(sieves)), np.nan), list[dict[str, float]]()
+    if product is not None:
         passing = whole @ unbroken.T
         if not feed.rebreak:
             passing = passing + (curves * broke[:, None]).sum(axis=2)
         passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
+        for k, sieve in enumerate(sieves.tolist()):
+            passes.append({"sieve": sieve, "feed": float(before[k]), **quantiles(passing[:, k])})
+        all_broke = np.maximum(broke.sum(axis=1), 1e-300)
+        numbers["t10"] = (broke * fineness).sum(axis=1) / all_broke
+        log_sieves, rows = np.log(sieves), [*passing, before]
+        p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
+        p50 = np.exp([np.interp(0.5, row, log_sieves) for row in rows])
+        numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50[:-1], "F80/P80": p80[-1] / p80[:-1]}
+        if feed.fines is not None:
+            size = math.log(feed.fines)
+            numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in passing])
+    numbers["never broken"] = 1.0 - total
     low, high = posterior.tested
-    blows = Answer(
-        classes=classes,
-        cumulative=cumulative,
-        struck=struck,
-        broke=broke,
-        offered=energy,
-        taken=energy * share,
-        sieves=sieves,
-        passing=passing,
-        before=unbroken @ mass,
-        fineness=fineness,
-        untested=(sizes < low / UNTESTED) | (sizes > high * UNTESTED),
-    )
-    blows.content.update(_content(asked, feed, blows))
-    blows.content["warnings"] = [*_warnings(asked, feed, posterior, blows), *notes]
-    blows.content["particle_share"] = share.tolist()
+    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
+
+    # --- where the numbers are extrapolated or assumed
+    warnings = [*classes.notes]
+    if asked.tests.synthetic:
+        warnings.insert(0, SYNTHETIC)
+    if product is not None:
+        outside = (offered < _OFFERED[0]) | (offered > _OFFERED[1])
+        outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
+        broke_of = broke.mean(axis=0)
+        beyond = float((broke_of * outside).sum() / max(broke_of.sum(), 1e-300))
+        if beyond > 0.01:
+            warnings.append(
+                f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
+                "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
+            )
+    beyond = float(mass[untested].sum())
+    if beyond > 0.005:
+        warnings.append(
+            f"{beyond:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
+            f"{high * 1e3:.3g} mm): its strength is extrapolated"
+        )
+    fitted = any("gamma" in model.priors for model in posterior.models)
+    if feed.blows > 1 and not fitted and asked.tests.gamma == "fit":
+        warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
+    warnings.append("energies are those absorbed by the particles; the machine uses more")
+
+    content: dict[str, Any] = {
+        "title": asked.title,
+        "blows": feed.blows,
+        "energy_offered": offered.tolist(),
+        "numbers": {name: quantiles(values) for name, values in numbers.items()},
+        "classes": [
+            {
+                "upper": float(edges[k]),
+                "size": float(sizes[k]),
+                "mass": float(mass[k]),
+                "broken": quantiles(broken[:, k]),
+                "by_blow": cumulative[:, k, 1:].mean(axis=0).tolist(),
+                "extrapolated": bool(untested[k]),
+            }
+            for k in range(len(sizes))
+        ],
+        "product": passes,
+        "warnings": [*warnings, *notes],
+        "particle_share": share.tolist(),
+    }
     if feed.lot is not None:
-        count = np.maximum(np.round(mass * feed.lot / laws.mass_of(sizes, density)), 0.0)
-        blows.content["lot"] = {"mass": feed.lot, **_lot(blows, count, rng)}
-    return blows
+        # so many particles of each class, which break or not
+        count = np.maximum(np.round(mass * feed.lot / each), 0.0)
+        few, many, drawn = count < 1e8, np.maximum(count, 1.0), broken.copy()
+        chance = np.clip(drawn[:, few], 0.0, 1.0)
+        drawn[:, few] = rng.binomial(many[few].astype(np.int64), chance) / many[few]
+        lots = drawn @ mass
+        content["lot"] = {
+            "mass": feed.lot,
+            "broken": quantiles(lots),
+            "epistemic_sd": float(total.std()),
+            "lot_sd": math.sqrt(max(float(lots.var() - total.var()), 0.0)),
+        }
+    return Answer(classes, total, sieves, passing, content)
 
 
 def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:
@@ -295,116 +324,3 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
             fresh.append((spread @ now[:, :, None])[:, :, 0])
     left = np.asarray(sum(f * rest[:, :, blows - j] for j, f in enumerate(fresh)))
     return struck, broken, left
-
-
-def _curves(
-    product: ProductTable, fineness: Array, ratio: Array, draws: int, rng: np.random.Generator
-) -> Array:
-    """Share of the fragments of a class that passes a sieve, (D or 1, S, K), by t_n; `ratio`: of
-    sizes to sieves."""
-    alpha = np.full(1, product.alpha)
-    if isinstance(product.alpha, Lognormal):
-        scatter = product.alpha.log_sd * rng.standard_normal(draws)
-        alpha = np.exp(product.alpha.log_mean + scatter)
-    return laws.t_n(ratio[None], fineness, product.curve, alpha[:, None, None])
-
-
-# --- its description ------------------------------------------------------------------------------
-
-
-def _content(asked: ComminutionDocument, feed: FeedTable, blows: Answer) -> dict[str, Any]:
-    """A feed after its blows as plain JSON."""
-    classes = blows.classes
-    rows = [
-        {
-            "upper": float(classes.edges[k]),
-            "size": float(size),
-            "mass": float(classes.mass[k]),
-            "broken": quantiles(blows.broken[:, k]),
-            "by_blow": blows.cumulative[:, k, 1:].mean(axis=0).tolist(),
-            "extrapolated": bool(blows.untested[k]),
-        }
-        for k, size in enumerate(classes.sizes)
-    ]
-    passes = []
-    if asked.product is not None:
-        for k, sieve in enumerate(blows.sieves.tolist()):
-            share = quantiles(blows.passing[:, k])
-            passes.append({"sieve": sieve, "feed": float(blows.before[k]), **share})
-    return {
-        "title": asked.title,
-        "blows": feed.blows,
-        "energy_offered": blows.offered.tolist(),
-        "numbers": {
-            name: quantiles(values) for name, values in _numbers(asked, feed, blows).items()
-        },
-        "classes": rows,
-        "product": passes,
-    }
-
-
-def _numbers(asked: ComminutionDocument, feed: FeedTable, blows: Answer) -> dict[str, Array]:
-    """Single answers (D,) by name."""
-    mass, log_sieves = blows.classes.mass, np.log(blows.sieves)
-    hit = np.append(np.ones(len(mass) - 1), float(feed.undersize == "breaks"))
-    numbers = {
-        "broken": blows.total,
-        "blows": blows.struck @ hit,
-        "energy [J/kg]": blows.struck @ (hit * blows.taken),
-    }
-    if asked.product is not None:
-        broke = np.maximum(blows.broke.sum(axis=1), 1e-300)
-        numbers["t10"] = (blows.broke * blows.fineness).sum(axis=1) / broke
-        rows = [*blows.passing, blows.before]
-        p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
-        p50 = np.exp([np.interp(0.5, row, log_sieves) for row in rows])
-        numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50[:-1], "F80/P80": p80[-1] / p80[:-1]}
-        if feed.fines is not None:
-            size = math.log(feed.fines)
-            numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in rows[:-1]])
-    numbers["never broken"] = 1.0 - blows.total
-    return numbers
-
-
-def _warnings(
-    asked: ComminutionDocument, feed: FeedTable, posterior: Posterior, blows: Answer
-) -> list[str]:
-    """Where the numbers of a feed are extrapolated or assumed."""
-    low, high = posterior.tested
-    sizes, warnings = blows.classes.sizes, [*blows.classes.notes]
-    if asked.tests.synthetic:
-        warnings.insert(0, SYNTHETIC)
-    if asked.product is not None:
-        outside = (blows.offered < _OFFERED[0]) | (blows.offered > _OFFERED[1])
-        outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
-        broke = blows.broke.mean(axis=0)
-        beyond = float((broke * outside).sum() / max(broke.sum(), 1e-300))
-        if beyond > 0.01:
-            warnings.append(
-                f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
-                "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
-            )
-    share = float(blows.classes.mass[blows.untested].sum())
-    if share > 0.005:
-        warnings.append(
-            f"{share:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
-            f"{high * 1e3:.3g} mm): its strength is extrapolated"
-        )
-    fitted = any("gamma" in model.names for model in posterior.models)
-    if feed.blows > 1 and not fitted and asked.tests.gamma == "fit":
-        warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
-    warnings.append("energies are those absorbed by the particles; the machine uses more")
-    return warnings
-
-
-def _lot(blows: Answer, count: Array, rng: np.random.Generator) -> dict[str, Any]:
-    """Broken share of a lot of so many particles of each class, which break or not."""
-    few, many, drawn = count < 1e8, np.maximum(count, 1.0), np.array(blows.broken)
-    chance = np.clip(drawn[:, few], 0.0, 1.0)
-    drawn[:, few] = rng.binomial(many[few].astype(np.int64), chance) / many[few]
-    lots, total = drawn @ blows.classes.mass, blows.total
-    return {
-        "broken": quantiles(lots),
-        "epistemic_sd": float(total.std()),
-        "lot_sd": math.sqrt(max(float(lots.var() - total.var()), 0.0)),
-    }

@@ -10,13 +10,13 @@ round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
@@ -55,23 +55,17 @@ class EnergyModel:
     law: str
     size: str
     ratio: float
-    priors: Mapping[str, tuple[float, float]]
+    priors: dict[str, tuple[float, float]]
     classes: tuple[float, ...] = ()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names in the order of the columns."""
-        return tuple(self.priors)
-
-    def median(self, p: Mapping[str, Values], diameter: Values) -> Array:
+    def median(self, p: Mapping[str, Values], diameter: Values) -> Values:
         """E50 [J/kg] of parameters (not logarithms) at diameters; they broadcast."""
         if self.size != "class":
-            lead = "C" if self.size == "power" else "e_inf"
-            d0 = p.get("d0", math.nan)
-            return laws.median_energy(self.size, diameter, p[lead], p["phi"], d0)
+            lead, phi = laws.SIZES[self.size][0], p["phi"]
+            return laws.median_energy(self.size, diameter, p[lead], phi, p.get("d0", math.nan))
         away = np.abs(np.log(np.asarray(diameter)[..., None] / np.array(self.classes)))
         each = [np.atleast_1d(p[f"e50_{k + 1}"]) for k in range(len(self.classes))]
-        return np.asarray(np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)])
+        return np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,23 +78,24 @@ class Posterior:
     tested : smallest and largest diameter [m]; tests : number of particles.
     """
 
-    models: tuple[EnergyModel, ...]
-    law: Array
-    parameters: Mapping[str, Array]
+    models: list[EnergyModel]
+    law: Places
+    parameters: dict[str, Array]
     tested: tuple[float, float]
     tests: int
 
     def __len__(self) -> int:
         return len(self.law)
 
+    def at(self, rows: Places) -> Posterior:
+        """Some of the draws."""
+        parameters = {name: values[rows] for name, values in self.parameters.items()}
+        return replace(self, law=self.law[rows], parameters=parameters)
+
     def thin(self, count: int) -> Posterior:
         """About so many draws, evenly."""
-        rows = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
-        return replace(
-            self,
-            law=self.law[rows],
-            parameters={name: v[rows] for name, v in self.parameters.items()},
-        )
+        every = np.linspace(0, len(self) - 1, min(count, len(self)))
+        return self.at(np.unique(every.astype(int)))
 
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""
@@ -118,10 +113,10 @@ class Posterior:
         """A function of law, value, median, shape and ratio for every draw and diameter."""
         diameter = np.atleast_1d(diameter)
         answers = np.empty((len(self), len(diameter)))
-        values = np.broadcast_to(np.asarray(values, dtype=float), answers.shape)
+        values = np.broadcast_to(values, answers.shape)
         for k, model in enumerate(self.models):
             rows = np.flatnonzero(self.law == k)
-            p = {name: self.parameters[name][rows, None] for name in model.names}
+            p = {name: self.parameters[name][rows, None] for name in model.priors}
             median, shape = model.median(p, diameter), p[laws.LAWS[model.law]]
             answers[rows] = function(model.law, values[rows], median, shape, model.ratio)
         return answers
@@ -138,11 +133,9 @@ class Posterior:
         power of the size law, and the tested sizes.
         """
         median = self.median(diameter)[:, 0]
-        of_law = [model.law == "lognormal" for model in self.models]
-        bounded = np.array(of_law)[self.law.astype(int)]
+        bounded = np.array([model.law == "lognormal" for model in self.models])[self.law]
         p: dict[str, Any] = {"sigma": np.nan, "modulus": np.nan, **self.parameters}
         shape = np.where(bounded, p["sigma"], 0.6 * p["modulus"])
-        smallest, largest = self.tested
         columns: dict[str, Any] = {
             "distribution": np.where(bounded, "lognormal", "weibull"),
             "scale [J/kg]": np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape)),
@@ -151,15 +144,14 @@ class Posterior:
             "tests": self.tests,
             "diameter [mm]": diameter * 1e3,
             "size_exponent": self.slope(diameter) * (self.models[0].size != "class"),
-            "smallest [mm]": smallest * 1e3,
-            "largest [mm]": largest * 1e3,
+            "smallest [mm]": self.tested[0] * 1e3,
+            "largest [mm]": self.tested[1] * 1e3,
         }
         rows = [np.broadcast_to(column, len(self)) for column in columns.values()]
         return csv_text(tuple(columns), rows)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fit:
+class Fit(NamedTuple):
     """The posterior and its description, plain JSON."""
 
     posterior: Posterior
@@ -176,84 +168,44 @@ def log_likelihoods(
 
     gamma : the damage exponent, None where it is one of the parameters.
     """
-    exact = tests.exact & tests.broke
-    bounds = _bounds(model, tests, gamma)
+    exact, names = tests.exact & tests.broke, [*model.priors]
+    fitted = gamma is None and bool(tests.repeated.any())
+    nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
+    every = [*tests.bounds(nodes)]
+    with np.errstate(divide="ignore"):
+        logs = [np.log(bound) for bound in every]
+
+    def bounds(x: Array) -> list[Array]:
+        """Ends of the first fracture energies, interpolated in ln gamma; 0 and inf stay."""
+        if not fitted:
+            return [bound[0] for bound in every]
+        step = _GAMMAS[1] - _GAMMAS[0]
+        place = (x[..., names.index("gamma")] - _GAMMAS[0]) / step
+        place = np.clip(place, 0.0, len(_GAMMAS) - 1.001)
+        node = place.astype(int)
+        part = (place - node)[..., None]
+        ends = []
+        for log in logs:
+            with np.errstate(invalid="ignore"):
+                inner = np.exp(log[node] + part * (log[node + 1] - log[node]))
+            ends.append(np.where(np.isfinite(log[node]), inner, np.exp(log[node])))
+        return ends
 
     def value(x: Array) -> Array:
-        p = {name: np.exp(x[..., k, None]) for k, name in enumerate(model.names)}
-        median = model.median(p, tests.diameter)
+        p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
+        median, shape = model.median(p, tests.diameter), p[laws.LAWS[model.law]]
         low, high = bounds(x)
         likelihood = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            if exact.any():
-                likelihood[..., exact] = _log_density(
-                    model, p, high[..., exact], median[..., exact]
-                )
-            if not exact.all():
-                likelihood[..., ~exact] = _log_between(
-                    model, p, (low[..., ~exact], high[..., ~exact]), median[..., ~exact]
-                )
+            for rows, function in ((exact, laws.log_density), (~exact, laws.log_between)):
+                if rows.any():
+                    ends = (low[..., rows], high[..., rows])
+                    likelihood[..., rows] = function(
+                        model.law, ends, median[..., rows], shape, model.ratio
+                    )
         return np.asarray(tests.weight * likelihood)
 
     return value
-
-
-def _bounds(
-    model: EnergyModel, tests: Specimens, gamma: float | None
-) -> Callable[[Array], tuple[Array, Array]]:
-    """A function from logarithms of parameters to the bounds of the first fracture energies."""
-    if gamma is not None or not tests.repeated.any():
-        fixed = tests.bounds(np.array(4.0 if gamma is None else gamma))
-        return lambda x: fixed
-    low, high = tests.bounds(np.exp(_GAMMAS))
-    with np.errstate(divide="ignore"):
-        log_low, log_high = np.log(low), np.log(high)
-    step, place = _GAMMAS[1] - _GAMMAS[0], model.names.index("gamma")
-
-    def between(x: Array, y: Array) -> Array:
-        """Interpolated bounds; 0 and inf stay."""
-        at = np.clip((x - _GAMMAS[0]) / step, 0.0, len(_GAMMAS) - 1.001)
-        node = at.astype(int)
-        part = (at - node)[..., None]
-        with np.errstate(invalid="ignore"):
-            inner = np.exp(y[node] + part * (y[node + 1] - y[node]))
-        return np.where(np.isfinite(y[node]), inner, np.exp(y[node]))
-
-    return lambda x: (between(x[..., place], log_low), between(x[..., place], log_high))
-
-
-def _log_density(model: EnergyModel, p: Mapping[str, Array], energy: Array, median: Array) -> Array:
-    """ln f(e)."""
-    if model.law == "weibull":
-        hazard = laws.hazard(energy, median, p["modulus"])
-        return np.asarray(np.log(0.6 * p["modulus"] * hazard / energy) - hazard)
-    z, top = laws.standard(energy, median, p["sigma"], model.ratio), model.ratio * median
-    density = -0.5 * z * z - np.log(p["sigma"] * math.sqrt(2.0 * math.pi) * energy)
-    return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
-
-
-def _log_between(
-    model: EnergyModel, p: Mapping[str, Array], ends: tuple[Array, Array], median: Array
-) -> Array:
-    """ln(P(high) - P(low))."""
-    from scipy.special import log_ndtr
-
-    if model.law == "weibull":
-        low, high = (laws.hazard(end, median, p["modulus"]) for end in ends)
-        between = -low + _log_rest(np.maximum(high - low, 0.0))
-        return np.where(np.isposinf(low), -np.inf, between)
-    low, high = (laws.standard(end, median, p["sigma"], model.ratio) for end in ends)
-    # the normal distribution is even: both ends in the lower tail
-    upper = low + high > 0.0
-    larger = log_ndtr(np.where(upper, -low, high))
-    smaller = log_ndtr(np.where(upper, -high, low))
-    between = larger + _log_rest(np.maximum(larger - smaller, 0.0))
-    return np.where(np.isneginf(larger), -np.inf, between)
-
-
-def _log_rest(h: Array) -> Array:
-    """ln(1 - exp(-h))."""
-    return np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
 
 
 def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyModel:
@@ -261,11 +213,10 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
 
     Tests of one size have a flat prior of the scatter, which makes the intervals exact.
     """
-    want, sizes = asked.tests, tests.sizes
-    several, size = len(sizes) > 1, want.size
-    if not several:
-        size = "class"
-    if size == "class":
+    want, sizes, shape = asked.tests, tests.sizes, laws.LAWS[law]
+    several, size, classes = len(sizes) > 1, want.size, tuple[float, ...]()
+    if not several or size == "class":
+        size, classes = "class", sizes
         priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
         largest = tests.diameter >= 0.75 * tests.diameter.max()
@@ -273,14 +224,12 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
         middle = float(np.average(energies, weights=tests.weight[largest]))
         usual = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
         priors = {name: usual[name] for name in laws.SIZES[size]}
-    shape = laws.LAWS[law]
     priors[shape] = PRIORS[shape] if several else _FLAT
     if want.gamma == "fit" and tests.repeated.any():
         priors["gamma"] = PRIORS["gamma"]
     for name, prior in want.prior.items():
         if name in priors:
             priors[name] = (prior.log_mean, prior.log_sd)
-    classes = sizes if size == "class" else ()
     return EnergyModel(law=law, size=size, ratio=want.ratio, priors=priors, classes=classes)
 
 
@@ -292,9 +241,10 @@ def sample(
 ) -> tuple[Array, Callable[[Array], Array], float, float]:
     """Draws (n, d) of the posterior, its log likelihood of specimens and their sum at its mode, and
     the effective number of draws."""
+    from scipy.optimize import minimize
+
     each = log_likelihoods(model, tests, gamma)
-    centre = np.array([mean for mean, _ in model.priors.values()])
-    sd = np.array([sd for _, sd in model.priors.values()])
+    centre, sd = np.array([*model.priors.values()]).T
 
     def value(x: Array) -> Array:
         prior = -0.5 * np.square(np.where(np.isinf(sd), 0.0, (x - centre) / sd)).sum(axis=-1)
@@ -302,8 +252,19 @@ def sample(
             total = each(x).sum(axis=-1) + prior
         return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(total), total, -np.inf)
 
-    mode, covariance = _mode(model, tests, value)
-    middle, d, n = mode, len(mode), 1 << 12
+    def loss(x: Array) -> float:
+        return min(-float(value(x)), 1e15)
+
+    # the mode, from the best of many energies
+    shape = laws.LAWS[model.law]
+    lead = np.array([name not in PRIORS for name in model.priors])
+    begin = np.where(lead, np.median(np.log(tests.last)), centre)
+    begin[[*model.priors].index(shape)] = PRIORS[shape][0]
+    tried = begin + np.linspace(-10.0, 10.0, 161)[:, None] * lead
+    begin = tried[int(np.argmax(value(tried)))]
+    near = minimize(loss, begin, method="Nelder-Mead", options={"maxiter": 4000}).x
+    best = minimize(loss, near, method="BFGS")
+    middle, covariance, d, n = best.x, np.asarray(best.hess_inv), len(best.x), 1 << 12
     points, logs, effective = np.empty((0, d)), np.empty(0), 0.0
     for turn in range(_ADAPTING + _MOST):
         root = np.linalg.cholesky(covariance + 1e-12 * np.eye(d))
@@ -311,8 +272,8 @@ def sample(
         x = middle + z @ root.T
         density = -0.5 * (_FREEDOM + d) * np.log1p(np.square(z).sum(axis=1) / _FREEDOM)
         log = value(x) - density + np.log(np.diag(root)).sum()
-        weight = np.exp(log - log.max())
         if turn < _ADAPTING:
+            weight = np.exp(log - log.max())
             weight = np.minimum(weight, math.sqrt(n) * weight.mean())
             middle = np.average(x, axis=0, weights=weight)
             covariance = np.atleast_2d(np.cov(x.T, aweights=weight))
@@ -322,32 +283,9 @@ def sample(
         effective = float(weight.sum() ** 2 / np.square(weight).sum())
         if effective > max(draws, EFFECTIVE):
             break
-    taken = np.searchsorted(
-        np.cumsum(weight), (np.arange(draws) + rng.random()) / draws * weight.sum()
-    )
-    chosen = points[rng.permutation(np.minimum(taken, len(points) - 1))]
-    return chosen, each, float(each(mode).sum()), effective
-
-
-def _mode(
-    model: EnergyModel, tests: Specimens, value: Callable[[Array], Array]
-) -> tuple[Array, Array]:
-    """The mode (d,) of the posterior and its approximate covariance (d, d)."""
-    from scipy.optimize import minimize
-
-    x = np.array([mean for mean, _ in model.priors.values()])
-    lead = np.array([name in ("e_inf", "C") or name.startswith("e50_") for name in model.names])
-    x[model.names.index(laws.LAWS[model.law])] = PRIORS[laws.LAWS[model.law]][0]
-    x[lead] = np.median(np.log(tests.last))
-    tried = x + np.linspace(-10.0, 10.0, 161)[:, None] * lead
-    x = tried[int(np.argmax(value(tried)))]
-
-    def loss(y: Array) -> float:
-        return min(-float(value(y)), 1e15)
-
-    near = minimize(loss, x, method="Nelder-Mead", options={"maxiter": 4000}).x
-    best = minimize(loss, near, method="BFGS")
-    return np.asarray(best.x), np.asarray(best.hess_inv)
+    even = (np.arange(draws) + rng.random()) / draws * weight.sum()
+    taken = np.minimum(np.searchsorted(np.cumsum(weight), even), len(points) - 1)
+    return points[rng.permutation(taken)], each, float(each(best.x).sum()), effective
 
 
 # --- the fit --------------------------------------------------------------------------------------
@@ -359,9 +297,10 @@ def _at_size(tests: Specimens, size: float) -> Flags:
 
 
 def _shows_scatter(tests: Specimens) -> bool:
-    """Whether a particle was hit again, gave its own energy, or survived more than broke another of
-    its size."""
-    if (tests.repeated | (tests.exact & tests.broke)).any():
+    """Whether a particle was hit again, two gave their own energies, or one survived more than
+    broke another of its size."""
+    exact = tests.last[tests.exact & tests.broke]
+    if tests.repeated.any() or len(np.unique(exact)) > 1:
         return True
     for size in tests.sizes:
         near = _at_size(tests, size)
@@ -386,60 +325,49 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         )
     gamma = want.gamma if isinstance(want.gamma, float) else None
     models = [model_of(law, asked, tests) for law in laws.LAWS if want.law in (law, "average")]
-    chains, scores, about = [], [], {}
+    chains, about = list[Array](), dict[str, dict[str, Any]]()
     for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
         draws, each, log_likelihood, effective = sample(model, tests, gamma, rng, asked.draws)
         chains.append(draws)
         # leave-one-out by importance: 1/mean(1/p) of every specimen
         inverse = np.exp(np.minimum(-each(draws) / tests.weight, 600.0))
-        scores.append(float(-np.log(np.mean(inverse, axis=0)) @ tests.weight))
         about[model.law] = {
             "log_likelihood": log_likelihood,
-            "loo": scores[k],
+            "loo": float(-np.log(np.mean(inverse, axis=0)) @ tests.weight),
             "effective": effective,
             "settled": effective > EFFECTIVE,
         }
-    weights = np.exp(np.array(scores) - max(scores))
+    scores = np.array([done["loo"] for done in about.values()])
+    weights = np.exp(scores - scores.max())
     weights /= weights.sum()
-    for model, weight in zip(models, weights.tolist(), strict=True):
-        about[model.law]["weight"] = weight
-    posterior = _mixed(models, chains, weights, tests, asked)
-    return Fit(posterior=posterior, content=_described(posterior, about, tests, asked))
-
-
-def _mixed(
-    models: Sequence[EnergyModel],
-    chains: Sequence[Array],
-    weights: Array,
-    tests: Specimens,
-    asked: ComminutionDocument,
-) -> Posterior:
-    """The draws of all laws by their weights, in random order."""
+    for done, weight in zip(about.values(), weights.tolist(), strict=True):
+        done["weight"] = weight
+    # the draws of all laws by their weights, in random order
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
     law_of = np.repeat(np.arange(len(models)), np.diff(ends, prepend=0))
     rng = np.random.default_rng([asked.seed, 733])
     order = rng.permutation(len(law_of))
     parameters: dict[str, Array] = {}
-    for k, (model, chain) in enumerate(zip(models, chains, strict=True)):
+    for k, model in enumerate(models):
         places = np.flatnonzero(law_of == k)
-        rows = np.linspace(0, len(chain) - 1, len(places)).astype(int)
-        for j, name in enumerate(model.names):
+        rows = np.linspace(0, len(chains[k]) - 1, len(places)).astype(int)
+        for j, name in enumerate(model.priors):
             column = parameters.setdefault(name, np.full(len(law_of), np.nan))
-            column[places] = np.exp(chain[rows, j])
+            column[places] = np.exp(chains[k][rows, j])
     if "gamma" not in parameters:
         mean, sd = PRIORS["gamma"]
-        gamma = np.exp(mean + sd * rng.standard_normal(len(law_of)))
-        if isinstance(asked.tests.gamma, float):
-            gamma = np.full(len(law_of), asked.tests.gamma)
-        parameters["gamma"] = gamma
-    return Posterior(
-        models=tuple(models),
-        law=law_of[order],
+        parameters["gamma"] = np.exp(mean + sd * rng.standard_normal(len(law_of)))
+        if gamma is not None:
+            parameters["gamma"] = np.full(len(law_of), gamma)
+    posterior = Posterior(
+        models=models,
+        law=law_of,
         tested=(float(tests.diameter.min()), float(tests.diameter.max())),
-        parameters={name: values[order] for name, values in parameters.items()},
+        parameters=parameters,
         tests=int(tests.weight.sum()),
-    )
+    ).at(order)
+    return Fit(posterior, _described(posterior, about, tests, asked))
 
 
 # --- its description ------------------------------------------------------------------------------
@@ -447,19 +375,60 @@ def _mixed(
 
 def quantiles(values: Array) -> dict[str, float]:
     """Median and 95 % interval of draws."""
-    low, value, high = np.quantile(values[np.isfinite(values)], [0.025, 0.5, 0.975])
-    return {"value": float(value), "low": float(low), "high": float(high)}
+    ends = np.quantile(values[np.isfinite(values)], [0.5, 0.025, 0.975])
+    return dict(zip(("value", "low", "high"), ends.tolist(), strict=True))
 
 
 def _described(
-    posterior: Posterior, about: dict[str, Any], tests: Specimens, asked: ComminutionDocument
+    posterior: Posterior,
+    about: dict[str, dict[str, Any]],
+    tests: Specimens,
+    asked: ComminutionDocument,
 ) -> dict[str, Any]:
     """A fit as plain JSON."""
-    want = asked.tests
-    parameters, undetermined = _parameters(posterior)
-    warnings = [*tests.notes, *undetermined, *_about_laws(about, float(tests.weight.sum()))]
+    want, warnings = asked.tests, [*tests.notes]
+    priors = {name: prior for model in posterior.models for name, prior in model.priors.items()}
+    parameters = {}
+    for name, values in posterior.parameters.items():
+        prior_sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
+        flat, sd = math.isinf(prior_sd), float(np.nanstd(np.log(values)))
+        parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
+        if name in priors and not flat and sd > 0.7 * prior_sd:
+            warnings.append(f"the tests do not determine {name}: its posterior follows the prior")
+    if len(about) > 1:
+        gap = about["lognormal"]["loo"] - about["weibull"]["loo"]
+        if abs(gap) > 2.0:
+            better = "lognormal" if gap > 0.0 else "weibull"
+            warnings.append(
+                f"the {better} law predicts these tests better (log score by {abs(gap):.1f})"
+            )
+        elif tests.weight.sum() < FEW:
+            warnings.append(
+                f"fewer than {FEW} tests cannot distinguish lognormal from Weibull: both are "
+                "averaged"
+            )
+    warnings += [
+        f"{law}: the draws did not converge (effective number {done['effective']:.0f}, at least "
+        f"{EFFECTIVE:.0f})"
+        for law, done in about.items()
+        if not done["settled"]
+    ]
     if want.synthetic:
         warnings.append(SYNTHETIC)
+    sizes = []
+    for size in tests.sizes[:_MOST_SIZES]:
+        near = _at_size(tests, size)
+        sizes.append(
+            {
+                "diameter": size,
+                "tests": int(tests.weight[near].sum()),
+                "broke": int(tests.weight[near & tests.broke].sum()),
+                "breaks_half": quantiles(posterior.energy_at(0.5, size)[:, 0]),
+                "E50": quantiles(posterior.median(size)[:, 0]),
+                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)[:, 0]),
+                "slope": quantiles(-posterior.slope(size)),
+            }
+        )
     return {
         "title": asked.title,
         "seed": asked.seed,
@@ -468,7 +437,7 @@ def _described(
         "ratio": want.ratio if math.isfinite(want.ratio) else None,
         "tests": {
             "specimens": len(tests.weight),
-            "particles": int(tests.weight.sum()),
+            "particles": posterior.tests,
             "broke": int(tests.weight[tests.broke].sum()),
             "exact": int(tests.weight[tests.exact & tests.broke].sum()),
             "repeated": int(tests.repeated.sum()),
@@ -476,60 +445,6 @@ def _described(
         },
         "laws": about,
         "parameters": parameters,
-        "sizes": [_about_size(posterior, tests, size) for size in tests.sizes[:_MOST_SIZES]],
+        "sizes": sizes,
         "warnings": warnings,
-    }
-
-
-def _parameters(posterior: Posterior) -> tuple[dict[str, Any], list[str]]:
-    """Parameters with their priors; notes on those that keep their prior."""
-    priors: dict[str, tuple[float, float]] = {}
-    for model in posterior.models:
-        priors |= model.priors
-    parameters, notes = {}, []
-    for name, values in posterior.parameters.items():
-        prior_sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
-        flat = math.isinf(prior_sd)
-        sd = float(np.nanstd(np.log(values)))
-        parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
-        if name in priors and not flat and sd > 0.7 * prior_sd:
-            notes.append(f"the tests do not determine {name}: its posterior follows the prior")
-    return parameters, notes
-
-
-def _about_laws(about: Mapping[str, Any], number: float) -> list[str]:
-    """Notes on the choice between the laws, and on draws that did not converge."""
-    notes = []
-    if len(about) > 1:
-        gap = about["lognormal"]["loo"] - about["weibull"]["loo"]
-        if abs(gap) > 2.0:
-            better = "lognormal" if gap > 0.0 else "weibull"
-            notes.append(
-                f"the {better} law predicts these tests better (log score by {abs(gap):.1f})"
-            )
-        elif number < FEW:
-            notes.append(
-                f"fewer than {FEW} tests cannot distinguish lognormal from Weibull: both are "
-                "averaged"
-            )
-    notes += [
-        f"{law}: the draws did not converge (effective number {done['effective']:.0f}, at least "
-        f"{EFFECTIVE:.0f})"
-        for law, done in about.items()
-        if not done["settled"]
-    ]
-    return notes
-
-
-def _about_size(posterior: Posterior, tests: Specimens, size: float) -> dict[str, Any]:
-    """Energies of one tested size, and the local slope of the size law."""
-    near = _at_size(tests, size)
-    return {
-        "diameter": size,
-        "tests": int(tests.weight[near].sum()),
-        "broke": int(tests.weight[near & tests.broke].sum()),
-        "breaks_half": quantiles(posterior.energy_at(0.5, size)[:, 0]),
-        "E50": quantiles(posterior.median(size)[:, 0]),
-        "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)[:, 0]),
-        "slope": quantiles(-posterior.slope(size)),
     }

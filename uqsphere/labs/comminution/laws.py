@@ -28,7 +28,7 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
-#: parameters of a size law beside the energy, by its name
+#: parameters of a size law, the energy first, by its name
 SIZES: Final = {
     "tavares": ("e_inf", "d0", "phi"),
     "king": ("e_inf", "d0", "phi"),
@@ -38,63 +38,90 @@ SIZES: Final = {
 LAWS: Final = {"lognormal": "sigma", "weibull": "modulus"}
 
 
-def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Array:
+def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Values:
     """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
     e, top = np.asarray(energy, dtype=float), np.asarray(ratio) * median
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.where(e < top, 1.0 - np.where(np.isfinite(top), e / top, 0.0), 0.0)
-        return np.asarray((np.log(e / median) - np.log(left)) / sigma)
+        return (np.log(e / median) - np.log(left)) / sigma
 
 
-def hazard(energy: Values, median: Values, modulus: Values) -> Array:
+def hazard(energy: Values, median: Values, modulus: Values) -> Values:
     """-ln(1 - P) of (L2)."""
     with np.errstate(over="ignore", divide="ignore"):
         ratio = np.asarray(energy) / median
-        return np.asarray(math.log(2.0) * ratio ** (0.6 * np.asarray(modulus)))
+        return math.log(2.0) * ratio ** (0.6 * np.asarray(modulus))
 
 
 def broken_share(
     law: str, energy: Values, median: Values, shape: Values, ratio: Values = math.inf
-) -> Array:
+) -> Values:
     """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus
-    m.
-
-    >>> float(broken_share("lognormal", 80.0, 100.0, 0.6, 4.0))
-    0.5
-    """
-    from scipy.special import ndtr
-
+    m."""
     if law == "lognormal":
-        return np.asarray(ndtr(standard(energy, median, shape, ratio)))
-    return np.asarray(-np.expm1(-hazard(energy, median, shape)))
+        from scipy.special import ndtr
+
+        return ndtr(standard(energy, median, shape, ratio))
+    return -np.expm1(-hazard(energy, median, shape))
 
 
 def energy_at(
     law: str, share: Values, median: Values, shape: Values, ratio: Values = math.inf
-) -> Array:
+) -> Values:
     """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
-    from scipy.special import ndtri
-
     if law == "lognormal":
+        from scipy.special import ndtri
+
         stretched = median * np.exp(np.asarray(shape) * ndtri(share))
-        return np.asarray(stretched / (1.0 + stretched / (np.asarray(ratio) * median)))
-    return np.asarray(
-        median
-        * (-np.log1p(-np.asarray(share)) / math.log(2.0)) ** (1.0 / (0.6 * np.asarray(shape)))
-    )
+        return stretched / (1.0 + stretched / (np.asarray(ratio) * median))
+    hazards = -np.log1p(-np.asarray(share)) / math.log(2.0)
+    return median * hazards ** (1.0 / (0.6 * np.asarray(shape)))
+
+
+def log_density(
+    law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
+) -> Array:
+    """ln f(e) at the upper one of two ends [J/kg]."""
+    energy = ends[1]
+    if law == "weibull":
+        exponent = hazard(energy, median, shape)
+        return np.asarray(np.log(0.6 * shape * exponent / energy) - exponent)
+    z, top = standard(energy, median, shape, ratio), ratio * median
+    density = -0.5 * z * z - np.log(shape * math.sqrt(2.0 * math.pi) * energy)
+    return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
+
+
+def log_between(
+    law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
+) -> Array:
+    """ln(P(high) - P(low)) of two ends [J/kg]."""
+    from scipy.special import log_ndtr
+
+    if law == "weibull":
+        low, high = (hazard(end, median, shape) for end in ends)
+        larger, gap = -low, high - low
+    else:
+        low, high = (standard(end, median, shape, ratio) for end in ends)
+        # the normal distribution is even: both ends in the lower tail
+        upper = low + high > 0.0
+        larger = log_ndtr(np.where(upper, -low, high))
+        gap = larger - log_ndtr(np.where(upper, -high, low))
+    h = np.maximum(gap, 0.0)  # and ln(1 - exp(-h))
+    rest = np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+    return np.where(np.isneginf(larger), -np.inf, larger + rest)
 
 
 def median_energy(
     size: str, diameter: Values, energy: Values, phi: Values, d0: Values = math.nan
-) -> Array:
+) -> Values:
     """E50 [J/kg] at a diameter [m], (L3); `energy` is E_inf [J/kg], or C [J/kg m^phi]."""
     d = np.asarray(diameter, dtype=float)
     with np.errstate(over="ignore"):
         if size == "tavares":
-            return np.asarray(energy * (1.0 + (d0 / d) ** phi))
+            return energy * (1.0 + (d0 / d) ** phi)
         if size == "king":
-            return np.asarray(energy * (1.0 + d0 / d) ** phi)
-        return np.asarray(energy * d ** -np.asarray(phi))
+            return energy * (1.0 + d0 / d) ** phi
+        return energy * d ** -np.asarray(phi)
 
 
 def before_blow(left: Values, gamma: Values) -> Array:
@@ -118,7 +145,7 @@ def before_blow(left: Values, gamma: Values) -> Array:
             )
             more = whole - log_share > wanted
             low, high = np.where(more, t, low), np.where(more, high, t)
-        return np.asarray(np.where(left > 0.0, np.exp(-log_share), 1.0))
+        return np.where(left > 0.0, np.exp(-log_share), 1.0)
 
 
 def survivor_bound(energies: Values, gamma: Values) -> Array:
@@ -132,13 +159,11 @@ def survivor_bound(energies: Values, gamma: Values) -> Array:
     """
     blows = np.asarray(energies, dtype=float)
     bound = np.zeros(np.broadcast_shapes(blows.shape[:-1], np.shape(gamma)))
-    for k in range(blows.shape[-1] - 1, -1, -1):
-        energy = np.broadcast_to(blows[..., k], bound.shape)
+    for energy in np.moveaxis(blows, -1, 0)[::-1]:
         struck = energy > 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reached = energy * before_blow(
-                np.where(struck, bound / np.where(struck, energy, 1.0), 0.0), gamma
-            )
+            left = np.where(struck, bound / np.where(struck, energy, 1.0), 0.0)
+            reached = energy * before_blow(left, gamma)
         bound = np.where(struck, np.maximum(reached, energy), bound)
     return bound
 
@@ -155,14 +180,12 @@ def thresholds(gamma: Values, blows: int) -> Array:
     return np.stack(steps, axis=-1)
 
 
-def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Values) -> Array:
+def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Values) -> Values:
     """W/m [J/kg] of both contacts at a force [N] by Hertz: two of (2/5) F alpha, alpha =
     (F/beta)^(2/3).
     """
     beta = hertz_constant(modulus, 0.5 * np.asarray(diameter, dtype=float))
-    return np.asarray(
-        0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass
-    )
+    return 0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass
 
 
 def particle_share(particle: float, partner: float) -> float:
@@ -175,14 +198,14 @@ def particle_share(particle: float, partner: float) -> float:
     return partner / (particle + partner)
 
 
-def mass_of(diameter: Values, density: Values) -> Array:
+def mass_of(diameter: Values, density: Values) -> Values:
     """pi/6 rho d³ [kg]."""
-    return np.asarray(sphere_mass(0.5 * np.asarray(diameter, dtype=float), density))
+    return sphere_mass(0.5 * np.asarray(diameter, dtype=float), density)
 
 
-def t10(energy: Values, A: Values, b: Values) -> Array:
+def t10(energy: Values, A: Values, b: Values) -> Values:
     """Share finer than a tenth of the size, (L6); b [kg/J] of the energy offered."""
-    return np.asarray(A * -np.expm1(-np.asarray(b) * np.asarray(energy)))
+    return A * -np.expm1(-np.asarray(b) * np.asarray(energy))
 
 
 def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) -> Array:
@@ -194,20 +217,16 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
     n, fine, alpha = np.broadcast_arrays(
         np.asarray(n, dtype=float), np.clip(fineness, 0.0, 1.0), alpha
     )
-    inside = np.where(n > 1.0, n, 2.0)
+    x = np.where(n > 1.0, n, 2.0)
     with np.errstate(divide="ignore", over="ignore"):
         if curve == "trr":
-            finer = -np.expm1((9.0 / (inside - 1.0)) ** alpha * np.log1p(-fine))
+            finer = -np.expm1((9.0 / (x - 1.0)) ** alpha * np.log1p(-fine))
         else:
             from scipy.special import betainc
 
-            a = (
-                -0.7846 * np.exp(-0.4988 * inside)
-                + 0.9190 * inside**0.04526 / (0.000972 * inside**2 + 1.0) ** 0.03797
-            )
-            b = (
-                1.193 / (inside - 1.0) ** 1.392
-                + 2.722 * inside**-0.3404 / (0.01175 * inside**2 + 1.0) ** 0.3381
-            )
+            a = -0.7846 * np.exp(-0.4988 * x)
+            a += 0.9190 * x**0.04526 / (0.000972 * x**2 + 1.0) ** 0.03797
+            b = 1.193 / (x - 1.0) ** 1.392
+            b += 2.722 * x**-0.3404 / (0.01175 * x**2 + 1.0) ** 0.3381
             finer = betainc(a, np.minimum(b, 1e6), fine)
     return np.where(n > 1.0, finer, 1.0)

@@ -58,8 +58,8 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
     """
     wave, receiving, step = record.incident.wave, record.receiving, record.step
     if document.record.aligned:
-        starts = (record.reflected.wave.start, receiving.wave.start)
-        return Arrivals(*(start - wave.start for start in starts))
+        reflected = record.reflected.wave.start - wave.start
+        return Arrivals(reflected, receiving.wave.start - wave.start)
     bar, behind = document.incident_bar, document.receiving_bar
     passage = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed
     predicted = (2.0 * bar.gauge / bar.wave_speed / step, passage / step)
@@ -92,7 +92,7 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
             doubt_a = doubt_a or doubt_b
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
         return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
-    arrivals, names = [], (record.reflected.name, receiving.name)
+    arrivals, names = list[float](), (record.reflected.name, receiving.name)
     for name, delay in zip(names, _delays(record, predicted, *_FINE), strict=True):
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
@@ -103,7 +103,7 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
             )
             changes.add("time shift", name, text, shift * step)
         arrivals.append(delay.predicted + shift)
-    return Arrivals(*arrivals)
+    return Arrivals(arrivals[0], arrivals[1])
 
 
 def _delays(

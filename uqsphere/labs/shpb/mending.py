@@ -474,7 +474,7 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
     first = min(gauge.wave.foot for gauge in alive)
     known = np.stack([gauge.known for gauge in alive], axis=1)
     strains = np.stack([gauge.strain for gauge in alive], axis=1)
-    every = known.all(axis=1)
+    every = np.all(known, axis=1)
     # where a gauge is not known the others stand for the mean, with the largest difference so far
     mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     spread = 0.5 * np.ptp(strains, axis=1)
@@ -489,7 +489,7 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
     return Signal(
         name=name,
         strain=mean,
-        known=known.any(axis=1),
+        known=np.any(known, axis=1),
         noise=line.noise,
         memory=line.memory,
         offset=math.hypot(*(gauge.offset for gauge in alive)) / len(alive),

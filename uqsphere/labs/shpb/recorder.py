@@ -78,7 +78,7 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     looked_at = [*live.items()][1:] or [*live.items()]
     if len(live) > _LONG:
         looked_at = [*live.items()][len(live) // 2 :][:_LOOKED_AT]
-    forms = [_form_of(dict(looked_at), *written, name) for written in _WRITTEN]
+    forms = [_form_of(dict(looked_at), written, name) for written in _WRITTEN]
     form = max(forms, key=lambda form: (min(len(form.places), 2), form.whole))
     divider, mark, width, places, whole = form
     if not (places and whole):
@@ -134,8 +134,9 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     return tables.table_of(name, chosen, notes, mark), "\n".join(metadata)
 
 
-def _form_of(lines: dict[int, str], divider: str, mark: str, name: str) -> _Form:
+def _form_of(lines: dict[int, str], written: str, name: str) -> _Form:
     """The columns that contain numbers, with words in less than half of the rows."""
+    divider, mark = written[0], written[1]
     is_number = NUMBER[mark].fullmatch
     rows = [*cells_of(lines, divider, name, strict=False).values()]
     rows = [row for row in rows if any(map(is_number, row))]

@@ -84,7 +84,7 @@ class _Window(NamedTuple):
     start : sample of first touch at the incident gauge; alive : samples of the incident wave before
     the reflected one is at this gauge.
     to_a, to_b : sample of first touch of the reflected and the transmitted wave at their gauges.
-    count : samples at face B; apart : those of face A in which the waves are apart.
+    length : samples at face B; apart : those of face A in which the waves are apart.
     withheld : why the force at A is not given.
     """
 
@@ -92,14 +92,14 @@ class _Window(NamedTuple):
     alive: int
     to_a: float
     to_b: float
-    count: int
+    length: int
     apart: slice
     withheld: list[str]
 
     @property
     def whole(self) -> bool:
         """Whether face A is known at all samples."""
-        return self.apart == slice(0, self.count)
+        return self.apart == slice(0, self.length)
 
 
 def read_test(record: Record, document: RecordDocument) -> Reading:
@@ -120,7 +120,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     window = _window(record, document, arrivals)
 
     moved = changes if asked.dispersion else None
-    transmitted = _at_face(receiving, behind, window.to_b, window.count, step, moved)
+    transmitted = _at_face(receiving, behind, window.to_b, window.length, step, moved)
     face_b, gain_b = _far_face(record, behind, transmitted)
     peaks = Peaks(B=largest_force(face_b))
     independent = max(1.0, (receiving.wave.falling - receiving.wave.half) / receiving.memory)
@@ -132,11 +132,11 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         other = peaks["B"].value * arrivals.speed_ratio**2
         text = f"if E is wrong in place of a distance, the force is {other * 1e-3:.4g} kN"
         peaks.doubt("B", text, 0.98 * other, 1.02 * other)
-    force_a, sd_a, energies, mass = None, np.full(window.count, np.inf), None, None
+    force_a, sd_a, energies, mass = None, np.full(window.length, np.inf), None, None
     if not window.withheld:
         incident, reflected, doubt = _near_waves(record, document, window, changes)
         face_a = _near_face(record, bar, window, incident, reflected)
-        force_a, sd_a = np.full(window.count, np.nan), face_a.sd
+        force_a, sd_a = np.full(window.length, np.nan), face_a.sd
         force_a[window.apart] = face_a.force[window.apart]
         _near_peaks(peaks, face_a, face_b, window, wave.lead)
         peaks.doubt("A", doubt)
@@ -203,12 +203,8 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
 def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Window:
     """The samples of both faces; UsageError for too few of the transmitted wave."""
     bar, behind = document.incident_bar, document.receiving_bar
-    incident, receiving, step, wave = (
-        record.incident,
-        record.receiving,
-        record.step,
-        record.incident.wave,
-    )
+    incident, receiving, step = record.incident, record.receiving, record.step
+    wave = incident.wave
     # first touch; a wave whose distance is wrong begins at its own foot
     to_a, to_b = wave.start + arrivals.reflected, wave.start + arrivals.transmitted
     if arrivals.doubt_b:
@@ -247,7 +243,7 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
         alive=int(min(count, delay, len(incident.strain) - wave.start)),
         to_a=to_a,
         to_b=to_b,
-        count=count,
+        length=count,
         apart=slice(first, min(last, count)),
         withheld=[f"force at A: {reason}" for reason in reasons],
     )
@@ -329,7 +325,7 @@ def _near_waves(
     Where waves were cut out, a reflected wave in its own column that has the sign of compression is
     the size of one: a specimen softer than the bar reflects tension.
     """
-    bar, asked, count = document.incident_bar, document.record, window.count
+    bar, asked, count = document.incident_bar, document.record, window.length
     incident, doubt, signal = np.zeros(count), "", record.reflected
     incident[: window.alive] = record.incident.strain[window.start : window.start + window.alive]
     # where the two waves overlap neither can be moved by itself
@@ -357,7 +353,7 @@ def _near_face(
     """The force at A by two waves."""
     before, after, stiffness = record.incident, record.reflected, bar.stiffness
     force = -stiffness * (incident + reflected)
-    alive: Flags = np.arange(window.count) < window.alive
+    alive: Flags = np.arange(window.length) < window.alive
     noise = after.noise**2 + np.where(alive, before.noise**2, 0.0)
     offset = np.where(alive, before.offset + after.offset, after.offset)
     both = stiffness**2 * (incident**2 + reflected**2)
@@ -367,7 +363,7 @@ def _near_face(
     if before.single or after.single:
         gain = gain + _BENDING**2 * both
     return Force(
-        time=record.step * np.arange(window.count, dtype=float),
+        time=record.step * np.arange(window.length, dtype=float),
         force=force,
         sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
         noise=stiffness * math.hypot(before.noise, after.noise),
@@ -384,7 +380,7 @@ def _near_peaks(peaks: Peaks, face_a: Force, face_b: Force, window: _Window, lea
     )
     peaks["A"] = largest_force(face_a.part(window.apart))
     peaks["mean"] = largest_force(mean.part(window.apart))
-    edge = min(window.apart.start + lead, window.count - 1)
+    edge = min(window.apart.start + lead, window.length - 1)
     if window.apart.start > 0 and peaks["A"].time < face_a.time[edge]:
         peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
 
@@ -396,7 +392,7 @@ def _check_gauges(
     peaks: Peaks, record: Record, document: RecordDocument, window: _Window, time: Array
 ) -> None:
     """Compare the gauges of each bar; the mean takes the doubts of both faces (in place)."""
-    count, stiffness = window.count, document.incident_bar.stiffness
+    count, stiffness = window.length, document.incident_bar.stiffness
     spread = _samples(record.receiving.spread, window.to_b, count)
     check_bending(peaks, "B", document.receiving_bar.stiffness * spread, time, peaks["B"].value)
     if window.withheld:
