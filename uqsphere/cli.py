@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from inspect import getdoc
 from itertools import chain
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from uqsphere.errors import UqsphereError, UsageError
@@ -172,20 +173,20 @@ def _parser() -> argparse.ArgumentParser:
         added.set_defaults(command=command)
         return added
 
+    def directory(command: argparse.ArgumentParser, text: str) -> None:
+        command.add_argument("--out", type=Path, metavar="DIR", help=text)
+
     new = add(_new)
     template = new.add_argument(
         "template", nargs="?", metavar="TEMPLATE", help="a shipped study (default: list them)"
     )
     template.completer = lambda **_: _templates()  # type: ignore[attr-defined]
     new.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write")
-    check = add(_check)
-    _with_study(check)
+    _with_study(add(_check))
     run = add(_run)
     _with_study(run)
     _with_model(run)
-    run.add_argument(
-        "--out", type=Path, metavar="DIR", help="results directory (default: FILE-results)"
-    )
+    directory(run, "results directory (default: FILE-results)")
     run.add_argument(
         "--fresh",
         action="store_true",
@@ -200,34 +201,28 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument(
         "--over",
         action="append",
-        default=[],
         required=True,
         metavar="KEY=VALUES",
         help="a study key and its values, separated by commas (once or twice)",
     )
-    sweep.add_argument(
-        "--out", type=Path, metavar="DIR", help="directory of the sweep (default: FILE-sweep)"
-    )
-    report = add(_report)
-    report.add_argument("folder", type=Path, metavar="DIR")
+    directory(sweep, "directory of the sweep (default: FILE-sweep)")
+    add(_report).add_argument("folder", type=Path, metavar="DIR")
     compare = add(_compare)
     compare.add_argument("folders", type=Path, nargs="+", metavar="DIR")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers to a file")
     history = add(_history)
     _with_study(history)
-    history.add_argument(
-        "--out", type=Path, metavar="DIR", help="directory for the table and the figures"
-    )
+    directory(history, "directory for the table and the figures")
     verify = add(_verify)
     verify.add_argument("folder", type=Path, metavar="DIR")
     verify.add_argument(
         "--again", action="store_true", help="repeat the run and compare its answers"
     )
     verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="user model (black box)")
-    listing = add(_list)
-    listing.add_argument("what", choices=("materials", "quantities", "criteria", "distributions"))
-    schema = add(_schema)
-    schema.add_argument("what", nargs="?", choices=("study", "results"), default="study")
+    add(_list).add_argument(
+        "what", choices=("materials", "quantities", "criteria", "distributions")
+    )
+    add(_schema).add_argument("what", nargs="?", choices=("study", "results"), default="study")
     bench = add(_bench)
     bench.add_argument("--rows", type=_count, default=1024, metavar="N")
     bench.add_argument(
@@ -297,34 +292,27 @@ def _count(text: str) -> int:
 
 def _loaded(options: argparse.Namespace) -> Any:
     """The study of a command; its warnings go to stderr."""
-    study = _study(options, _standard_input(options))
+    study = _reader(options)(())
     _warn(study.warnings)
     return study
 
 
-def _study(options: argparse.Namespace, text: str | None, more: Sequence[str] = ()) -> Any:
-    """The study of a file, or of the `text` of standard input, with `more` PATH=VALUE set."""
+def _reader(options: argparse.Namespace) -> Callable[[Sequence[str]], Any]:
+    """A function that gives the study of a file or of standard input, with more PATH=VALUE set."""
     from uqsphere.study import load_study
 
-    overrides = [*options.overrides, *more]
-    if text is None:
-        return load_study(options.file, overrides)
-    return load_study("stdin", overrides, text=text)
-
-
-def _warn(warnings: Sequence[str]) -> None:
-    for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-
-
-def _standard_input(options: argparse.Namespace) -> str | None:
-    """The study on standard input; None for one in a file."""
     if str(options.file) != "-":
-        return None
+        return lambda more: load_study(options.file, [*options.overrides, *more])
     try:
-        return sys.stdin.read()
+        text = sys.stdin.read()
     except UnicodeDecodeError:
         raise UsageError("stdin: the study must be UTF-8 text") from None
+    return lambda more: load_study("stdin", [*options.overrides, *more], text=text)
+
+
+def _warn(warnings: Iterable[str]) -> None:
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 def _folder(options: argparse.Namespace, what: str) -> Path:
@@ -360,10 +348,10 @@ def _width() -> int:
 @contextlib.contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
     """Whether the user has pressed Ctrl-C: once keeps what is complete, twice aborts."""
-    pressed: list[int] = []
+    pressed = Event()
 
     def press(*_: object) -> None:
-        pressed.append(1)
+        pressed.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         print(
             "\nStopping; completed model runs are kept. Press Ctrl-C again to abort.",
@@ -373,7 +361,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, press)
     try:
-        yield lambda: bool(pressed)
+        yield pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -437,15 +425,14 @@ def _new(options: argparse.Namespace) -> None:
     for path in sorted(source.parent.iterdir()):
         if path.suffix in (".csv", ".py") and path.name.encode() in files[target]:
             files[target.parent / path.name] = path.read_bytes()
-    kept = [place for place in files if place.exists()]
-    for place in kept:
-        if not place.is_file() or place.read_bytes() != files[place]:
+    for place, content in files.items():
+        if place.exists() and not (place.is_file() and place.read_bytes() == content):
             raise UsageError(
                 f"{place} exists with other content: rename it, or choose another directory "
                 "with -o; nothing was written"
             )
     for place, content in files.items():
-        if place in kept:
+        if place.exists():
             print(f"{place} is already there")
         else:
             place.write_bytes(content)
@@ -473,11 +460,9 @@ def _check(options: argparse.Namespace) -> None:
 
 def _exit_code(runs: Iterable[Run]) -> int:
     """NOT_MET if any decision with a target is not met."""
-    for run in runs:
-        for decision in run.results.decisions:
-            if decision.target is not None and decision.verdict != "met":
-                return NOT_MET
-    return 0
+    decisions = chain.from_iterable(run.results.decisions for run in runs)
+    missed = any(each.target is not None and each.verdict != "met" for each in decisions)
+    return NOT_MET if missed else 0
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -541,13 +526,17 @@ def _sweep(options: argparse.Namespace) -> int:
         write_sweep,
     )
 
-    text = _standard_input(options)
     folder = _folder(options, "sweep")
-    sweep = plan_sweep(options.over, folder, lambda values: _study(options, text, values))
-    _warn(list(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points))))
-    finished = {point.name: finished_run(sweep, point) for point in sweep.points}
-    runs = {name: run for name, run in finished.items() if run is not None}
-    waiting = [point for point in sweep.points if point.name not in runs]
+    sweep = plan_sweep(options.over, folder, _reader(options))
+    _warn(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points)))
+    runs = {}
+    waiting = []
+    for point in sweep.points:
+        run = finished_run(sweep, point)
+        if run is None:
+            waiting.append(point)
+        else:
+            runs[point.name] = run
     page = write_sweep(sweep, runs) if runs else folder
     with _cluster(options) as client, _interruptible() as stop:
         made = _points_here(options, sweep, waiting, stop)
@@ -646,21 +635,16 @@ def _history(options: argparse.Namespace) -> None:
                 print(f"wrote {options.out / name}")
 
 
-def _differ_by_rounding(before: Sequence[Any], after: Sequence[Any]) -> bool:
-    """Whether two tables of answers have the same rows, and numbers that agree to 1e-9."""
-    if len(before) != len(after):
-        return False
-    for row, again in zip(before, after, strict=True):
-        ends = [abs(end) for end in (row.value, row.low, row.high) if end is not None]
-        if row.unit == "1":
-            ends.append(1e-6)
-        slack = 1e-9 * max(ends, default=0.0)
-        for first, second in zip(vars(row).values(), vars(again).values(), strict=True):
-            if isinstance(first, float) and isinstance(second, float):
-                if not math.isclose(first, second, abs_tol=slack):
-                    return False
-            elif first != second:
-                return False
+def _agree(before: Any, after: Any) -> bool:
+    """Whether two answers are the same, numbers to 1e-9."""
+    ends = [abs(end) for end in (before.value, before.low, before.high) if end is not None]
+    if before.unit == "1":
+        ends.append(1e-6)
+    slack = 1e-9 * max(ends, default=0.0)
+    for x, y in zip(vars(before).values(), vars(after).values(), strict=True):
+        near = isinstance(x, float) and isinstance(y, float) and math.isclose(x, y, abs_tol=slack)
+        if x != y and not near:
+            return False
     return True
 
 
@@ -694,7 +678,7 @@ def _verify(options: argparse.Namespace) -> None:
     again = after.results.answers
     if again == stored:
         print(f"run again: all {len(stored)} answers are the same")
-    elif _differ_by_rounding(stored, again):
+    elif len(again) == len(stored) and all(map(_agree, stored, again)):
         print(
             "run again: all answers are the same except for rounding (1e-9), as on another "
             "processor or with another version of NumPy"

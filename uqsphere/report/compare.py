@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.report.format import DASH, change_text, label, meaning, value
 from uqsphere.report.sentences import decision_text, plain_name
 from uqsphere.results import Run
-from uqsphere.results.types import InputEntry, Kind
+from uqsphere.results.types import Answer, InputEntry, Kind
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,9 +25,25 @@ PROBABILITIES = (Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.MOD
 INDICES = (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
 OF_QUANTITIES = (Kind.MEAN, Kind.SD, Kind.QUANTILE)
 COMPARED = (*PROBABILITIES, *OF_QUANTITIES, Kind.MARGIN, Kind.SAFETY_FACTOR, *INDICES)
-KEYS = ["subject", "answer", "at"]
 #: relative change that is worth a line
 WORTH = 1e-3
+
+
+class _Change(NamedTuple):
+    """An answer of all runs.
+
+    ends : value, low and high of each run (n, 3); nan where there is none
+    change : the largest against the first run, of the run `most`
+    """
+
+    subject: str
+    answer: Kind
+    at: str
+    unit: str
+    ends: Array
+    change: float
+    most: int
+    significant: bool
 
 
 def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
@@ -39,76 +56,73 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
 
     Raises UsageError for fewer than two runs.
     """
-    table = _merged(runs)
-    values = {f"value_{number}": name for number, name in enumerate(names)}
-    shown: pd.DataFrame = table[[*KEYS, "unit", *values, "change", "significant"]]
-    return shown.rename(columns=values).reset_index(drop=True)
+    import pandas as pd
+
+    rows = [(*row[:4], *row.ends[:, 0], row.change, row.significant) for row in _changes(runs)]
+    return pd.DataFrame(
+        rows, columns=["subject", "answer", "at", "unit", *names, "change", "significant"]
+    )
 
 
-def _merged(runs: Sequence[Run]) -> pd.DataFrame:
-    """The table of `compare`, with value_K, low_K and high_K of run K, and `most`, the run with the
-    largest change.
-    """
+def _changes(runs: Sequence[Run]) -> list[_Change]:
+    """What `compare` lists, in its order."""
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    tables = list[Any]()
+    answers = dict[tuple[str, Kind, str], dict[int, Answer]]()
     for number, run in enumerate(runs):
-        table = run.answers[run.answers["answer"].isin(COMPARED)]
-        table = table.assign(at=table["at"].map(str)).set_index(KEYS)
-        tables.append(table[["unit", "value", "low", "high"]].add_suffix(f"_{number}"))
-    merged = tables[0].join(tables[1:], how="outer").reset_index()
-    values, low, high = (
-        merged[[f"{end}_{number}" for number in range(len(runs))]].to_numpy()
-        for end in ("value", "low", "high")
-    )
-    width = np.nan_to_num(high - low)
+        for row in run.results.answers:
+            if row.answer in COMPARED:
+                answers.setdefault((row.subject, row.answer, str(row.at)), {})[number] = row
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
-    scale = merged["value_0"].abs().clip(lower=0.5 * width[:, 0])
-    chances = merged["answer"].isin(PROBABILITIES)
-    scale[chances] = merged["subject"].map(targets).fillna(scale.clip(lower=1e-12))[chances]
-    scale[merged["answer"].isin(INDICES)] = 1.0
-    difference = values[:, 1:] - values[:, :1]
-    outside = abs(difference) > 0.5 * np.hypot(width[:, :1], width[:, 1:])
-    # a value of exactly 0 has no scale: each change of it is a whole one
-    relative = np.nan_to_num(difference / scale.where(scale > 0.0, np.inf).to_numpy()[:, None])
-    zero = (scale == 0.0).to_numpy()
-    relative[zero] = np.nan_to_num(np.sign(difference[zero]))
-    most = abs(relative).argmax(axis=1)
-    rows = np.arange(len(merged))
-    merged = merged.rename(columns={"unit_0": "unit"}).assign(
-        change=relative[rows, most], significant=outside[rows, most], most=most + 1
-    )
-    merged["size"] = merged["change"].abs()
-    ranked: pd.DataFrame = merged.sort_values(
-        ["significant", "size"], ascending=False, kind="stable"
-    )
-    return ranked
+    changes = []
+    for (subject, answer, at), rows in sorted(answers.items()):
+        ends = np.full((len(runs), 3), np.nan)
+        for number, row in rows.items():
+            ends[number] = np.array((row.value, row.low, row.high), dtype=float)
+        values = ends[:, 0]
+        half_widths = 0.5 * np.nan_to_num(ends[:, 2] - ends[:, 1])
+        scale = max(abs(values[0]), half_widths[0])
+        if answer in INDICES:
+            scale = 1.0
+        elif answer in PROBABILITIES:
+            scale = targets.get(subject) or max(scale, 1e-12)
+        difference = values - values[0]
+        # a value of exactly 0 has no scale: each change of it is a whole one
+        relative = np.nan_to_num(difference / scale if scale else np.sign(difference))
+        most = int(abs(relative).argmax())
+        width = math.hypot(half_widths[0], half_widths[most])
+        significant = bool(abs(difference[most]) > width)
+        unit = next(iter(rows.values())).unit
+        change = float(relative[most])
+        changes.append(_Change(subject, answer, at, unit, ends, change, most, significant))
+    return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 
 def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -> str:
     """Decisions, settings that differ, and the answers that changed most, as text."""
-    table = _merged(runs)
+    changes = _changes(runs)
     lines = [f"{name}: {run.results.study.title}" for name, run in zip(names, runs, strict=True)]
     lines += _decisions(runs, names)
     settings = _settings(runs, names)
     if settings:
         lines += ["", "settings that differ:", *(f"  {text}" for text in settings)]
-    # a limit's failure probability is that of exceedance, or its complement
-    again = (table["answer"] == Kind.FAILURE_PROBABILITY) & (table["at"] == "")
-    moved = table[(table["size"] > WORTH) & ~again]
-    sure = moved[moved["significant"]]
-    if not sure.empty:
-        lines += ["", "answers that changed:"]
-        lines += [f"  {_answer(row, runs)}" for _, row in sure.head(most).iterrows()]
+    moved = [
+        row
+        for row in changes
+        # a limit's failure probability is that of exceedance, or its complement
+        if abs(row.change) > WORTH and (row.answer, row.at) != (Kind.FAILURE_PROBABILITY, "")
+    ]
+    sure = [row for row in moved if row.significant]
+    if sure:
+        lines += ["", "answers that changed:", *(f"  {_text(row, runs)}" for row in sure[:most])]
     if len(sure) > most:
         lines.append(f"  ... {len(sure) - most} more; --csv has all")
     if len(moved) > len(sure):
-        count = len(moved) - len(sure)
-        lines.append(f"{count} more changed by less than their 95 % intervals")
-    if table.filter(regex="^value_").notna().sum(axis=1).max() < 2:
+        lines.append(f"{len(moved) - len(sure)} more changed by less than their 95 % intervals")
+    if not any(np.isfinite(row.ends[:, 0]).sum() > 1 for row in changes):
         lines.append("the runs have no answer in common: compare runs of one study")
-    elif moved.empty:
+    elif not moved:
         lines.append("no answer changed by more than 0.1 %")
     return "\n".join(lines)
 
@@ -156,36 +170,29 @@ def _input(entry: InputEntry | None, path: str) -> str:
     return f"{mean} ± {value(entry.sd, path)}"
 
 
-def _answer(row: Any, runs: Sequence[Run]) -> str:
+def _text(row: _Change, runs: Sequence[Run]) -> str:
     """An answer of every run, and its largest change."""
-    subject = row["subject"]
-    kind = row["answer"]
     free = runs[0].results.study.free
     quantity = ""
-    if kind in OF_QUANTITIES:
-        quantity = subject
-    elif kind == Kind.MARGIN and free is not None:
+    if row.answer in OF_QUANTITIES:
+        quantity = row.subject
+    elif row.answer == Kind.MARGIN and free is not None:
         quantity = free.path
     texts = []
-    for number in range(len(runs)):
-        x = row[f"value_{number}"]
-        text = DASH
-        if math.isfinite(x):
-            text = f"{x:.4g}"
-            if quantity:
-                text = format_value(x, quantity)
-            elif kind in PROBABILITIES:
-                text = format_probability(x)
+    for x in row.ends[:, 0].tolist():
+        text = f"{x:.4g}"
+        if not math.isfinite(x):
+            text = DASH
+        elif quantity:
+            text = format_value(x, quantity)
+        elif row.answer in PROBABILITIES:
+            text = format_probability(x)
         texts.append(text)
-    change = f"{row['change']:+.2g}"
-    if kind not in INDICES:
-        before, after = (
-            [row[f"{end}_{number}"] for end in ("value", "low", "high")]
-            for number in (0, row["most"])
-        )
-        change = change_text(before, after)
-    title = label(subject)
-    if title == subject:
-        title = meaning(subject)
-    title = f"{title}, {kind.replace('_', ' ')} {row['at']}".rstrip()
+    change = f"{row.change:+.2g}"
+    if row.answer not in INDICES:
+        change = change_text(*row.ends[[0, row.most]].tolist())
+    title = label(row.subject)
+    if title == row.subject:
+        title = meaning(title)
+    title = f"{title}, {row.answer.replace('_', ' ')} {row.at}".rstrip()
     return f"{title}: {' -> '.join(texts)} ({change})"

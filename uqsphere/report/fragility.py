@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.report.format import label, table_of, with_unit
 from uqsphere.report.pictures import (
@@ -63,13 +63,12 @@ class Curve(NamedTuple):
     def scores(self, x: Array, *, logarithmic: bool) -> Array:
         """Normal scores at places x [SI], by the monotone cubic through its points."""
         from scipy.interpolate import PchipInterpolator
-        from scipy.special import ndtri
 
         finite = np.isfinite(self.p)
         if finite.sum() < 2:
             return np.full(len(x), np.nan)
         places = self.x[finite]
-        y = ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
+        y = special.ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
         if logarithmic:
             places, x = np.log(places), np.log(x)
         return np.asarray(PchipInterpolator(places, y)(np.clip(x, places[0], places[-1])))
@@ -89,26 +88,25 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     """
     answers = table_of(results)
     points = dict[str, list[tuple[Any, ...]]]()
-    often = dict[str, float]()
     for row in answers:
         if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
             points.setdefault(row.subject, []).append((row.at, row.value))
-            p = answers.get(row.subject, Kind.EXCEEDANCE_PROBABILITY)
-            often[row.subject] = (p and p.value) or 0.0
-    kept = sorted(often, key=lambda subject: -often[subject])[:MOST_CURVES]
+
+    def at_the_plan(subject: str) -> float:
+        p = answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
+        return (p and p.value) or 0.0
+
+    kept = sorted(points, key=at_the_plan, reverse=True)[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = list[Curve]()
     for subject in points:
-        if subject not in kept:
-            continue
-        look = GREY, ASSUMED
-        if subject.startswith("limits."):
-            look = next(hues), LIMIT
-        elif subject in governing:
-            look = RED, ASSUMED
-        x, p = np.array(points[subject], dtype=float).T
-        curves.append(Curve(label(subject), x, p, *look))
+        if subject in kept:
+            look = RED if subject in governing else GREY, ASSUMED
+            if subject.startswith("limits."):
+                look = next(hues), LIMIT
+            x, p = np.array(points[subject], dtype=float).T
+            curves.append(Curve(label(subject), x, p, *look))
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:
             x, p, *_ = _ends(decision.curve)
@@ -136,8 +134,6 @@ def draw_fragility(
 
     limit : only this one; brief : shorter texts, for a narrow chart
     """
-    from scipy.special import ndtri
-
     free = results.study.free
     curves = curves_of(results, limit)
     assert free is not None
@@ -148,17 +144,22 @@ def draw_fragility(
     if planned is not None:
         places.append(planned)
     low, high = _ends_of_interest(free, curves, places)
-    axes.set(xlim=(low * factor, high * factor), ylim=(ndtri(LOWEST), ndtri(HIGHEST)))
+    axes.set(xlim=(low * factor, high * factor), ylim=special.ndtri((LOWEST, HIGHEST)))
     if low > 0.0:
         axes.set_xscale("log")
         plain_logarithms(axes.xaxis, high / low)
-    axes.set_yticks(ndtri(np.array(TICKS)), [format_probability(tick) for tick in TICKS])
+    axes.set_yticks(special.ndtri(TICKS), [format_probability(tick) for tick in TICKS])
     axes.grid(color=FAINT, linewidth=0.7)
     axes.set_axisbelow(True)
     above, right = _draw_curves(axes, curves, factor)
     _draw_tests(axes, results, curves, factor)
-    for p, text in _targets(results, limit).items():
-        height = float(ndtri(p))
+    targets = {}
+    for name, entry in results.study.limits.items():
+        if entry.has_target and limit in (None, name):
+            sign = "≤" if entry.aim == "survive" else "≥"
+            targets[entry.allowable] = f"target {sign} {format_probability(entry.allowable)}"
+    for p, text in targets.items():
+        height = float(special.ndtri(p))
         axes.axhline(height, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
         right.append(_Label(height, text, INK))
     below = []
@@ -187,22 +188,13 @@ def _ends_of_interest(
     shown = shown[(shown >= free.low) & (shown <= free.high)]
     if len(shown) < 2 or shown.max() <= shown.min():
         return free.low, free.high
-    low = float(shown.min())
-    high = float(shown.max())
+    low, high = shown.min(), shown.max()
     if free.low > 0.0:
-        return max(low / 1.15, free.low), min(high * 1.15, free.high)
-    room = 0.04 * (high - low)
-    return max(low - room, free.low), min(high + room, free.high)
-
-
-def _targets(results: Results, limit: str | None) -> dict[float, str]:
-    """Probabilities of exceedance at the targets, with their text."""
-    targets: dict[float, str] = {}
-    for name, entry in results.study.limits.items():
-        if entry.has_target and limit in (None, name):
-            sign = "≤" if entry.aim == "survive" else "≥"
-            targets[entry.allowable] = f"target {sign} {format_probability(entry.allowable)}"
-    return targets
+        low, high = low / 1.15, high * 1.15
+    else:
+        room = 0.04 * (high - low)
+        low, high = low - room, high + room
+    return max(low, free.low), min(high, free.high)
 
 
 def _draw_curves(
@@ -229,8 +221,6 @@ def _draw_curves(
 
 def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: float) -> None:
     """Band and points of the limit with tests that governs, else of the first one."""
-    from scipy.special import ndtri
-
     limits = results.study.limits
     colours = {curve.name: curve.colour for curve in curves}
     for decision in results.decisions:
@@ -243,15 +233,14 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
         if decision.aim == "break":
             low, high = 1.0 - high, 1.0 - low
         drawn = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
-        edges = ndtri(np.clip((low[drawn], high[drawn]), 1e-9, 1.0 - 1e-9))
+        edges = special.ndtri(np.clip((low[drawn], high[drawn]), 1e-9, 1.0 - 1e-9))
         axes.fill_between(x[drawn] * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
         points = np.array(limits[tested[0]].test_points or np.empty((2, 0)))
-        places = points[0] * factor
-        shares = ndtri(np.clip(points[1], LOWEST, HIGHEST))
         stopped = points[2:].any(axis=0)
         for chosen, marker, fill in ((~stopped, "o", colour), (stopped, ">", "white")):
-            x, y = places[chosen], shares[chosen]
-            axes.plot(x, y, marker, ms=5, mec=colour, mfc=fill, zorder=5)
+            x, shares = points[:2, chosen]
+            y = special.ndtri(np.clip(shares, LOWEST, HIGHEST))
+            axes.plot(x * factor, y, marker, ms=5, mec=colour, mfc=fill, zorder=5)
         return
 
 
@@ -268,18 +257,15 @@ def _inside(low: Array, high: Array) -> Flags:
 
 def _draw_mark(axes: Axes, decision: Decision, factor: float) -> float:
     """Draw a number to use, with the values that are allowed as a bar on the axis; its place."""
-    from scipy.special import ndtri
-
     use = decision.use
-    p = decision.target or 0.0
     assert use is not None
-    if decision.aim == "break":
-        p = 1.0 - p
+    p = decision.target or 0.0
+    height = special.ndtri(1.0 - p if decision.aim == "break" else p)
     at, bottom, (left, right) = use.value * factor, axes.get_ylim()[0], axes.get_xlim()
     allowed = (at, right) if use.safe_end == "smallest" else (left, at)
     axes.hlines(bottom, *allowed, color=RED, linewidth=6, clip_on=False)
-    axes.vlines(at, bottom, ndtri(p), color=RED, linewidth=1.4, zorder=5)
-    axes.plot(at, ndtri(p), "D", color=RED, ms=8, zorder=6)
+    axes.vlines(at, bottom, height, color=RED, linewidth=1.4, zorder=5)
+    axes.plot(at, height, "D", color=RED, ms=8, zorder=6)
     return at
 
 
@@ -289,36 +275,24 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    frame = 1.0
-    ticks = 0.0
-    sign = 1.0
+    frame, sign, shift = 1.0, 1.0, 0.0
     if edge == "below":  # the ticks have their numbers first
-        frame = 0.0
-        ticks = -19.0 / 72.0
-        sign = -1.0
-    shift = ScaledTranslation(0.0, ticks, axes.figure.dpi_scale_trans)
-    coordinates = axes.get_xaxis_transform() + shift
+        frame, sign, shift = 0.0, -1.0, -19.0 / 72.0
+    moved = ScaledTranslation(0.0, shift, axes.figure.dpi_scale_trans)
+    coordinates = axes.get_xaxis_transform() + moved
     ends: list[float] = []
     for at, text, colour in sorted(labels):
         place = float(axes.transData.transform((at, 0.0))[0])
-        width = LETTER * len(text)
+        width = LETTER * len(text) + 4.0
         # left of the leader; right of it where there is no room
-        start = place - width - 4.0
-        stop = place
-        side = "right"
-        gap = -3.0
+        start, side, gap = place - width, "right", -3.0
         if start <= 0.0:
-            start = place
-            stop = place + width + 4.0
-            side = "left"
-            gap = 3.0
+            start, side, gap = place, "left", 3.0
+        stop = start + width
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
-        if row == len(ends):
-            ends.append(stop)
         # a leader crosses the rows between its text and the frame
-        for k in range(row):
-            ends[k] = max(ends[k], place + 3.0)
-        ends[row] = max(ends[row], stop)
+        ends[:row] = [max(end, place + 3.0) for end in ends[:row]]
+        ends[row:] = [max([stop, *ends[row : row + 1]]), *ends[row + 1 :]]
         height = (9.0 + LINE * row) * sign
         write(axes, text, (at, frame), (gap, height), coordinates, color=colour, ha=side)
         leader = {"arrowstyle": "-", "color": colour, "lw": 0.9, "shrinkA": 0, "shrinkB": 0}

@@ -104,13 +104,12 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     if free is None:
         return PageTable()
     sign = 1.0
-    if decision.use is not None and decision.use.safe_end == "smallest":
+    if decision.use is not None and is_least(decision):
         sign = -1.0
+    ends = {"everywhere": math.inf, "nowhere": -math.inf, "": -math.inf}
 
     def order(doubt: Doubt) -> float:
-        if doubt.margin is not None:
-            return sign * doubt.margin
-        return math.inf if doubt.margin_note == "everywhere" else -math.inf
+        return ends[doubt.margin_note] if doubt.margin is None else sign * doubt.margin
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
     margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
@@ -127,18 +126,14 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         note += "; * strength assumed, from the library: each by itself"
         if decision.aim == "survive":
             note += "; your own limits: with all failure modes that count"
-    return PageTable(
-        f"To {decision.aim}",
-        (
-            "limit and what is open",
-            f"{free.meaning} at the target",
-            f"{name} at the number to use",
-            f"{name} at the plan",
-        ),
-        rows,
-        marked=[k for k, doubt in enumerate(doubts) if doubt.governs],
-        note=note,
+    head = (
+        "limit and what is open",
+        f"{free.meaning} at the target",
+        f"{name} at the number to use",
+        f"{name} at the plan",
     )
+    marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
+    return PageTable(f"To {decision.aim}", head, rows, marked, note)
 
 
 def limits(results: Results) -> PageTable:
@@ -358,21 +353,25 @@ def drivers(results: Results) -> list[PageTable]:
     changes = dict[str, dict[str, str]]()
     points = dict[str, dict[str, str]]()
     for subject, entry in entries_of(results).items():
-        rows = answers.where(subject, Kind.DRIVER)
-        moved = {_variable(row.at): 100.0 * (row.value or 0.0) for row in rows}
+        moved = {
+            str(row.at): 100.0 * (row.value or 0.0) for row in answers.where(subject, Kind.DRIVER)
+        }
         most = max(map(abs, moved.values()), default=0.0)
         if most == 0.0:
             continue
         # three digits of the largest in a column
         decimals = max(2 - math.floor(math.log10(most)), 0)
         form = f"+.{decimals}f" if decimals < 6 else "+.1e"
-        changes[label(subject)] = {name: format(moved[name], form) for name in moved}
-        for name, change in moved.items():
-            largest[name] = max(largest.get(name, 0.0), abs(change))
-        placed = answers.where(subject, Kind.DESIGN_POINT)
-        texts = {_variable(row.at): value(row.value, str(row.at)) for row in placed}
-        for row in placed:
-            if not _variable(row.at):
+        # the strength of a limit is a row that all limits share
+        names = {name: "" if name.endswith(".strength") else name for name in moved}
+        changes[label(subject)] = {names[name]: format(x, form) for name, x in moved.items()}
+        for name, x in moved.items():
+            largest[names[name]] = max(largest.get(names[name], 0.0), abs(x))
+        texts = {}
+        for row in answers.where(subject, Kind.DESIGN_POINT):
+            name = str(row.at)
+            texts[name] = value(row.value, name)
+            if name.endswith(".strength"):
                 # in terms of the test force
                 texts[""] = DASH if entry.tests else value(row.value, entry.quantity)
         if texts:
@@ -380,22 +379,17 @@ def drivers(results: Results) -> list[PageTable]:
     ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
     shift = "percentage points per standard deviation shift of the input's mean"
     tables = []
-    for cells, caption, note in (
+    for columns, caption, note in (
         (changes, "Sensitivity of the failure probability", shift),
         (points, "Most probable failure (design point)", ""),
     ):
-        body = []
+        rows = []
         for name in ranked:
             head = meaning(name, results.inputs) if name else "strength"
-            body.append((head, *(column.get(name, DASH) for column in cells.values())))
-        if cells:
-            tables.append(PageTable(caption, ("input", *cells), body, note=note))
+            rows.append((head, *(column.get(name, DASH) for column in columns.values())))
+        if columns:
+            tables.append(PageTable(caption, ("input", *columns), rows, note=note))
     return tables
-
-
-def _variable(at: float | str) -> str:
-    """An input by its name; empty for the strength."""
-    return "" if str(at).endswith(".strength") else str(at)
 
 
 def paper(results: Results) -> PageTable:
