@@ -1,7 +1,7 @@
 """From the tables of a file to a `Study`: library values, defaults, and contradictions between
 tables.
 
-Every check is a generator of faults, and may raise its last one.  Checks stand in stages: a stage
+A check yields faults, and may raise its last one.  Checks stand in stages: a stage
 is run once those before it have found nothing, so that its checks may rely on what they have read,
 and each fault is reported once.
 """
@@ -43,7 +43,7 @@ from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
 from uqsphere.study.limits import compare_sizes, read_limit
 from uqsphere.study.plausibility import warn_of_slips
-from uqsphere.study.study import Limit, Study, default_target, scene_with, strength_name
+from uqsphere.study.study import Study, default_target, scene_with, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
@@ -76,54 +76,48 @@ FORMS: Final[Mapping[str, Mapping[str, str]]] = {
 
 def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
-    document, rod = draft.document, draft.document.rod
-    usual: tuple[str, ...] = ("p_max", "contact_duration")
-    outputs: tuple[str, ...] = ()
-    gauges = document.gauges
-    if draft.box:
-        usual, outputs = draft.quantities, document.outputs.names
-    elif RIGS[draft.rig].by_press:
-        usual = ("p_max",)
-    if rod.gauge is not None:
-        gauges = (Gauge.model_construct(bar="rod", position=rod.gauge), *gauges)
-    values = {
-        name: number.value
-        for name, number in draft.numbers.items()
-        if not name.startswith("limits.")
-    }
+    document, limits = draft.document, draft.limits.values()
+    analysis, gauges, rod = document.analysis, document.gauges, document.rod.gauge
+    if not analysis.quantities:
+        usual: tuple[str, ...] = ("p_max", "contact_duration")
+        if draft.box:
+            usual = draft.quantities
+        elif RIGS[draft.rig].by_press:
+            usual = ("p_max",)
+        analysis = analysis.model_copy(update={"quantities": usual})
+    if rod is not None:
+        gauges = (Gauge.model_construct(bar="rod", position=rod), *gauges)
+    numbers = {k: n.value for k, n in draft.numbers.items() if not k.startswith("limits.")}
     return Study(
         title=as_text(document.title) or path.stem,
         seed=document.seed,
         path=path,
         text=text,
         black_box=draft.box,
-        fixed={name: value for name, value in values.items() if not isinstance(value, Law)},
-        random={name: value for name, value in values.items() if isinstance(value, Law)},
+        fixed={name: value for name, value in numbers.items() if not isinstance(value, Law)},
+        random={name: value for name, value in numbers.items() if isinstance(value, Law)},
         made_up=tuple(name for name, number in draft.numbers.items() if number.synthetic),
         options=draft.options,
         materials=draft.materials,
         sources=draft.sources,
         model=document.model,
-        limits=tuple(_with_target(limit, draft) for limit in draft.limits.values()),
+        limits=tuple(
+            limit
+            if limit.has_target
+            else replace(limit, target=default_target(limits, draft.margins, limit.aim))
+            for limit in limits
+        ),
         margins=draft.margins,
         record=draft.record,
         dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
-        analysis=document.analysis.model_copy(
-            update={"quantities": document.analysis.quantities or usual}
-        ),
-        outputs=outputs,
+        analysis=analysis,
+        outputs=document.outputs.names,
         caveats=tuple(
-            (holds, path_of(place), text) for place, text, holds in draft.warnings if holds
+            (holds, path_of(place), message) for place, message, holds in draft.warnings if holds
         ),
         gauges=gauges,
         files=tuple(draft.files.items()),
     )
-
-
-def _with_target(limit: Limit, draft: Draft) -> Limit:
-    if limit.has_target:
-        return limit
-    return replace(limit, target=default_target(draft.limits.values(), draft.margins, limit.aim))
 
 
 # --- 1: each table by itself ----------------------------------------------------------------------
@@ -160,26 +154,21 @@ def _yielding_is_known(draft: Draft) -> bool:
     model = draft.document.model
     if draft.box or model.fidelity != "full" or model.compare_with_paper:
         return False
-    onsets = {"sphere.onset_pressure", "contact.onset_pressure"}
-    onsets |= {f"{table}.yield_strength" for table in SCENE if table != "sphere"}
-    if onsets & draft.numbers.keys():
-        return True
     for table in SCENE:
-        material = _materials(table).get(_material_name(draft, table))
         key = "onset_pressure" if table == "sphere" else "yield_strength"
-        if material is not None and key in material.properties:
+        name, materials = _material(draft, table)
+        if f"{table}.{key}" in draft.numbers or (
+            name in materials and key in materials[name].properties
+        ):
             return True
-    return False
+    return "contact.onset_pressure" in draft.numbers
 
 
-def _material_name(draft: Draft, table: str) -> str:
-    return getattr(getattr(draft.document, table), "material", None) or ""
-
-
-def _materials(table: str) -> dict[str, Material]:
-    """The materials of the library that a table may name."""
+def _material(draft: Draft, table: str) -> tuple[str, dict[str, Material]]:
+    """The material of a table, and those of the library that it may name."""
     kinds = _KINDS.get(table, MATERIAL_KINDS)
-    return dict(chain(*(library()[kind].items() for kind in kinds)))
+    materials = dict(chain(*(library()[kind].items() for kind in kinds)))
+    return getattr(getattr(draft.document, table), "material", None) or "", materials
 
 
 # --- 2: which tables and numbers there are --------------------------------------------------------
@@ -188,7 +177,7 @@ def _materials(table: str) -> dict[str, Material]:
 def _rig(draft: Draft) -> Faults:
     """The tables of the rig."""
     data, rig = draft.data, draft.rig
-    if not set(data) & set(SCENE):
+    if data.keys().isdisjoint(SCENE):
         raise Fault(
             "the study has neither a scene ([sphere], [bars], [striker]) nor a black box "
             "([inputs], [outputs]). 'uqsphere new -o FILE' writes a study to start from"
@@ -241,7 +230,7 @@ def _box(draft: Draft) -> Faults:
 def _library(draft: Draft) -> Faults:
     """Numbers that a material gives and the file does not."""
     for table in SCENE:
-        name, materials = _material_name(draft, table), _materials(table)
+        name, materials = _material(draft, table)
         if not name and "material" not in draft.data.get(table, ()):
             continue
         kinds = _KINDS.get(table, MATERIAL_KINDS)
@@ -275,15 +264,14 @@ def _library(draft: Draft) -> Faults:
 def _words(draft: Draft) -> Faults:
     """Words that choose an equation, and defaults."""
     document, numbers, options = draft.document, draft.numbers, draft.options
-    for table in ("target", "anvil"):
-        if table in draft.data:
-            options[f"{table}.kind"] = getattr(document, table).kind
+    pulse, shape = document.pulse, str(document.pulse.shape)
+    for table in {"target", "anvil"} & draft.data.keys():
+        options[f"{table}.kind"] = getattr(document, table).kind
     if document.hammer.shape is not None:
         options["hammer.shape"] = "ball"
     usual = {
         f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers
     }
-    pulse, shape = document.pulse, str(document.pulse.shape)
     if RIGS[draft.rig].by_wave:
         usual["bars.incident_end"] = END_COEFFICIENTS["free"]
         usual["bars.receiving_end"] = END_COEFFICIENTS["absorbing"]
@@ -296,11 +284,9 @@ def _words(draft: Draft) -> Faults:
                     "pulse",
                     "shape",
                 )
-        options |= {
-            "bars.infinite": document.bars.infinite,
-            "bars.rigid_contact": document.bars.rigid_contact,
-            "pulse.shape": shape,
-        }
+        options["bars.infinite"] = document.bars.infinite
+        options["bars.rigid_contact"] = document.bars.rigid_contact
+        options["pulse.shape"] = shape
     else:
         options["rig.kind"] = draft.rig
         if RIGS[draft.rig].sphere_moves:
@@ -322,39 +308,33 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
         options=draft.options,
     ) | {"model": draft.rig}
     for table in FORMS.keys() & draft.data.keys():
-        kind, present, entries = kinds.get(table, ""), draft.data[table], numbers_of(table)
+        kind, entries = kinds.get(table, ""), numbers_of(table)
         of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
         takes = {form: re.findall(r"\w+", keys) for form, keys in FORMS[table].items()}
-        for key in present:
+        present = {key for key, entry in entries.items() if entry.name in draft.numbers}
+        for key in draft.data[table]:
+            present.add(key)
             homes = [form for form, keys in takes.items() if key in keys]
-            if not homes or kind in homes:
-                continue
-            only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
-            yield Fault(f"{key} is not a key of {of}{only}. Remove it", table, key)
+            if homes and kind not in homes:
+                only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
+                yield Fault(f"{key} is not a key of {of}{only}. Remove it", table, key)
         for keys in forms.needs_of(FORMS[table].get(kind, "")):
-            held = [
-                key
-                for key in keys
-                if key in present or (key in entries and entries[key].name in draft.numbers)
-            ]
+            held = present.intersection(keys)
             if len(held) == 2:
                 yield Fault(f"give only one of {one_of(keys)}. Remove the other", table, keys[1])
-            if not held:
-                yield Fault(_missing(keys, table), table, keys[0])
-
-
-def _missing(keys: list[str], table: str) -> str:
-    """The message for a number, or one of several, that a table lacks."""
-    entries, ways = numbers_of(table), []
-    for key in keys:
-        unit = getattr(entries.get(key), "display", "")
-        ways.append(f'{key} = "{f"… {unit}".rstrip()}"')
-    if keys[0] in ("E", "nu", "density"):
-        ways.append('material = "…" to take it from')
-    if keys[0].endswith("ing_length"):
-        ways.append("infinite = true")
-    meaning = f" ({entries[keys[0]].meaning})" if keys[0] in entries else ""
-    return f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}"
+            if held:
+                continue
+            ways = []
+            for key in keys:
+                unit = getattr(entries.get(key), "display", "")
+                ways.append(f'{key} = "{f"… {unit}".rstrip()}"')
+            if keys[0] in ("E", "nu", "density"):
+                ways.append('material = "…" to take it from')
+            if keys[0].endswith("ing_length"):
+                ways.append("infinite = true")
+            meaning = f" ({entries[keys[0]].meaning})" if keys[0] in entries else ""
+            message = f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}"
+            yield Fault(message, table, keys[0])
 
 
 # --- 4: what contradicts, random numbers at their nominal means -----------------------------------
@@ -363,12 +343,6 @@ def _missing(keys: list[str], table: str) -> str:
 def _model(draft: Draft) -> Faults:
     """Which models go with a rig."""
     rig, model = RIGS[draft.rig], draft.document.model
-    light = (
-        rig.weight_falls
-        and rig.kind(1, draft.options) != "bar"
-        and not draft.plastic
-        and model.fidelity == "massless"
-    )
     for key, word in (("fidelity", "linear"), ("compare_with_paper", True)):
         if rig.by_wave and draft.plastic and getattr(model, key) == word:
             yield Fault(
@@ -383,7 +357,9 @@ def _model(draft: Draft) -> Faults:
             "model",
             "whole_record",
         )
-    if model.fidelity != "full" and not rig.by_wave and not light:
+    light = rig.weight_falls and rig.kind(1, draft.options) != "bar" and not draft.plastic
+    allowed = {"full", "massless"} if light else {"full"}
+    if not rig.by_wave and model.fidelity not in allowed:
         yield Fault(
             f'the rig {shown(draft.rig)} supports only fidelity = "full". Remove fidelity',
             "model",
@@ -427,23 +403,31 @@ def _scene(draft: Draft) -> Faults:
         with within("pulse"):
             draft.record = pulse_of(draft.document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
-    try:
+
+    def with_faces() -> tuple[Scene, dict[str, Face]]:
+        """The scene, and its faces that yield by the table of the softer body."""
         scene = scene_with(columns, options, model, record=draft.record)
-        faces = _yielding_faces(scene)
+        return scene, {
+            "sphere" if partner.takes[0] else partner.table: partner.face
+            for partner in scene.there
+            if isinstance(partner.face, Face)
+        }
+
+    try:
+        draft.scene, faces = with_faces()
         valid = faces and all(face.valid[0] for face in faces.values())
         if draft.plastic and not draft.law_given and not valid:
             del options["contact.law"]
-            draft.plastic, faces = False, {}
-            scene = scene_with(columns, options, model, record=draft.record)
+            draft.plastic = False
+            draft.scene, faces = with_faces()
     except ValueError as error:
         raise Fault(
             f"{error}. Remove these keys, or set pulse.shape to "
             f"{one_of(map(shown, STRIKER_SHAPES))}",
             "striker",
         ) from None
-    draft.scene = scene
     if draft.plastic and not faces:
-        bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in scene.there)
+        bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in draft.scene.there)
         names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
         yield Fault(
             f"the plastic law needs the pressure at which a contact yields. Add {names}",
@@ -452,7 +436,7 @@ def _scene(draft: Draft) -> Faults:
         )
     of_contact = any(f"contact.{key}" in numbers for key in LAW)
     for softer, face in faces.items():
-        if not face.valid[0]:
+        if draft.plastic and not face.valid[0]:
             law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
             values = ", ".join(
                 f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law
@@ -511,32 +495,20 @@ def _pulse(draft: Draft) -> Faults:
         )
 
 
-def _yielding_faces(scene: Scene) -> dict[str, Face]:
-    """The faces that yield, by the table of the softer body."""
-    return {
-        "sphere" if partner.takes[0] else partner.table: partner.face
-        for partner in scene.there
-        if isinstance(partner.face, Face)
-    }
-
-
 def _gauges(draft: Draft) -> Faults:
     """Gauges stand on bars that there are."""
-    rod = draft.document.rod.gauge
+    rod, rig = draft.document.rod.gauge, RIGS[draft.rig]
     places: list[tuple[Place, str, float]] = [
         (("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)
     ]
     if rod is not None:
         places.append((("rod", "gauge"), "rod", rod))
-    bars = {"rod"} & set(RIGS[draft.rig].tables)
-    if RIGS[draft.rig].by_wave:
-        bars = {"incident", "receiving"}
     for place, bar, position in places:
-        path, name = f"bars.{bar}_length", f"{bar} bar"
+        path, name, has_it = f"bars.{bar}_length", f"{bar} bar", rig.by_wave
         if bar == "rod":
-            path, name = "rod.length", bar
+            path, name, has_it = "rod.length", bar, bar in rig.tables
         length = draft.mean(path)
-        if bar not in bars:
+        if not has_it:
             yield Fault(
                 f"the rig has no {name}. Gauges stand on the bars, or on the rod of a load_cell",
                 *place,
@@ -562,12 +534,6 @@ def _limits(draft: Draft) -> Faults:
             yield Fault(str(fault), "limits", name, *fault.at)
 
 
-def _slips(draft: Draft) -> Faults:
-    """Numbers far from the library's."""
-    warn_of_slips(draft)
-    yield from ()
-
-
 def _analysis(draft: Draft) -> Faults:
     """Quantities that the model has."""
     for index, name in enumerate(draft.document.analysis.quantities):
@@ -577,7 +543,7 @@ def _analysis(draft: Draft) -> Faults:
             )
 
 
-def _dependence(draft: Draft) -> Faults:
+def _dependence(draft: Draft) -> None:
     """The names of each dependence, and each with those before it."""
     ties: list[Dependence] = []
     random = {k: n.value for k, n in draft.numbers.items() if isinstance(n.value, Law)}
@@ -596,7 +562,6 @@ def _dependence(draft: Draft) -> Faults:
             if key == "spearman" and table.spearman is None:
                 key = "kendall"
             raise Fault(error.message, "dependence", index, key) from None
-    yield from ()
 
 
 def _margins(draft: Draft) -> Faults:
@@ -665,6 +630,6 @@ STAGES: Final = (
     (_words,),
     (_model, _scene, _pulse, _gauges),
     (_limits, _analysis),
-    (_dependence, _margins, _slips),
+    (_dependence, _margins, warn_of_slips),
 )
 BOX_STAGES: Final = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))

@@ -79,7 +79,7 @@ def load_study(
         faults: list[Fault] = []
         for check in stage:
             try:
-                faults.extend(check(draft))
+                faults += check(draft) or ()
             except Fault as fault:  # behind those that the check has yielded
                 faults.append(fault)
         if faults:
