@@ -106,7 +106,7 @@ def _at_number(model: Model, judged: Judged, rows: int, series: int) -> list[str
     line = settled.line
     k = int(np.argmin(np.abs(line.places - line.place_of(settled.number))))
     by_run = math.hypot(doubt.error[k], by_laws)
-    target, allowed = doubt.limit.target, doubt.allowed
+    target, allowed = doubt.limit.target, doubt.limit.allowable
     apart = (p - allowed) / math.hypot(error, by_run)
     failure = p if settled.aim.survive else 1.0 - p
     said = [f"{100.0 * x:.3g} %" for x in (target, failure, error, by_run)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -234,6 +235,54 @@ def test_contacts_yield_where_something_says_at_which_pressure() -> None:
     assert load_study("plain.toml", text=PLAIN).options["contact.law"] == "plastic"
     named = load_study("plain.toml", ["contact.law=hertz"], text=PLAIN)
     assert "contact.law" not in named.options
+
+
+def test_fracture_by_a_limit_without_a_target_adds_up() -> None:
+    """It takes the place of the library's strength for its mode: who left it out would judge
+    neither.
+    """
+    text = PLAIN.replace("target = 0.01", "") + (
+        '[limits.first]\ncriterion = "specific_energy_sphere"\ntarget = 0.01\n'
+        'strength = { dist = "lognormal", mean = "90 J/kg", cov = 0.4 }\n'
+    )
+    design = Design.of(load_study("plain.toml", text=text))
+    aim = aim_of(design, "survive")
+    assert [limit.name for limit in aim.limits] == ["first"]
+    assert [limit.name for limit in aim.beside] == ["whole"]
+    with Model(design.judged) as model:
+        line = plan_of(design, evaluate(design, model, design.points(64)))
+    only = dataclasses.replace(aim, modes=())
+    first, whole = Curves(aim=only, line=line), Curves(aim=only.without("first"), line=line)
+    (limit,), (other,) = aim.limits, aim.beside
+    alone, joint = first.base(limit).mean(axis=(1, 2))
+    beside = whole.base(other)[0].mean()
+    assert joint == pytest.approx(1.0 - (1.0 - alone) * (1.0 - beside), rel=0.05)
+    assert joint > 2.0 * alone
+
+
+def test_the_certificate_has_the_probabilities_of_the_answers() -> None:
+    text = PLAIN.replace(
+        'speed = "1 m/s"', 'speed = { dist = "normal", mean = "3 m/s", cov = 0.1 }'
+    )
+    text += '[margins]\nsolve = "rig.speed"\nbetween = ["0.1 m/s", "20 m/s"]\n'
+    loose = "analysis.accuracy={ mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.05 }"
+    results = uqsphere.run(load_study("plain.toml", [loose], text=text)).results
+    (decision,) = results.decisions
+    answers = {
+        answer.subject: answer.value
+        for answer in results.answers
+        if answer.answer == "failure_probability" and not answer.at
+    }
+    modes = [row for row in decision.doubts if row.code == "assumed strength"]
+    assert modes
+    assert [row.at_plan.value for row in modes] == [answers[row.subject] for row in modes]
+    computed = next(row for row in decision.doubts if row.code == "computation")
+    joint = decision.all_modes or decision.probability
+    assert computed.at_plan.value == joint.high
+    assert computed.joint == (decision.all_modes is not None)
+    if decision.library is not None:
+        assert decision.use is not None
+        assert decision.use.best.low == decision.library.weak
 
 
 def test_tests_refute_a_true_strength_as_often_as_they_should() -> None:

@@ -67,10 +67,33 @@ def test_the_sentence_has_number_plan_and_what_governs(granite: Results) -> None
     assert text.use == "Use at most 0.65 m/s"
     assert text.sentence == (
         "Planned striker speed: 0.5 m/s, safety factor 1.3. "
-        "Crushing governs, with what its 20 tests leave open."
+        "Crushing governs, by the lower end of what its 20 tests leave open."
     )
     assert text.broken.endswith("0.200 % (0.190 to 0.210 %). Target: at most 1 %.")
     assert doubt_text(doubt) == "20 tests, Weibull distribution"
+
+
+def test_the_probability_by_what_governs_comes_first(granite: Results) -> None:
+    """The smaller one as computed is not the one to sign."""
+    doubt = Doubt(
+        code="tests",
+        subject="limits.crushing",
+        option="weibull",
+        target=0.01,
+        margin=0.653,
+        at_plan=Range(value=0.024),
+        governs=True,
+        joint=True,
+        tests=20,
+    )
+    text = decision_text(granite, decision(doubts=[doubt], all_modes=Range(value=0.002)))
+    assert text.broken == (
+        "Fracture probability at the planned value: 2.4 % by what governs; as computed, 0.2 %, by "
+        "your own limits and with all failure modes. Target: at most 1 %."
+    )
+    assert doubt_text(doubt).endswith("; with the other modes")
+    computed = doubt.model_copy(update={"code": "computation"})
+    assert "by what governs" not in decision_text(granite, decision(doubts=[computed])).broken
 
 
 def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Results) -> None:
@@ -89,12 +112,12 @@ def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Res
     )
     assert text.use == "Use at most 0.12 m/s"
     assert "no margin" in text.sentence
-    assert "(its range: 0.064 m/s to 0.27 m/s)" in text.sentence
+    assert "(its weak end: 0.064 m/s, its strong end: 0.27 m/s)" in text.sentence
     assert "By your own limits: at most 0.65 m/s." in text.sentence
     assert len(f"{text.use}. {text.sentence}".split()) <= 45
     assert text.open == ["core tension rests on a strength of the library, not of this rock"]
     assert text.next.startswith("Measure the tensile strength (core tension)")
-    assert "the number to use would then be 0.42 m/s at best" in text.next
+    assert text.next.endswith("would then be 0.42 m/s at best, if core tension never fails.")
 
 
 def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results) -> None:

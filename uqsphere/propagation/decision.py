@@ -87,13 +87,17 @@ class Settled:
         pick = max if self.least else min
         return pick(inside, default=math.inf)
 
+    @property
+    def setting(self) -> Doubt:
+        """The doubt whose margin is the number."""
+        return next(doubt for doubt in self.doubts if doubt.margin == self.number)
+
     @cached_property
     def governing(self) -> Doubt:
         """The doubt that sets the number: where most of the failures there, or at the safe end if
         there is no number, are by another failure mode, that one as the study has it.
         """
-        curves = self.curves
-        doubt = next(doubt for doubt in self.doubts if doubt.margin == self.number)
+        curves, doubt = self.curves, self.setting
         if not self.aim.survive or not curves.adds_up(doubt.limit):
             return doubt
         at = self.use
@@ -103,6 +107,9 @@ class Settled:
         for other in self.doubts:
             if curves.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
                 candidates.setdefault(other.limit.name, other)
+        for limit in self.aim.beside:
+            if curves.adds_up(limit) and not self.aim.same_tests(limit, doubt.limit):
+                candidates[limit.name] = curves.computed(limit)
         candidates |= {mode.limit.name: curves.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 

@@ -55,7 +55,8 @@ class Judged:
     """One aim, judged.
 
     plan, line : at the plan, and along the free number; None without one
-    probability : failure probability at the plan by limit: by the study's own limits
+    probability : failure probability at the plan by limit: by the study's own limits; of a failure
+        mode by itself
     all_modes : the same by all failure modes; empty where there are no others
     """
 
@@ -79,6 +80,16 @@ class Judged:
     def planned(self) -> float | None:
         """The planned value of the free number."""
         return planned_value(self.aim.design)
+
+    @property
+    def lead(self) -> Limit:
+        """The limit that the decision speaks of: the one that sets the number; where nothing has a
+        target, or a failure mode governs, one that means fracture before others.
+        """
+        limits, governing = self.aim.limits, self.settled.governing
+        if governing.code != ASSUMED and any(limit.has_target for limit in limits):
+            return self.settled.setting.limit
+        return next((limit for limit in limits if means_fracture(limit)), limits[0])
 
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""
@@ -124,12 +135,16 @@ def judge(
                 pairs = zip(settled.line.values, settled.line.samples, strict=True)
                 tables = replace(tables, line=dict(pairs))
         by_study = Curves(aim=replace(aim, modes=()), line=plan.line)
+        probability = _at_plan(tables, by_study)
+        if aim.survive:
+            for mode in design.modes:
+                probability[mode.limit.name] = failure(design, tables, mode.limit)
         judged.append(
             Judged(
                 settling=settling,
                 plan=plan,
                 line=settled,
-                probability=_at_plan(tables, by_study),
+                probability=probability,
                 all_modes=_at_plan(tables, plan.curves) if aim.modes else {},
             )
         )
@@ -155,15 +170,17 @@ def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
 
 
 def aim_of(design: Design, word: types.Aim) -> Aim:
-    """The limits of an aim, those without a target only where none has one, and the failure modes
-    that add up with them.
+    """The limits of an aim, and what adds up with them: those without a target are judged only
+    where none has one.
     """
-    limits = [limit for limit in design.limits if limit.aim == word]
-    limits = [limit for limit in limits if limit.has_target] or limits
+    every = [limit for limit in design.limits if limit.aim == word]
+    limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
+    beside: tuple[Limit, ...] = ()
     modes: tuple[AssumedMode, ...] = ()
     if word == "survive" and any(means_fracture(limit) for limit in limits):
+        beside = tuple(limit for limit in every if limit not in limits and means_fracture(limit))
         modes = tuple(mode for mode in design.modes if mode.counts)
-    return Aim(design=design, word=word, limits=tuple(limits), modes=modes)
+    return Aim(design=design, word=word, limits=limits, beside=beside, modes=modes)
 
 
 def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
@@ -202,16 +219,20 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
 def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     """The decision of an aim, as the results have it."""
     settled, aim, governing = judged.settled, judged.aim, judged.settled.governing
-    subject = aim.design.subject(governing.limit)
-    lead = aim.limits[0] if governing.code == ASSUMED else governing.limit
+    subject, lead = aim.design.subject(governing.limit), judged.lead
     caveats = caveats_of(settled, judged.settling.yielding, checks)
     verdict = _verdict(judged, caveats)
     alone = settled
     if judged.line is not None and aim.modes:
         alone = judged.settling.once(replace(aim, modes=()), settled.line)
+    library = _library(judged, alone)
     target = all_modes = None
     if any(limit.has_target for limit in aim.limits):
-        target = governing.limit.target
+        target = settled.setting.limit.target
+        if governing.code == ASSUMED:
+            target = governing.limit.target
+    else:
+        subject = aim.design.subject(lead)
     if judged.all_modes:
         all_modes = _range(judged.all_modes[lead.name])
     return types.Decision(
@@ -221,7 +242,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         verdict=verdict,
         target=target,
         governing=subject,
-        use=_use(judged),
+        use=_use(judged, library),
         blocked_by=subject if judged.line is not None and settled.number is None else "",
         own=alone.number,
         probability=_range(judged.probability[lead.name]),
@@ -230,7 +251,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         band=_points(settled, _band(settled)),
         doubts=_certificate(judged),
         caveats=caveats,
-        library=_library(judged, alone),
+        library=library,
         next=_remedy(judged, verdict, caveats),
     )
 
@@ -241,7 +262,7 @@ def _range(estimate: Estimate) -> types.Range:
     )
 
 
-def _use(judged: Judged) -> types.Use | None:
+def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
     settled, free = judged.settled, judged.aim.design.study.margins
     number, planned, factor = settled.use, judged.planned, None
@@ -255,6 +276,8 @@ def _use(judged: Judged) -> types.Use | None:
     own = [curves.margin(limit, curves.middle(limit)) for limit in settled.aim.limits]
     best = settled.most_conservative(own)
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
+    if library is not None:
+        margins += [library.weak, library.strong]
     ends = [margin for margin in margins if margin is not None and math.isfinite(margin)]
     return types.Use(
         path=free.solve,
@@ -325,6 +348,7 @@ def _rows(settled: Settled) -> Iterator[Doubt]:
 
 def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
     settled, aim, limit = judged.settled, judged.aim, doubt.limit
+    assumed = doubt.code == ASSUMED
     note: types.MarginNote = ""
     if judged.line is not None and doubt.margin is None:
         note = "nowhere"
@@ -333,8 +357,12 @@ def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
     at_number = at_plan_range = types.Range()
     if settled.use is not None:
         at_number = _failure(aim, settled.line.at(doubt.curve, settled.use))
-    if at_plan is not None:
+    if assumed:
+        at_plan_range = types.Range(value=judged.probability[limit.name].value)
+    elif at_plan is not None:
         at_plan_range = _failure(aim, at_plan.curve[0])
+        if doubt.code == COMPUTATION and judged.at_plan(limit).high is not None:
+            at_plan_range = types.Range(value=judged.at_plan(limit).high)
     code, option = doubt.code, doubt.detail
     # tests that are carried over in another way than by the limit that counts as fracture
     if code == COMPUTATION and any(limit in group[1:] for group in aim.groups):
@@ -349,7 +377,8 @@ def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
         at_number=at_number,
         at_plan=at_plan_range,
         governs=doubt.key == settled.governing.key,
-        counts=doubt.code != ASSUMED or any(limit is mode.limit for mode in aim.modes),
+        counts=not assumed or any(limit is mode.limit for mode in aim.modes),
+        joint=not assumed and settled.curves.adds_up(limit),
         tests=number_of_tests(strength_of(limit)),
     )
 
@@ -414,9 +443,10 @@ def _remedy(
     """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
     settled, line, best = judged.settled, judged.line, judged.settling.best
     governing = settled.governing
-    subject = judged.aim.design.subject(governing.limit)
+    design = judged.aim.design
+    subject = design.subject(governing.limit)
     if verdict == "no target":
-        return types.Remedy(code="set a target", subject=subject)
+        return types.Remedy(code="set a target", subject=design.subject(judged.lead))
     for code, cure in _CURES.items():
         for caveat in caveats:
             if caveat.code == code:

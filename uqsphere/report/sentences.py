@@ -225,16 +225,19 @@ class _Writer:
         library = self.decision.library
         name = plain_name(decision.governing)
         if library is not None:
-            ends = [end for end in (library.weak, library.strong) if end is not None]
             text = f"{capital(name)} governs, with a strength of the library"
-            if len(ends) == 2:
-                low, high = sorted(ends)
-                return f"{text} (its range: {self.number(low)} to {self.number(high)})."
-            return f"{text}."
+            if library.weak is None or library.strong is None:
+                return f"{text}."
+            weak, strong = self.number(library.weak), self.number(library.strong)
+            return f"{text} (its weak end: {weak}, its strong end: {strong})."
         doubts = [doubt for doubt in decision.doubts if doubt.governs]
         if not doubts:
             return f"{capital(name)} governs."
-        return f"{capital(name)} governs, {_words(doubts[0])[0]}."
+        clause = _words(doubts[0])[0]
+        if doubts[0].code in ("tests", "computation"):
+            end = "upper" if self.least else "lower"
+            clause = f"by the {end} end of {clause.removeprefix('with ')}"
+        return f"{capital(name)} governs, {clause}."
 
     def why_none(self) -> str:
         """Why there is no number to use."""
@@ -246,13 +249,18 @@ class _Writer:
         return f"The target is not crossed between {self.ends()}."
 
     def event_name(self) -> str:
-        limits = self.results.study.limits
-        if any(limits[name].fracture for name in self.decision.limits if name in limits):
+        """What the probability of the decision is of."""
+        governing = self.decision.governing
+        entry = self.results.study.limits.get(plain_name(governing))
+        joint = any(doubt.joint for doubt in self.decision.doubts if doubt.governs)
+        if entry is None or entry.fracture or joint or governing.startswith("modes."):
             return "fracture probability"
         return "probability of exceedance"
 
     def at_the_plan(self) -> str:
-        """The probability at the plan, by all modes and by the study's limits, and the target."""
+        """The probability at the plan: by what governs where that is another one, by all modes and
+        by the study's limits; and the target.
+        """
         decision = self.decision
         text = capital(self.event_name())
         if self.free is not None and self.free.planned is not None:
@@ -260,12 +268,18 @@ class _Writer:
         by_study = as_event(decision, decision.probability)
         together = plain_probability(joint_event(decision))
         alone = plain_probability(by_study)
+        text += ": "
+        for doubt in decision.doubts:
+            governing = plain_probability(as_event(decision, doubt.at_plan))
+            open_ends = doubt.code not in ("computation", "assumed strength")
+            if doubt.governs and open_ends and governing not in (together, DASH):
+                text += f"{governing} by what governs; as computed, "
         if decision.all_modes is None:
-            text += f": {probability(by_study)}"
+            text += probability(by_study)
         elif together == alone:
-            text += f": {alone}, by your own limits and with all failure modes"
+            text += f"{alone}, by your own limits and with all failure modes"
         else:
-            text += f": {together} with all failure modes, {alone} by your own limits"
+            text += f"{together} with all failure modes, {alone} by your own limits"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self.target()}."
@@ -294,7 +308,10 @@ class _Writer:
             return f"{text}. The number to use would be about:"
         if remedy.at_best is not None:
             best = self.number(remedy.at_best)
-            return f"{text}; the number to use would then be {best} at best."
+            condition = ""
+            if remedy.code == "measure the strength":
+                condition = f", if {subject} never fails"
+            return f"{text}; the number to use would then be {best} at best{condition}."
         return f"{text}."
 
 
@@ -388,9 +405,12 @@ def _words(doubt: Doubt) -> tuple[str, str]:
 
 def doubt_text(doubt: Doubt) -> str:
     """A row's head in the table of what the number rests on."""
-    if doubt.counts:
-        return _words(doubt)[1]
-    return f"{_words(doubt)[1]} (damage, not counted)"
+    text = _words(doubt)[1]
+    if doubt.joint:
+        return f"{text}; with the other modes"
+    if not doubt.counts:
+        return f"{text} (damage, not counted)"
+    return text
 
 
 def damage_modes(results: Results) -> list[str]:

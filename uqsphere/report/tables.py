@@ -121,18 +121,18 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         at = (probability(as_event(decision, p)) for p in (doubt.at_number, doubt.at_plan))
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results).lower()
+    marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
     note = "bold: governs"
+    if marked and any(doubt.counts for doubt in doubts[: marked[0]]):
+        note += ", as most failures at the number are by it"
     if any(doubt.code == "assumed strength" for doubt in doubts):
-        note += "; * strength assumed, from the library: each by itself"
-        if decision.aim == "survive":
-            note += "; your own limits: with all failure modes that count"
+        note += "; * strength assumed, from the library"
     head = (
         "limit and what is open",
         f"{free.meaning} at the target",
         f"{name} at the number to use",
         f"{name} at the plan",
     )
-    marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
     return PageTable(f"To {decision.aim}", head, rows, marked, note)
 
 
@@ -167,7 +167,7 @@ def limits(results: Results) -> PageTable:
     if free is not None:
         notes.append(
             "best estimate: each limit by itself; to use: by all of them, considering what is "
-            "open, which gives the range"
+            "open, which gives the range and what governs"
         )
     if results.study.modes:
         notes.append("* strength assumed, from the library")
@@ -250,7 +250,7 @@ def assumptions(results: Results) -> PageTable:
                     event = complement(event)
                 rows.append((label(subject), assumed, probability(event)))
     return PageTable(
-        f"{exceedance_name(results)} under other assumptions, one at a time",
+        f"{exceedance_name(results)} under other assumptions, one at a time, each limit alone",
         ("limit", "assumed", exceedance_name(results).lower()),
         rows,
     )
@@ -272,7 +272,13 @@ def fracture(results: Results) -> PageTable:
         median = answers.get("fracture", kind, 0.5)
         if median is not None:
             rows.append((f"{name} at fracture, median", estimate(median, quantity)))
-    return PageTable("Fracture by any limit of the study", ("", "value"), rows)
+    return PageTable(
+        "Fracture by any limit of the study",
+        ("", "value"),
+        rows,
+        note="time and force: of the spheres that break at the plan, at the moment of fracture; "
+        "those that would bear more are not among them",
+    )
 
 
 # --- distributions and sensitivity ----------------------------------------------------------------

@@ -383,6 +383,8 @@ class Doubt(Part):
     """whether the number to use is this margin"""
     counts: bool = True
     """whether it counts as fracture; damage is shown only"""
+    joint: bool = False
+    """whether its probabilities include the other failure modes"""
     tests: int | None = None
     """number of tests behind the strength"""
 
