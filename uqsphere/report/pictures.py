@@ -108,8 +108,14 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             names.append((places[top], heights[top], f"strength, {name}"))
             low, high = min(low, places[0]), max(high, places[-1])
     if entry.onset is not None:
-        text = _onset_text(results, quantity)
-        low, high = _mark_onset(axes, entry.onset * factor, text, low, high)
+        onset = entry.onset * factor
+        above = x >= onset
+        share = float(np.trapezoid(y[above], x[above]))
+        for check in results.checks:
+            if check.name == "dented":
+                share = check.share
+        words = f"yield from {onset:.3g} {unit}: {_in_impacts(share)}"
+        low, high = _mark_onset(axes, onset, words, low, high)
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False)
@@ -125,7 +131,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     shown = apart(ends, widths)
     shown += max(low + 0.5 * widths[0] - shown[0], 0.0)
     shown -= max(shown[-1] + 0.5 * widths[-1] - high, 0.0)
-    for end, place, text, share in zip(ends, shown, texts, ("5 %", "50 %", "95 %"), strict=True):
+    for end, place, text, name in zip(ends, shown, texts, ("5 %", "50 %", "95 %"), strict=True):
         axes.vlines(end, 0.0, np.interp(end, x, y), color=BLUE, linewidth=1.0)
         leader = {"arrowstyle": "-", "color": GREY, "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
         axes.annotate(
@@ -138,26 +144,16 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             arrowprops=leader,
         )
         write(axes, text, (place, 0.0), (0.0, -12.0), ha="center", fontweight="bold")
-        write(axes, share, (place, 0.0), (0.0, -26.0), ha="center", color=GREY)
+        write(axes, name, (place, 0.0), (0.0, -26.0), ha="center", color=GREY)
 
 
-def _onset_text(results: Results, quantity: str) -> str:
-    """Where a contact starts to yield, and in how many impacts."""
-    entry = results.study.quantities[quantity]
-    onset = entry.onset or 0.0
-    places, heights = np.array(entry.density, dtype=float)
-    above = places >= onset
-    share = float(np.trapezoid(heights[above], places[above]))
-    for check in results.checks:
-        if check.name == "dented":
-            share = check.share
-    impacts = f"in {format_probability(share)} of impacts"
+def _in_impacts(share: float) -> str:
+    """In how many impacts something happens."""
     if share > 0.999:
-        impacts = "in all impacts"
-    elif share < 0.001:
-        impacts = "in no impact"
-    unit, factor = display_unit(quantity, entry.range[1] or 1.0)
-    return f"yield from {onset * factor:.3g} {unit}: {impacts}"
+        return "in all impacts"
+    if share < 0.001:
+        return "in no impact"
+    return f"in {format_probability(share)} of impacts"
 
 
 def _mark_onset(
@@ -170,11 +166,9 @@ def _mark_onset(
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
         text = f"{text} (off the scale)"
-    side = "left"
-    gap = 6.0
+    side, gap = "left", 6.0
     if place > 0.5 * (low + high):
-        side = "right"
-        gap = -6.0
+        side, gap = "right", -6.0
     at = max(low, min(place, high))
     write(axes, text, (at, 1.0), (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high
@@ -204,9 +198,12 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
     for quantity in quantities:
         orders = []
         for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
-            rows = [answers.get(quantity, kind, name) for name in inputs]
-            ends = [(None,) * 3 if row is None else (row.value, row.low, row.high) for row in rows]
-            orders.append(np.array(ends, dtype=float).reshape(-1, 3).T)
+            ends = np.full((3, len(inputs)), np.nan)
+            for k, name in enumerate(inputs):
+                row = answers.get(quantity, kind, name)
+                if row is not None:
+                    ends[:, k] = np.array((row.value, row.low, row.high), dtype=float)
+            orders.append(ends)
         if np.isfinite(orders[1][0]).any():
             name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
             columns.append(Indices(name, names, *orders))

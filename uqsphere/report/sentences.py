@@ -22,6 +22,7 @@ from uqsphere.report.format import (
     value,
 )
 from uqsphere.results.types import (
+    AccuracyEntry,
     Caveat,
     CheckEntry,
     Decision,
@@ -469,6 +470,14 @@ def caveat_text(caveat: Caveat) -> str:
 def check_text(check: CheckEntry) -> str:
     """A check, with its effect."""
     return f"{check.text} – {check.effect}".removesuffix(" – ")
+
+
+def accuracy_text(accuracy: AccuracyEntry) -> str:
+    """How many model runs a run took, why it ended, and the largest error over its tolerance."""
+    text = f"{accuracy.runs:,} model runs, {accuracy.seconds:.3g} s; {STOPPED[accuracy.stopped]}"
+    if accuracy.reached and accuracy.reached[-1].error is not None:
+        text += f" (largest error / tolerance {accuracy.reached[-1].error:.2g})"
+    return text
 
 
 def shortfall_text(shortfall: Shortfall) -> str:

@@ -179,11 +179,11 @@ def cost(study: Study) -> str:
 def _seconds_per_run(design: Design) -> float:
     from uqsphere.models.model import Model
 
+    names = design.inputs
+    rows = np.zeros((1, 0))
+    if names:
+        rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names))
     with Model(design.judged, threads=1) as model:
-        names = design.inputs
-        rows = np.zeros((1, 0))
-        if names:
-            rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names))
         model.evaluate(names, rows, design.columns)
         return model.seconds_per_row or 0.0
 
@@ -192,7 +192,7 @@ def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
         return _materials()
-    rows: list[tuple[str, ...]] = [("distribution", "keys")]
+    rows: list[tuple[str, ...]]
     if what == "quantities":
         rows = [("quantity", "unit", "meaning")]
         rows += [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
@@ -200,8 +200,8 @@ def listing(what: str) -> str:
         rows = [("criterion", "meaning")]
         rows += [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
     else:
-        for name, family in FAMILIES.items():
-            rows.append((name, family.allowed() or "values, or a file"))
+        rows = [("distribution", "keys")]
+        rows += [(name, law.allowed() or "values, or a file") for name, law in FAMILIES.items()]
     return "\n".join(columns(rows))
 
 

@@ -32,7 +32,7 @@ from uqsphere.report.sentences import (
 from uqsphere.report.tables import PageTable, columns
 from uqsphere.results import Run, open_run
 from uqsphere.results.folder import SUMS, locked, write_files
-from uqsphere.results.types import Decision, Range, Results
+from uqsphere.results.types import Decision, Results
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
@@ -240,19 +240,6 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     return sweep.folder / "report.html"
 
 
-def _each(
-    sweep: Sweep, runs: Mapping[str, Run]
-) -> Iterator[tuple[Point, Results, Decision, Range]]:
-    """Every decision of a point that has run, with the probability at the plan of fracture, or of
-    exceedance, by all failure modes.
-    """
-    for point in sweep.points:
-        if point.name in runs:
-            results = runs[point.name].results
-            for decision in results.decisions:
-                yield point, results, decision, joint_event(decision)
-
-
 def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
     """One row a point and decision, SI units.
 
@@ -262,26 +249,38 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    rows = list[list[Any]]()
-    for point, results, decision, p in _each(sweep, runs):
+    rows = []
+    for point, results, decision in _each(sweep, runs):
         use: list[float | None] = [None, None, None]
         if decision.use is not None:
             use = [decision.use.value, decision.use.best.low, decision.use.best.high]
+        p = joint_event(decision)
         verdict = (decision.verdict, decision.governing, results.accuracy.runs, point.name)
         rows.append([*point.values.values(), decision.aim, *use, p.value, p.low, p.high, *verdict])
     names = "aim use use_low use_high probability low high verdict governing runs folder"
     return pd.DataFrame(rows, columns=[*sweep.keys, *names.split()])
 
 
+def _each(sweep: Sweep, runs: Mapping[str, Run]) -> list[tuple[Point, Results, Decision]]:
+    """Every decision of a point that has run."""
+    return [
+        (point, runs[point.name].results, decision)
+        for point in sweep.points
+        if point.name in runs
+        for decision in runs[point.name].results.decisions
+    ]
+
+
 def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     """One row a point and decision, as text."""
     rows = []
     name = ""
-    for point, results, decision, p in _each(sweep, runs):
+    for point, results, decision in _each(sweep, runs):
         name = exceedance_name(results).lower()
         use = decision_text(results, decision).use
-        why = (decision.verdict, plain_name(decision.governing))
-        rows.append((*point.values.values(), use, plain_probability(p), *why))
+        p = plain_probability(joint_event(decision))
+        governs = plain_name(decision.governing)
+        rows.append((*point.values.values(), use, p, decision.verdict, governs))
     head = (*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs")
     return PageTable("Decisions", head, rows)
 

@@ -407,18 +407,6 @@ def paper(results: Results) -> PageTable:
     )
 
 
-def reached(results: Results) -> PageTable:
-    """The largest error at each size of the sample."""
-    rows = []
-    for row in results.accuracy.reached:
-        rows.append((f"{row.runs:,}", DASH if row.error is None else f"{row.error:.2f}"))
-    return PageTable(
-        "Convergence: largest error / tolerance",
-        ("model runs", "error / tolerance"),
-        rows,
-    )
-
-
 # --- inputs ---------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ from uqsphere.report import tables
 from uqsphere.report.format import estimate, keep_units, short, table_of, value_range
 from uqsphere.report.sentences import (
     NO_LIMIT,
-    STOPPED,
+    accuracy_text,
     damage_modes,
     decision_texts,
     exceedance_name,
@@ -35,10 +35,6 @@ def summary(results: Results, width: int = 79) -> str:
     damage = damage_modes(results)
     if damage:
         notes.append(f"damage, not counted as fracture: {listed(damage)}")
-    accuracy = results.accuracy
-    tail = f"{accuracy.runs:,} model runs, {accuracy.seconds:.3g} s; {STOPPED[accuracy.stopped]}"
-    if accuracy.reached and accuracy.reached[-1].error is not None:
-        tail += f" (largest error / tolerance {accuracy.reached[-1].error:.2g})"
     lines = [
         *_wrapped(texts, width),
         *_columns(_limits(results), width),
@@ -46,7 +42,7 @@ def summary(results: Results, width: int = 79) -> str:
         *_columns(_paper(results), width),
         *_columns(_quantities(results), width),
         *_columns(_indices(results), width),
-        *_wrapped(["", tail], width),
+        *_wrapped(["", accuracy_text(results.accuracy)], width),
     ]
     if len(lines) > LINES:
         lines = [*lines[: LINES - 1], "... the rest is in the report"]
