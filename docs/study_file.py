@@ -54,11 +54,11 @@ def units() -> Rows:
 def laws() -> Rows:
     """Distributions and the parameters that they take."""
     rows = []
-    for family in (one for one in FAMILIES.values() if not one.observed):
-        sets = " or ".join(
-            " ".join(f"`{key}`" for key in keys) for keys in family.alternatives if keys
-        )
-        rows.append((f"`{family.name}`", sets + " `lower` `upper`" * family.bounded))
+    for family in FAMILIES.values():
+        if not family.observed:
+            sets = [" ".join(f"`{key}`" for key in keys) for keys in family.alternatives if keys]
+            parts = [" or ".join(sets), "`lower` `upper`" * family.bounded]
+            rows.append((f"`{family.name}`", "; ".join(filter(None, parts))))
     return [
         *rows,
         (

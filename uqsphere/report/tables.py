@@ -250,7 +250,7 @@ def assumptions(results: Results) -> PageTable:
                     event = complement(event)
                 rows.append((label(subject), assumed, probability(event)))
     return PageTable(
-        f"{exceedance_name(results)} under other assumptions, one at a time, each limit alone",
+        f"{exceedance_name(results)} under other assumptions, one at a time, each limit by itself",
         ("limit", "assumed", exceedance_name(results).lower()),
         rows,
     )
