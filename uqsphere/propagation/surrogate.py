@@ -426,13 +426,15 @@ def _lines(
     # the first replicates behind each other, for each of the expansions
     first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
+    along = grid(margins, VALUES)
+    germ = np.array([2.0 * shares_of(margins, value) - 1.0 for value in along])
     line, fold_line = dict[float, Sample](), dict[float, Sample]()
-    for value in grid(margins, VALUES):
-        for drawn, predicted in ((table, line), (shared, fold_line)):
-            inputs = points_of(design, drawn.scores)
-            germ = np.full((*inputs.shape[:2], 1), 2.0 * shares_of(margins, value) - 1.0)
-            at = np.concatenate([inputs, germ], axis=2)
-            columns = [response.table(at) for response in responses]
+    for drawn, predicted in ((table, line), (shared, fold_line)):
+        inputs = np.tile(points_of(design, drawn.scores), (1, len(along), 1))
+        last = np.broadcast_to(np.repeat(germ, drawn.count), inputs.shape[:2])
+        at = np.concatenate([inputs, last[..., None]], axis=2)
+        answers = [np.split(each.table(at), len(along), axis=1) for each in responses]
+        for value, *columns in zip(along, *answers, strict=True):
             if predicted is line:
                 pairs = zip(responses, columns, strict=True)
                 columns = [response.scattered(column) for response, column in pairs]

@@ -23,13 +23,13 @@ from typing import Final
 import numpy as np
 from scipy.special import stdtrit
 
-from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, germ_points, predict
+from uqsphere.arrays import Array
+from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
 from uqsphere.uq.chaos import integrals as integrals_of
+from uqsphere.uq.chaos.expansion import law_points
 from uqsphere.uq.chaos.fit import constant_fit, mean_and_sd
 from uqsphere.uq.chaos.select import Order, folds_of
 from uqsphere.uq.estimate import distances
-from uqsphere.uq.points import sobol_points
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"
 #: folds that rows are split into: seven eighths of them fit each time, and twice 8 are the
@@ -242,8 +242,7 @@ def _bounded(response: Response) -> Response:
     down, up = distances(squares, 1.0 - (1.0 - REJECTED) / FOLDS)
     integration = ROUNDING + 4.0 * max(moments.error for moments in response.integrals)
     t = float(stdtrit(FOLDS - 2, 0.5 + 0.5 * REJECTED))
-    law = sobol_points(dimension=len(response.germs), count=LOOKED, seed=0, task="polynomial chaos")
-    law = germ_points(special.ndtri(law), response.germs)
+    law = law_points(response.germs)[:LOOKED]
     folds, levels, trusted = list(response.folds), response.levels.copy(), []
     for k, variance in enumerate(variances.tolist()):
         others, left_out = np.delete(variances, k), response.fold == k

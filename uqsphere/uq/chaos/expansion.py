@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -162,10 +162,7 @@ class Chaos:
             small = sets[0]
         terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
         terms[:, inputs] = small
-        normals = special.ndtri(
-            sobol_points(dimension=len(self.germs), count=BLOCK, seed=0, task="polynomial chaos")
-        )
-        points = germ_points(normals, self.germs)
+        points = law_points(self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
         values = predict(self, points)
         rows = rows_of(self.germs, points, terms)
@@ -273,18 +270,10 @@ def integrals(fit: Chaos) -> Integrals:
         return Integrals(
             mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole
         )
-    blocks = Blocks(inputs_count=d)
-    points = np.stack(
-        [
-            blocks.mix(
-                *base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r)
-            )
-            for r in range(PAIRS_REPLICATES)
-        ]
-    )
-    rows = germ_points(special.ndtri(points.reshape(-1, d)), fit.germs)
+    rows = _pair_points(fit.germs)
+    shape = PAIRS_REPLICATES, PAIRS, -1
     # about the mean of the plain form: what the two means differ by is no scatter
-    pairs = [(predict(form, rows).reshape(points.shape[:3]) - mean) / unit for form in (fit, plain)]
+    pairs = [(predict(form, rows).reshape(shape) - mean) / unit for form in (fit, plain)]
     parts = [(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]) for y in pairs]
     (first_s, v), (first_p, w) = (saltelli_first(*part) for part in parts)
     (total_s, _), (total_p, _) = (jansen_total(*part) for part in parts)
@@ -306,6 +295,26 @@ def integrals(fit: Chaos) -> Integrals:
         error=max(half(column) for _, off in shares for column in off.T),
         moment_errors=(unit * half(middle), unit**2 * half(scale[:, 0])),
     )
+
+
+@lru_cache(maxsize=4)
+def law_points(germs: tuple[GermLike, ...]) -> Array:
+    """Germ points (BLOCK, d) of the law, at which expansions are compared."""
+    points = sobol_points(dimension=len(germs), count=BLOCK, seed=0, task="polynomial chaos")
+    return germ_points(special.ndtri(points), germs)
+
+
+@lru_cache(maxsize=4)
+def _pair_points(germs: tuple[GermLike, ...]) -> Array:
+    """Germ points (..., d) of the pairs that integrate ln y: replicates of base points with their
+    blocks.
+    """
+    blocks = Blocks(inputs_count=len(germs))
+    points = [
+        blocks.mix(*base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
+        for r in range(PAIRS_REPLICATES)
+    ]
+    return germ_points(special.ndtri(np.concatenate(points).reshape(-1, len(germs))), germs)
 
 
 def _product(fit: Chaos) -> Integrals:

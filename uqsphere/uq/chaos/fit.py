@@ -111,11 +111,12 @@ class Target:
         """Square errors (n,) of predictions, over the variance of the outputs."""
         if not self.log:
             return np.asarray((values - self.values) ** 2)
-        w = np.clip(self.scale[0] + self.scale[1] * values, *self.bounds)
+        w = self.scale[0] + self.scale[1] * values
+        w = np.minimum(np.maximum(w, self.bounds[0]), self.bounds[1])
         return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
 
     def error(self, values: Array) -> float:
-        error = float(self.squares(values).mean())
+        error = float(np.add.reduce(self.squares(values))) / len(values)
         if math.isfinite(error):
             return error
         return math.inf

@@ -61,60 +61,58 @@ def forward_selection(
     (lanes, n), every = masks.shape, np.arange(masks.shape[0])
     most = max(min(most, len(basis)), 1)
     directions = np.empty((lanes, most, n))
-    along = np.empty(
-        (most, lanes, len(basis))
-    )  # products of every direction with every row of the basis
+    # products of every direction with every row of the basis
+    along = np.empty((most, lanes, len(basis)))
     norms = masks @ (basis**2).T
     least = np.maximum(DEPENDENT * norms, 1e-300)
-    left = norms.copy()  # square norms of the rows beyond the span of those taken
+    # square norms of the rows beyond the span of those taken; infinite for those that are closed
+    left = norms.copy()
     residuals = masks * target
-    floors = ROUNDING * np.vecdot(residuals, residuals)
+    squares_left = np.vecdot(residuals, residuals)
+    floors = ROUNDING * squares_left
     correlations = residuals @ basis.T
-    closed = np.zeros_like(left, dtype=bool)
-    rows, wanted = np.zeros(lanes, dtype=np.intp), np.ones(lanes, dtype=bool)
+    rows = np.zeros(lanes, dtype=np.intp)
     lane, sample = 1 + folds, np.arange(n)
     predicted = held_out = np.zeros(n)
     order: list[int] = []
     best, size, looked, since = math.inf, 1, math.inf, 0
     for k in range(most):
         if k:
-            closed |= left <= least
-            scores = correlations**2 / np.maximum(left, least)
-            scores[closed] = -1.0
-            rows = np.argmax(scores, axis=1)
-            wanted = scores[every, rows] >= 0.0
-            if not wanted.any():
-                break
+            left[left <= least] = math.inf
+            rows = (correlations**2 / left).argmax(axis=1)
+        wanted = left[every, rows] < math.inf
+        if not wanted.any():
+            break
         fresh, before = basis[rows], norms[every, rows]
-        part = np.ascontiguousarray(along[:k, every, rows].T)
-        for turn in range(2):
-            if k:
-                fresh -= np.matmul(part[:, None, :], directions[:, :k])[:, 0]
+        masked = masks * fresh
+        squares, part = before, along[:k, every, rows].T
+        for _ in range(2 if k else 0):
+            fresh -= np.matmul(part[:, None, :], directions[:, :k])[:, 0]
             masked = masks * fresh
             squares = np.vecdot(masked, masked)
-            if turn or (squares > 1e-5 * before).all():  # once is enough where something is left
+            if (squares > 1e-5 * before).all():  # once is enough where something is left
                 break
             part = np.matmul(directions[:, :k], masked[:, :, None])[:, :, 0]
         sound = wanted & (squares > DEPENDENT * before)
-        inverse = np.where(sound, 1.0 / np.sqrt(np.where(sound, squares, 1.0)), 0.0)[:, None]
-        fresh *= inverse
-        masked *= inverse
+        inverse = np.zeros(lanes)
+        np.divide(1.0, np.sqrt(squares), out=inverse, where=sound)
+        fresh *= inverse[:, None]
+        masked *= inverse[:, None]
         directions[:, k] = fresh
-        steps = np.where(
-            np.vecdot(residuals, residuals) > floors, np.vecdot(masked, residuals), 0.0
-        )
+        steps = np.vecdot(masked, residuals) * (squares_left > floors)
         residuals -= steps[:, None] * masked
-        predicted = predicted + steps[lane] * fresh[lane, sample]
-        np.matmul(masked, basis.T, out=along[k])
-        closed[every, rows] = True
+        squares_left = np.vecdot(residuals, residuals)
+        predicted = predicted + (steps[:, None] * fresh)[lane, sample]
         order.append(int(rows[0]) if sound[0] else -1)
         error = error_of(predicted)
         if error < best:
             best, size, held_out = error, k + 1, predicted
         since = 0 if error < 0.99 * looked else since + 1
         looked = min(looked, error)
-        if (np.vecdot(residuals, residuals) <= floors).all() or since > max(10, k // 4):
+        if (squares_left <= floors).all() or since > max(10, k // 4):
             break
+        np.matmul(masked, basis.T, out=along[k])
+        left[every, rows] = math.inf
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
     kept = np.array(order[:size], dtype=np.intp)
