@@ -231,6 +231,26 @@ def test_a_sphere_of_no_named_material_is_held_against_its_class(
     assert [path for code, path, _ in caveats if code == "plausibility"] == held
 
 
+def test_a_density_outside_the_library_is_told_and_holds_nothing() -> None:
+    study = load_study("plain.toml", ["sphere.density=3.7 g/cm3"], text=PLAIN)
+    assert not study.caveats
+    (text,) = (text for text in study.warnings if "unusual for limestone" in text)
+    assert "(library: 2600 kg/m3)" in text
+    plain = load_study("plain.toml", ["sphere.density=2.7 g/cm3"], text=PLAIN)
+    assert not any("unusual" in text for text in plain.warnings)
+
+
+def test_a_compressive_strength_in_place_of_a_tensile_one_is_named() -> None:
+    ((_, _, text),) = load_study(
+        "plain.toml", ["limits.whole.strength.mean=120 MPa"], text=PLAIN
+    ).caveats
+    assert "Is it a compressive strength?" in text
+    ((_, _, text),) = load_study(
+        "plain.toml", ["limits.whole.strength.mean=0.8 MPa"], text=PLAIN
+    ).caveats
+    assert "compressive" not in text
+
+
 def test_contacts_yield_where_something_says_at_which_pressure() -> None:
     assert load_study("plain.toml", text=PLAIN).options["contact.law"] == "plastic"
     named = load_study("plain.toml", ["contact.law=hertz"], text=PLAIN)

@@ -26,6 +26,9 @@ from uqsphere.uq import Law
 Range: TypeAlias = tuple[float, float, str]
 #: a factor off the library's range that is told
 _FAR: Final = 3.0
+#: numbers that are alike in all samples of a material, and a factor off its range that is told
+_ALIKE: Final = ("E", "density")
+_NEAR: Final = 1.25
 #: Weibull moduli of strengths
 _MODULI: Final = (1.5, 25.0)
 #: numbers of a material that are held against the library's
@@ -57,7 +60,10 @@ def warn_of_slips(draft: Draft) -> None:
         for key in _KEYS:
             number = draft.numbers.get(getattr(numbers_of(table).get(key), "name", ""))
             if number is not None:
-                _compare(draft, (table, key), f"{table}.{key}", number.mean, like.range_of(key))
+                quantity, usual = f"{table}.{key}", like.range_of(key)
+                _compare(draft, (table, key), quantity, number.mean, usual)
+                if key in _ALIKE:
+                    _warn_of_unusual(draft, (table, key), quantity, number.mean, usual)
     for limit in draft.limits.values():
         _warn_of_modulus(draft, limit)
         _warn_of_partners(draft, limit)
@@ -111,15 +117,40 @@ def _class_of(draft: Draft) -> Like:
     return Like(called="brittle solids", materials=brittle)
 
 
-def _compare(draft: Draft, place: Place, quantity: str, value: float, usual: Range | None) -> None:
-    """Warn of a number more than a factor off the library's range."""
-    if usual is None or usual[0] / _FAR <= value <= usual[1] * _FAR:
+def _far(value: float, usual: Range, factor: float) -> bool:
+    """Whether a value is more than a factor off a range."""
+    return not usual[0] / factor <= value <= usual[1] * factor
+
+
+def _span(usual: Range, quantity: str) -> str:
+    low, high = (format_value(x, quantity) for x in usual[:2])
+    if low == high:
+        return low
+    return f"{low} to {high}"
+
+
+def _warn_of_unusual(
+    draft: Draft, place: Place, quantity: str, value: float, usual: Range | None
+) -> None:
+    """Warn of a number outside the library's range that is not so far off as to hold a verdict."""
+    if usual is not None and _far(value, usual, _NEAR) and not _far(value, usual, _FAR):
+        shown, span = format_value(value, quantity), _span(usual, quantity)
+        draft.warn(place, f"{shown} is unusual for {usual[2]} (library: {span})")
+
+
+def _compare(
+    draft: Draft, place: Place, quantity: str, value: float, usual: Range | None, hint: str = ""
+) -> None:
+    """Warn of a number more than a factor off the library's range, by which no verdict holds.
+
+    hint : the way out where the number is too large
+    """
+    if usual is None or not _far(value, usual, _FAR):
         return
-    shown, low, high = (format_value(x, quantity) for x in (value, *usual[:2]))
-    span = low
-    if low != high:
-        span = f"{low} to {high}"
+    shown, span = format_value(value, quantity), _span(usual, quantity)
     text = f"{shown} is more than {_FAR:g} times off the library's {span} for {usual[2]}"
+    if value > usual[1]:
+        text += hint
     draft.warn(place, text, holds="plausibility")
 
 
@@ -148,7 +179,10 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
         diameter = 2.0 * draft.mean("sphere.radius")
     value = law.nominal_mean() if isinstance(law, Law) else float(law)
     usual = like.range_of(mode.strength, diameter)
-    _compare(draft, ("limits", limit.name, "strength"), limit.quantity, value, usual)
+    hint = ""
+    if mode.strength == "tensile_strength":
+        hint = ". Is it a compressive strength? Enter the tensile one, commonly a tenth of it"
+    _compare(draft, ("limits", limit.name, "strength"), limit.quantity, value, usual, hint)
 
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
