@@ -120,6 +120,29 @@ def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Res
     assert text.next.endswith("would then be 0.42 m/s at best, if core tension never fails.")
 
 
+def test_damage_over_the_target_is_told_though_it_does_not_count(granite: Results) -> None:
+    rows = [
+        Doubt(
+            code="assumed strength",
+            subject="modes.ring crack",
+            target=0.01,
+            margin=0.2,
+            at_plan=Range(value=p),
+            counts=counts,
+        )
+        for p, counts in ((0.91, False), (0.002, False), (0.91, True))
+    ]
+    told = [decision_text(granite, decision(doubts=[row])).open for row in rows]
+    assert told == [
+        [
+            "damage that is not counted: ring crack, 91 % at the planned value "
+            "(analysis.damage_counts = true counts it)"
+        ],
+        [],
+        [],
+    ]
+
+
 def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results) -> None:
     text = decision_text(
         granite,
@@ -219,3 +242,8 @@ def test_a_failure_mode_that_is_damage_is_named_below_the_table(granite: Results
     )
     damaged = granite.model_copy(update={"decisions": [decision(doubts=[doubt])]})
     assert "damage, not counted as fracture: ring crack" in summary(damaged)
+
+
+def test_draws_of_a_fit_are_a_posterior_distribution() -> None:
+    doubt = Doubt(code="tests", subject="limits.a", option="draws", target=0.1, margin=1, tests=36)
+    assert doubt_text(doubt) == "36 tests, posterior distribution"

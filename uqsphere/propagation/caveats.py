@@ -65,7 +65,7 @@ def _model_range(
         for check in range_checks(under, limits):
             share = max(check.failures.values(), default=0.0)
             if share > study.analysis.accuracy.probability:
-                failing.setdefault(check.name, (share, check.text))
+                failing.setdefault(check.name, (share, f"at the number to use, {check.text}"))
     for name, (share, text) in failing.items():
         yield Caveat(code="model range", subject=name, value=share, text=text)
 

@@ -120,6 +120,13 @@ def _open(results: Results, decision: Decision) -> list[str]:
         if check.grade == "failure" and check.name not in told:
             effect = f" ({check.effect})" if check.effect else ""
             texts.append(f"check failed: {check.text}{effect}")
+    for doubt in decision.doubts:
+        if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
+            name, p = plain_name(doubt.subject), plain_probability(doubt.at_plan)
+            texts.append(
+                f"damage that is not counted: {name}, {p} at the planned value "
+                "(analysis.damage_counts = true counts it)"
+            )
     return texts
 
 
@@ -426,6 +433,8 @@ def damage_modes(results: Results) -> list[str]:
 
 def _family(option: str) -> str:
     """A distribution by its name: "Weibull", "lognormal"."""
+    if option == "draws":
+        return "posterior"
     text = option.replace("_", " ")
     if text in ("weibull", "gumbel", "frechet", "rayleigh"):
         return text.capitalize()
