@@ -52,6 +52,10 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     assert open_run("s-sweep/c-2").results.study.overrides == ["inputs.c=2"]
     page = Path("s-sweep/report.html").read_text("utf-8")
     assert '<a href="c-2/report.html">' in page
+    assert page.count('<svg role="img"') == 2
+    for name in ("use", "plan"):
+        assert f'<a href="figures/sweep-{name}.svg">' in page
+        assert Path(f"s-sweep/figures/sweep-{name}.svg").exists()
     stored = Path("s-sweep/c-1/results.json").stat().st_mtime_ns
     assert main([*SWEEP, "--over", "inputs.c=1, 2, 3"]) == 3
     assert Path("s-sweep/c-1/results.json").stat().st_mtime_ns == stored

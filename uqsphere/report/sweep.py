@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
 from uqsphere.quantities import display_unit, lookup
-from uqsphere.report.figures import COLOURS, Picture, picture_svg
+from uqsphere.report.figures import COLOURS, Picture, svg
 from uqsphere.report.format import capital, plain_probability, short, with_unit
 from uqsphere.report.page import render
 from uqsphere.report.sentences import (
@@ -37,7 +37,7 @@ from uqsphere.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 #: keys of a sweep, and points of one
 MOST_KEYS, MOST_POINTS = 2, 256
@@ -219,24 +219,20 @@ def run_on_cluster(
 def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     """Write table and page of the points that have run; returns the page's place."""
     frame = sweep_table(sweep, runs)
-    first = next(iter(runs.values())).results
-    figure = picture_svg(partial(_draw, sweep=sweep, frame=frame), 900.0, 380.0)
-    free = "number" if first.study.free is None else first.study.free.meaning
-    chart = f"{capital(free)} to use, and {chart_title(first).lower()} at the plan"
+    pictures = _pictures(sweep, frame, next(iter(runs.values())).results)
     html = render(
         "sweep.html",
         title=f"{sweep.title}: sweep",
         keys=[short(lookup(path_of(key)).meaning) for key in sweep.keys],
         done=len(runs),
         planned=len(sweep.points),
-        picture=Picture(chart, f"{chart}: the numbers are in the table", figure),
+        pictures=pictures,
         decisions=_decisions(sweep, runs),
         points=[point.name for point in sweep.points if point.name in runs],
     )
-    write_files(
-        sweep.folder,
-        {TABLE: frame.to_csv(index=False), "report.html": html, "figures/sweep.svg": figure},
-    )
+    figures = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
+    files = {TABLE: frame.to_csv(index=False), "report.html": html, **figures}
+    write_files(sweep.folder, files)
     return sweep.folder / "report.html"
 
 
@@ -291,36 +287,39 @@ def sweep_text(sweep: Sweep, runs: Mapping[str, Run], width: int) -> str:
     return "\n".join([sweep.title, "", *columns([table.head, *table.rows], width)])
 
 
-def _draw(figure: Figure, sweep: Sweep, frame: pd.DataFrame) -> None:
+def _pictures(sweep: Sweep, frame: pd.DataFrame, first: Results) -> dict[str, Picture]:
     """The number to use, and the probability at the plan, over the first key."""
-    figure.set_layout_engine("constrained")
-    left, right = figure.subplots(1, 2)
-    key = sweep.keys[0]
-    margins = sweep.points[0].study.margins
-    name = "number"
-    unit = ""
-    factor = 1.0
-    if margins is not None:
-        name = lookup(margins.solve).meaning
-        unit, factor = display_unit(margins.solve, frame["use"].astype(float).max())
+    pictures = {}
+    shown = [("sweep-plan", f"{chart_title(first)} at the plan", "probability", "%", 100.0)]
+    if first.study.free is not None:
+        path = first.study.free.path
+        scale = display_unit(path, frame["use"].astype(float).max())
+        title = f"{capital(first.study.free.meaning)} to use"
+        shown.insert(0, ("sweep-use", title, "use", *scale))
+    for name, title, column, unit, factor in shown:
+        values = factor * frame[column].astype(float)
+        draw = partial(_draw, sweep=sweep, frame=frame.assign(shown=values))
+        text = f"{title}: the numbers are in the table"
+        pictures[name] = Picture(with_unit(title, unit), text, svg(draw, 420.0, 270.0))
+    return pictures
+
+
+def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
+    """What is `shown` over the first key: a line for each value of the second, and each aim."""
+    key, *others = sweep.keys
     places = _places(sweep)
-    curves = list(sweep.keys[1:])
-    if frame["aim"].nunique() > 1 or not curves:
-        curves.append("aim")
-    groups = frame.groupby(curves, sort=False)
+    names = [short(lookup(path_of(name)).meaning) for name in sweep.keys]
+    if frame["aim"].nunique() > 1:
+        others.append("aim")
+        names.append("to")
+    groups = frame.groupby(others or ["aim"], sort=False)
     for colour, (group, rows) in zip(itertools.cycle(COLOURS), groups, strict=False):
-        x = rows[key].map(places)
-        use, p = rows[["use", "probability"]].astype(float).to_numpy().T
         text = ", ".join(map(str, group))
-        left.plot(x, use * factor, "o-", color=colour, label=text)
-        right.plot(x, 100.0 * p, "o-", color=colour)
-    for axes in (left, right):
-        axes.set_xticks(list(places.values()), list(places))
-        axes.set_xlabel(short(lookup(path_of(key)).meaning))
-    left.set_ylabel(with_unit(f"{name} to use", unit))
-    right.set_ylabel("probability at the plan [%]")
-    if len(groups) > 1:
-        left.legend(fontsize="small")
+        axes.plot(rows[key].map(places), rows["shown"], "o-", color=colour, label=text)
+    axes.set_xticks(list(places.values()), list(places))
+    axes.set_xlabel(names[0])
+    if others:
+        axes.legend(title=", ".join(names[1:]), fontsize="small", title_fontsize="small")
 
 
 def _places(sweep: Sweep) -> dict[str, float]:
