@@ -268,12 +268,12 @@ def test_fracture_by_a_limit_without_a_target_adds_up() -> None:
     design = Design.of(load_study("plain.toml", text=text))
     aim = aim_of(design, "survive")
     assert [limit.name for limit in aim.limits] == ["first"]
-    assert [limit.name for limit in aim.beside] == ["whole"]
+    assert [limit.name for limit in aim.untargeted] == ["whole"]
     with Model(design.judged) as model:
         line = plan_of(design, evaluate(design, model, design.points(64)))
     only = dataclasses.replace(aim, modes=())
     first, whole = Curves(aim=only, line=line), Curves(aim=only.without("first"), line=line)
-    (limit,), (other,) = aim.limits, aim.beside
+    (limit,), (other,) = aim.limits, aim.untargeted
     alone, joint = first.base(limit).mean(axis=(1, 2))
     beside = whole.base(other)[0].mean()
     assert joint == pytest.approx(1.0 - (1.0 - alone) * (1.0 - beside), rel=0.05)

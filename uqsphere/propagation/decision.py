@@ -107,7 +107,7 @@ class Settled:
         for other in self.doubts:
             if curves.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
                 candidates.setdefault(other.limit.name, other)
-        for limit in self.aim.beside:
+        for limit in self.aim.untargeted:
             if curves.adds_up(limit) and not self.aim.same_tests(limit, doubt.limit):
                 candidates[limit.name] = curves.computed(limit)
         candidates |= {mode.limit.name: curves.assumed(mode) for mode in self.aim.modes}

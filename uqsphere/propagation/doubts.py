@@ -55,14 +55,14 @@ class Aim:
     """The limits of a study that must survive, or break, with the failure modes beside them.
 
     limits : in the order of the study
-    beside : limits of the study without a target that mean fracture, and add up with the others
+    untargeted : limits of the study without a target that mean fracture, and add up with the others
     modes : those with an assumed strength that mean fracture; none for a sphere that must break
     """
 
     design: Design
     word: types.Aim
     limits: tuple[Limit, ...]
-    beside: tuple[Limit, ...] = ()
+    untargeted: tuple[Limit, ...] = ()
     modes: tuple[AssumedMode, ...] = ()
 
     @property
@@ -88,7 +88,7 @@ class Aim:
         over in different ways; first the one that counts as fracture.
         """
         groups: dict[object, list[Limit]] = {}
-        for limit in (*self.limits, *self.beside):
+        for limit in (*self.limits, *self.untargeted):
             groups.setdefault(tests_behind(limit) or limit.name, []).append(limit)
         for group in groups.values():
             group.sort(key=lambda limit: limit.fracture is False)
@@ -103,7 +103,7 @@ class Aim:
         return replace(
             self,
             limits=tuple(limit for limit in self.limits if limit.name != name),
-            beside=tuple(limit for limit in self.beside if limit.name != name),
+            untargeted=tuple(limit for limit in self.untargeted if limit.name != name),
             modes=tuple(mode for mode in self.modes if mode.limit.name != name),
         )
 
@@ -392,7 +392,7 @@ class Curves:
         aim = replace(
             self.aim,
             limits=tuple(limits[asked.name] for asked in self.aim.limits),
-            beside=tuple(limits[asked.name] for asked in self.aim.beside),
+            untargeted=tuple(limits[asked.name] for asked in self.aim.untargeted),
         )
         curves, few = Curves(aim=aim, line=self.yielding), self.few.base(limit)
         strengths = [other for other in others if other.laws]

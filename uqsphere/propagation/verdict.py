@@ -175,12 +175,14 @@ def aim_of(design: Design, word: types.Aim) -> Aim:
     """
     every = [limit for limit in design.limits if limit.aim == word]
     limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
-    beside: tuple[Limit, ...] = ()
+    untargeted: tuple[Limit, ...] = ()
     modes: tuple[AssumedMode, ...] = ()
     if word == "survive" and any(means_fracture(limit) for limit in limits):
-        beside = tuple(limit for limit in every if limit not in limits and means_fracture(limit))
+        untargeted = tuple(
+            limit for limit in every if limit not in limits and means_fracture(limit)
+        )
         modes = tuple(mode for mode in design.modes if mode.counts)
-    return Aim(design=design, word=word, limits=limits, beside=beside, modes=modes)
+    return Aim(design=design, word=word, limits=limits, untargeted=untargeted, modes=modes)
 
 
 def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
