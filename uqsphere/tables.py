@@ -385,10 +385,19 @@ class Table:
                     "paste values"
                 )
             else:
-                strange = strange or _strange(text)
+                strange = strange or self._strange(text)
                 cell = strange
             cells.append(cell)
         return cells
+
+    def _strange(self, text: str) -> str:
+        """What is said of a cell that is not a number."""
+        message = f"{as_text(text, 60)!r} is not a number{alien(text)}"
+        if _is_numeric(text):
+            message += f" with decimal = {self.decimal!r}"
+        if _DATE.fullmatch(text):
+            message += "; a cell of a workbook in the format of a date? Change it to a number"
+        return message
 
     def refuse(self, key: str, message: str, wrong: Flags) -> None:
         """Note that rows are wrong, (n,); each line is told of once for one fault."""
@@ -473,14 +482,6 @@ class Table:
                         "is a summary row, delete it"
                     )
                     return
-
-
-def _strange(text: str) -> str:
-    """What is said of a cell that is not a number."""
-    message = f"{as_text(text, 60)!r} is not a number{alien(text)}"
-    if _DATE.fullmatch(text):
-        message += "; a cell of a workbook that has the format of a date? Change it to a number"
-    return message
 
 
 # --- from files to tables -------------------------------------------------------------------------
@@ -594,15 +595,16 @@ def read_lines(
 
 
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
+    coding = "utf-8"
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", "replace")
-    if b"\0" in data[:4096]:
-        raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
+        coding = "utf-16"
     try:
-        text = data.decode("utf-8")
+        text = data.decode(coding)
     except UnicodeDecodeError:
-        notes.append(f"{name} is not UTF-8: read as Windows text (cp1252)")
+        notes.append(f"{name} is not {coding.upper()}: read as Windows text (cp1252)")
         text = data.decode("cp1252", "replace")
+    if "\0" in text[:4096]:
+        raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
     return text.lstrip("\ufeff").replace("\N{MINUS SIGN}", "-")
 
 

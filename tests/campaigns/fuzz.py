@@ -187,13 +187,11 @@ def mutated_text(text: str, rng: random.Random) -> str:
     return "\n".join(lines)
 
 
-def mutated_rows(rng: random.Random) -> list[list[str]]:
-    """A table of tests with one to four changes of cells, rows or headings."""
-    rows = [
-        [rng.choice(("F", "F [kN]")), "D [mm]"],
-        *([f"{rng.gauss(6.0, 1.0):.2f}", "12"] for _ in range(12)),
-    ]
-    for _ in range(rng.randint(1, 4)):
+def mutated_rows(rng: random.Random, table: list[list[str]] | None = None) -> list[list[str]]:
+    """A table, of tests where none is given, with some changes of cells, rows or headings."""
+    tests = ([f"{rng.gauss(6.0, 1.0):.2f}", "12"] for _ in range(12))
+    rows = table or [[rng.choice(("F", "F [kN]")), "D [mm]"], *tests]
+    for _ in range(rng.randint(0, 4)):
         row = rng.choice(rows)
         match rng.randrange(6):
             case 0 if row:
@@ -368,6 +366,58 @@ def _cell(cell: str, rng: random.Random) -> object:
         return cell
 
 
+#: a column of observations, draws of a fit, and the record of a pulse
+COLUMN = """
+[inputs]
+x = { file = "FILE", column = "F [kN]", KEYS }
+[outputs]
+names = ["y"]
+"""
+KEYS = (
+    'fit = "weibull"', 'fit = "lognormal"', 'fit = "kde"', 'fit = "steps"', 'fit = "gumbel"',
+    'fit = "frechet"', 'fit = "gamma"', 'fit = "beta", lower = 0, upper = 100', 'fit = "normal"',
+    'fit = "exponential"', 'fit = "rayleigh"', 'fit = "weibull", unbiased = true', "modulus = 8",
+    'fit = "weibull", censored = "D [mm]"', 'fit = "normal", count = "D [mm]"', 'decimal = ","',
+    "lower = 5", 'sheet = "other"', 'modulus = 8, censored = "D [mm]"', "modulus = 1e300",
+)  # fmt: skip
+DRAWS = STUDY[: STUDY.index("strength")] + 'strength = { draws = "FILE" }\n'
+PULSE = """
+[sphere]
+material = "granite"
+radius = "5 mm"
+[bars]
+material = "steel"
+diameter = "20 mm"
+incident_length = "2 m"
+receiving_length = "2 m"
+incident_end = "absorbing"
+[pulse]
+shape = "measured"
+file = "FILE"
+"""
+
+
+def of_table(folder: Path, rng: random.Random) -> str:
+    """A study of a mutated table."""
+    match rng.randrange(5):
+        case 0:
+            text = as_file(mutated_rows(rng), folder, rng)
+            return COLUMN.replace("FILE", text).replace("KEYS", rng.choice(KEYS))
+        case 1:
+            kinds = rng.choice((["weibull"], ["lognormal"], ["weibull", "lognormal"]))
+            rows = [["distribution", "scale [MPa]", "shape", "tests"]]
+            rows += [[rng.choice(kinds), f"{rng.gauss(5, 1):.2f}", "8", "20"] for _ in range(9)]
+            return DRAWS.replace("FILE", as_file(mutated_rows(rng, rows), folder, rng))
+        case 2:
+            rows = [["t [us]", "e [1]"]]
+            rows += [[f"{2 * k}", f"{min(k, 60 - k, 20) * 1e-5:.6f}"] for k in range(61)]
+            return PULSE.replace("FILE", as_file(mutated_rows(rng, rows), folder, rng))
+    text = STUDY.replace("FILE", as_file(mutated_rows(rng), folder, rng))
+    if rng.random() < 0.5:
+        text = text.replace("}", ', force_unit = "kN", diameter_unit = "mm" }')
+    return text
+
+
 def tried(seed: int, folder: Path) -> tuple[object, float, str]:
     """Exit code, CPU seconds and messages of `uqsphere check` on a mutant."""
     rng = random.Random(seed)
@@ -377,9 +427,7 @@ def tried(seed: int, folder: Path) -> tuple[object, float, str]:
             (folder / other.name).write_bytes(other.read_bytes())
         text = mutated_text(path.read_text("utf-8"), rng)
     else:
-        text = STUDY.replace("FILE", as_file(mutated_rows(rng), folder, rng))
-        if rng.random() < 0.5:
-            text = text.replace("}", ', force_unit = "kN", diameter_unit = "mm" }')
+        text = of_table(folder, rng)
     study = folder / "study.toml"
     study.write_bytes(
         disguised(text, rng) if rng.random() < 0.2 else text.encode("utf-8", "replace")

@@ -205,7 +205,7 @@ def test_cells_with_marks_and_dates(tmp_path: Path) -> None:
     assert study.limits[0].tested is not None
     assert study.limits[0].tested.forces[1] == 2450.0
     for cell, words in (
-        ("2026-01-02 00:00:00", "the format of a date"),
+        ("2026-01-02 00:00:00", "in the format of a date"),
         ("２.45", "U+FF12 is FULLWIDTH DIGIT TWO"),
         ("2.45e306", "a number is too large"),
         ("2.45 kN", "'2.45 kN' is not a number\n"),
@@ -254,3 +254,20 @@ def test_a_hidden_sheet_is_read_last(tmp_path: Path, capsys: pytest.CaptureFixtu
     book.save(tmp_path / "t.xlsx")
     study = load_study(tmp_path / "study.toml", text=text)
     assert any("the hidden sheet 'Sheet' is read" in warning for warning in study.warnings)
+
+
+def test_what_mutants_found(tmp_path: Path) -> None:
+    box = '[inputs]\nx = {{ file = "t.csv", column = "x", {} }}\n[outputs]\nnames = ["y"]\n'.format
+    (tmp_path / "t.csv").write_text("x\n5.27\n3.21\n7.46\n5.69\n4.51\n")
+    for keys, words, other in (
+        ("modulus = 1e300", "modulus: must be less than or equal to 1000", "modulus = -1"),
+        ("modulus = 1e-300", "modulus: must be greater than or equal to 0.1", "modulus = 1e300"),
+        ('decimal = ","', "'5.27' is not a number with decimal = ','", 'decimal = "x"'),
+    ):
+        assert words in refused(tmp_path, box(keys))
+        assert words not in refused(tmp_path, box(other))
+    # a text of two bytes a character that has lost one
+    (tmp_path / "t.csv").write_bytes(b"\xff\xfe\0" + "x\n1\n2\n".encode("utf-16-le"))
+    assert "is not a text file" in refused(tmp_path, box("lower = 0"))
+    (tmp_path / "t.csv").write_bytes("x\n1\n2\n1.5\n".encode("utf-16"))
+    assert load_study(tmp_path / "study.toml", text=box("lower = 0")).random["x"].data

@@ -333,7 +333,9 @@ class Observations(TomlTable):
         "column of flags: 1 for a test stopped before failure (right-censored)"
     )
     count: str | None = keyed("column with the number of equal tests (default: one per row)")
-    modulus: Positive | None = keyed("known Weibull modulus; then few failures, or none, suffice")
+    modulus: Annotated[Positive, Field(ge=0.1, le=1e3)] | None = keyed(
+        "known Weibull modulus; then few failures, or none, suffice"
+    )
     fit: str | None = keyed(
         "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, "
         "`rayleigh`, `gamma` or `beta` (default: `weibull` of forces, else `kde`)"
