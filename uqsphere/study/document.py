@@ -461,25 +461,25 @@ class Outputs(TomlTable):
 
 
 class Words(TomlTable):
-    """A study file, without the numbers of the scene."""
+    """A study file, without the numbers of the scene, whose tables `Document` completes."""
 
     title: str = keyed(
         "heading of the report (default: the file's name); not part of the study's hash", ""
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = keyed("the same seed gives the same answers", 0)
-    sphere: Body = Body.model_construct()
-    bars: Bars = Bars.model_construct()
-    striker: Body = Body.model_construct()
-    pulse: PulseTable = PulseTable.model_construct()
-    contact: ContactTable = ContactTable.model_construct()
-    rig: RigTable = RigTable.model_construct()
-    target: Struck = Struck.model_construct()
-    anvil: Struck = Struck.model_construct()
-    other: Body = Body.model_construct()
-    hammer: Hammer = Hammer.model_construct()
-    rod: Rod = Rod.model_construct()
-    platens: Body = Body.model_construct()
-    insert: Body = Body.model_construct()
+    sphere: Body
+    bars: Bars
+    striker: Body
+    pulse: PulseTable
+    contact: ContactTable
+    rig: RigTable
+    target: Struck
+    anvil: Struck
+    other: Body
+    hammer: Hammer
+    rod: Rod
+    platens: Body
+    insert: Body
     model: ModelChoice = ModelChoice.model_construct()
     inputs: dict[Name, Num] = Field(default={}, max_length=1000)
     outputs: Outputs = Outputs.model_construct()
