@@ -148,7 +148,7 @@ def row_effects(study: Study, changes: dict[str, float]) -> tuple[Any, ...]:
         warnings.simplefilter("ignore")
         frame = uqsphere.evaluate(study, changes, quantities=quantities)
     rows = np.array([list(changes.values())]).reshape(1, len(changes))
-    checks, _ = checked_rows(study, tuple(changes), rows, quantities)
+    checks = checked_rows(study, tuple(changes), rows, quantities)
     return tuple(map(str, frame.iloc[0])), tuple(str(check) for check in checks)
 
 

@@ -9,7 +9,6 @@ import math
 import re
 import tomllib
 import unicodedata
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any, Final
@@ -61,9 +60,7 @@ class Quantity:
         since the contact circle widens; those on the core and below a contact are computed for
         equal forces at both contacts.
     censored : column of rows whose evaluation window ended too early; empty if there is none.
-    needs : columns that `formula` reads.
-    formula : function of columns (scene, scale factors, integrator, other quantities) that returns
-        the quantity, (n,).
+    needs : columns that it is computed from.
     """
 
     name: str
@@ -81,7 +78,6 @@ class Quantity:
     place: str = ""
     censored: str = ""
     needs: tuple[str, ...] = ()
-    formula: Callable[[Mapping[str, Values]], Values] | None = None
 
     @property
     def unit(self) -> str:

@@ -144,7 +144,7 @@ def _dents(course: Motion, times: Array, width: float) -> Array:
     """What stays of both faces, by their law at the largest force of each; nothing yet of one that
     still yields.
     """
-    law = course.scene.faces
+    law = course.scene.struck.face
     if law is None or course.forces is None:
         return np.zeros(2)
     face = law.at(course.row)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tests.campaigns import options, table
-from uqsphere.mechanics.history import balance_of
+from tests.energies import balance_of
 from uqsphere.mechanics.integrator import solve as integrator
 from uqsphere.mechanics.integrator.solve import motions, solve
 from uqsphere.mechanics.outputs import SceneAnswers, absent_in

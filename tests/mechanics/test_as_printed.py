@@ -65,7 +65,7 @@ def test_peaks_are_those_of_an_endless_step(table):
         horizon=60.0 * float(scales.time[0]),
         columns={k: v for k, v in SCENE.columns.items() if k != "striker.length"},
     )
-    endless = solve_closed(step).values
+    endless = solve_closed(step, "massless").values
     for name in ("p_max", "P_max", "alpha_max", "a_max"):
         assert table[name].printed == pytest.approx(endless[name][0], rel=1e-12)
         assert table[name].printed > table[name].corrected
@@ -74,7 +74,7 @@ def test_peaks_are_those_of_an_endless_step(table):
 
 def test_values_of_the_table(table):
     full = dynamics.solve(SCENE, tolerance=1e-8).values
-    closed = solve_closed(SCENE).values
+    closed = solve_closed(SCENE, "massless").values
     for name in ("p_max", "P_max", "alpha_max", "a_max", "contact_duration", "rise_time"):
         assert table[name].full == full[name][0]
         assert table[name].corrected == closed[name][0]
@@ -125,7 +125,7 @@ def test_other_pulses_and_finite_bars_are_compared_with_the_rectangle():
         for r in as_printed.compare_with_paper(Scene(columns=columns, shape="trapezoid"))
     }
     assert rows["p_max"].corrected == pytest.approx(
-        solve_closed(SCENE).values["p_max"][0], rel=1e-12
+        solve_closed(SCENE, "massless").values["p_max"][0], rel=1e-12
     )
     assert rows["p_max"].full > 1.1 * rows["p_max"].corrected  # the reload
     assert rows["time_to_first_loss"].full is not None

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scenes import example as scene_with
 
+from tests.energies import balance_of
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.field import waves_at
-from uqsphere.mechanics.history import balance_of, rod_record
+from uqsphere.mechanics.field import arriving, leaving
+from uqsphere.mechanics.history import rod_record
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
@@ -41,10 +42,12 @@ class Balance:
         half = 0.5 * np.diff(cuts)
         times = (cuts[:-1] + half)[:, None] + half[:, None] * NODES
         weights = (half[:, None] * WEIGHTS).ravel()
-        waves = waves_at(self.motion, times.ravel())
-        earlier = waves_at(self.motion, times.ravel() - trips[0]).leaving_a
-        back = self.scene.reflections[0, 0] * earlier * (times.ravel() > trips[0])
-        courses = np.stack([waves.incident - back, waves.leaving_a, waves.leaving_b])
+        at = times.ravel()
+        incident = arriving(self.motion, 0, at)
+        leaving_a, leaving_b = (leaving(self.motion, bar, at) for bar in (0, 1))
+        earlier = leaving(self.motion, 0, at - trips[0])
+        back = self.scene.reflections[0, 0] * earlier * (at > trips[0])
+        courses = np.stack([incident - back, leaving_a, leaving_b])
         return np.stack([courses @ weights, courses**2 @ weights])
 
     def errors(self, time: float) -> tuple[float, float]:

@@ -12,10 +12,10 @@ import pytest
 from scenes import example
 
 from tests.campaigns.stress_tables import hoop_field
-from uqsphere.mechanics import contact, criteria
+from uqsphere.mechanics import contact, criteria, stress
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
+from uqsphere.mechanics.fracture import path_of
 from uqsphere.mechanics.integrator.solve import solve
-from uqsphere.mechanics.outputs import path_of
 from uqsphere.quantities import OUTPUTS
 from uqsphere.units import UNITS
 
@@ -202,9 +202,9 @@ def test_a_truncated_energy_is_lognormal_after_the_change() -> None:
 def test_ring_cracks_follow_auerbach() -> None:
     # P_C = A K_Ic² r/E
     force = 8600.0 * 0.7e6**2 * np.array([0.005, 0.01]) / 70e9
-    assert criteria.ring_crack_toughness(force, np.array([0.005, 0.01]), 70e9) == pytest.approx(
-        [0.7e6] * 2, rel=1e-12
-    )
+    columns = {"P_max": force, "sphere.radius": np.array([0.005, 0.01]), "sphere.E": 70e9}
+    toughness = demand(CRITERIA["ring_crack"], columns)
+    assert toughness == pytest.approx([0.7e6] * 2, rel=1e-12)
 
 
 def test_ranges_are_checked_row_by_row() -> None:
@@ -221,14 +221,15 @@ def test_ranges_are_checked_row_by_row() -> None:
     assert not in_range(CRITERIA["weakest_link_volume"], columns, parameters).any()
 
 
-def test_wrong_parameters_are_told() -> None:
-    entry = CRITERIA["weakest_link_volume"]
-    with pytest.raises(ValueError, match="needs modulus"):
-        demand(entry, rows(), {"reference_volume": 1e-6})
-    with pytest.raises(ValueError, match="reference_area is not a parameter"):
-        demand(entry, rows(), {"modulus": 8.0, "reference_volume": 1e-6, "reference_area": 1.0})
-    with pytest.raises(ValueError, match="modulus must be between"):
-        demand(entry, rows(), {"modulus": 0.0, "reference_volume": 1e-6})
+def test_every_criterion_has_a_formula_and_the_range_of_its_table() -> None:
+    assert criteria.FORMULAS.keys() == CRITERIA.keys()
+    for entry in CRITERIA.values():
+        if "Legendre" in entry.source:
+            weakest_link = "modulus" in entry.parameters
+            nu = stress.POISSON_WEIBULL if weakest_link else stress.POISSON
+            assert tuple(entry.ranges["a/r"]) == stress.CONTACT_RATIO
+            assert tuple(entry.ranges["sphere.nu"]) == nu
+            assert not weakest_link or tuple(entry.ranges["modulus"]) == stress.MODULUS
 
 
 def test_the_tension_of_a_grain_is_that_of_practice_over_its_factor() -> None:

@@ -15,9 +15,10 @@ import pytest
 
 from uqsphere.mechanics import closed_form, contact, stress
 from uqsphere.mechanics.criteria import CRITERIA, demand
+from uqsphere.mechanics.fracture import path_of
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, absent_in, loss_to_waves, path_of
+from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, absent_in, loss_to_waves
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_validity
 from uqsphere.models.scene import solve_scene
@@ -135,7 +136,7 @@ def test_closed_forms_are_what_the_integrator_finds(name: str) -> None:
     kind, target, law = BLOWS[name]
     given = struck(np.array([0.05, 1.0, 4.0]), kind, law=law, **target)
     assert closed_form.closed_form_rows(given).all()
-    closed = closed_form.solve_impact(given, TOLD)
+    closed = closed_form.solve_closed(given, quantities=TOLD)
     marched = dynamics.solve(given, tolerance=1e-8, threads=1, quantities=TOLD)
     for quantity in TOLD:
         assert closed.values[quantity] == pytest.approx(marched.values[quantity], rel=1e-7), (
@@ -309,7 +310,7 @@ def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
         "core_tension",
     )
     light, full = (
-        closed_form.solve_light(given, told).values,
+        closed_form.solve_closed(given, "massless", told).values,
         solved(given, *told, tolerance=1e-6).values,
     )
     for quantity in told:
@@ -319,8 +320,8 @@ def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
         abs(full["P_max"][0] / light["P_max"][0] - 1.0)
         < 0.4 * 0.70 * float(given.scales.mass[0] / 2.3) ** 0.45
     )
-    with pytest.raises(ValueError, match="needs a drop weight"):
-        closed_form.solve_light(struck())
+    with pytest.raises(ValueError, match="closed forms need"):
+        closed_form.solve_closed(converged_scene("09_load_cell"))
 
 
 def test_platens_are_static() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.independent.motion import Law, Motion, Pole, march
-from uqsphere.mechanics.closed_form import solve_impact
+from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
 from uqsphere.mechanics.scene import Scene
@@ -385,7 +385,10 @@ def test_blows_that_yield_agree_with_their_closed_form() -> None:
         "a_max",
         "contact_duration",
     )
-    closed, found = solve_impact(scene, asked), solve(scene, tolerance=1e-6, quantities=asked)
+    closed, found = (
+        solve_closed(scene, quantities=asked),
+        solve(scene, tolerance=1e-6, quantities=asked),
+    )
     assert (closed.status == 0).all()
     assert (found.status == 0).all()
     for name in asked:

@@ -57,7 +57,7 @@ def test_converged_scenes(case):
     ).any():  # the record goes on behind the first loss, the case does not
         scene = replace(scene, horizon=wanted["contact_time"] * (1.0 + 1e-9))
     found = solve.integrate(scene, threads=1)
-    answers, faces, scale = found.answers[0], scene.faces, scene.scales
+    answers, faces, scale = found.answers[0], scene.struck.face, scene.scales
     assert found.status[0] == 0
     depth = answers[ANSWER_FACES : ANSWER_FACES + 2] * scale.approach / faces.onset_approach
     for k, name in enumerate("AB"):

@@ -122,7 +122,7 @@ def compare_with_paper(
     if scene.status[row] != 0:
         raise ValueError(f"row {row} cannot be compared: {STATUS[int(scene.status[row])]}")
     scene = scene.at(np.array([row]))
-    corrected, full = solve_closed(_idealised(scene)), solve(scene, tolerance=tolerance)
+    corrected, full = solve_closed(_idealised(scene), "massless"), solve(scene, tolerance=tolerance)
     scales, speed = scene.scales, float(scene.columns["striker.speed"][0])
     # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
     force_at_speed = 0.5 * speed * float(scales.impedance[0])

@@ -60,21 +60,16 @@ def loading_time(x: Values) -> Array:
 
     s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x); the
     time to x = 1 is infinite.
-
-    Raises ValueError outside 0 to 1.
     Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.3), integrated by partial fractions.
 
     >>> float(loading_time(0.5).round(12))
     0.591935816248
     """
     x = np.asarray(x, dtype=float)
-    if not bool(np.all((x >= 0.0) & (x <= 1.0))):
-        raise ValueError("the scaled approach must be between 0 and 1")
-    small = np.minimum(x, _SERIES_BELOW)
     root = np.sqrt(x)
     with np.errstate(divide="ignore"):
         closed = _time_at_root(root, -np.log1p(-root))
-    return np.where(x < _SERIES_BELOW, _series(small), closed)
+    return np.where(x < _SERIES_BELOW, _series(np.minimum(x, _SERIES_BELOW)), closed)
 
 
 @lru_cache(maxsize=1)
@@ -87,35 +82,26 @@ def _table() -> tuple[Array, Array]:
 
 
 def loading_approach(s: Values) -> Array:
-    """Scaled approach x of the massless sphere at time s of a step; inverse of `loading_time`.
+    """Scaled approach x of the massless sphere at time s >= 0 of a step; inverse of `loading_time`.
 
     Newton's method in z = -ln(1 - sqrt(x)), in which s is nearly linear, and Halley's in x for
     small s, with a fixed number of iterations; error below 1e-14.
-
-    Raises ValueError for a negative time.
 
     >>> loading_approach([0.0, 0.8193410, np.inf]).round(6).tolist()
     [0.0, 0.629961, 1.0]
     """
     s = np.asarray(s, dtype=float)
-    if not bool(np.all(s >= 0.0)):
-        raise ValueError("the time must not be negative")
     # beyond s = 60 the approach is 1 to the last bit
     large = np.clip(s, _SERIES_BELOW, 60.0)
     z = np.interp(large, *_table())
     y = -np.expm1(-z)
     z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
-    approach = np.square(np.expm1(-z))
-    early = s < _SERIES_BELOW
-    if not early.any():
-        return np.asarray(approach)
     small = np.minimum(s, _SERIES_BELOW)
     x = small - 0.4 * small**2.5
     for _ in range(2):
-        excess = _series(x) - small
-        root = np.sqrt(x)
+        excess, root = _series(x) - small, np.sqrt(x)
         x = x - excess * (1.0 - x * root) / (1.0 - 0.75 * excess * root)
-    return np.asarray(np.where(early, x, approach))
+    return np.where(s < _SERIES_BELOW, x, np.square(np.expm1(-z)))
 
 
 def relaxing_approach(start: Values, after: Values) -> Array:
@@ -149,33 +135,17 @@ def massless_approach(s: Values, theta: Values) -> Array:
     return np.where(over, relaxing_approach(np.where(over, loading, 1.0), after), loading)
 
 
-def closed_form_applies(scene: Scene, fidelity: str) -> bool:
-    """Whether `solve_closed` applies: massless, infinite bars, rectangular or step pulse."""
-    plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
-    return fidelity == "massless" and scene.infinite and plain and scene.contact_law == "hertz"
-
-
-def solve_closed(
-    scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None
-) -> SceneAnswers:
-    """Quantities of interest of n scenes between bars in closed form, as `integrator.solve`.
+def _massless(scene: Scene) -> dict[str, Array]:
+    """A massless sphere between infinite bars, under a rectangular or step pulse.
 
     Both forces are equal and increase until the pulse ends, theory (11), then decay, theory (12),
     so that the peak is at the end of the pulse or of the evaluation window.  Contact is never lost:
     time_to_first_loss is always censored at the end of the window, the horizon or the time at which
     the force has decayed to 1 % of the peak.
-
-    Raises ValueError if `closed_form_applies` is false.
     """
-    if not closed_form_applies(scene, fidelity):
-        raise ValueError(
-            "closed forms need fidelity = 'massless', infinite bars and a rectangular or step "
-            f"pulse, not {fidelity!r}, infinite = {scene.infinite} and a {scene.shape} pulse"
-        )
     good = scene.status == 0
-    with np.errstate(all="ignore"):
-        theta = np.where(good, scene.scales.pulse_number, 1.0)
-        horizon = np.where(good, scene.record_end / scene.scales.time, 1.0)
+    theta = np.where(good, scene.scales.pulse_number, 1.0)
+    horizon = np.where(good, scene.record_end / scene.scales.time, 1.0)
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
@@ -186,7 +156,7 @@ def solve_closed(
     remaining = np.where(ended > theta, relaxing_approach(peak, after), peak)
     remaining = np.where(np.isfinite(horizon), remaining, 0.0)
     tracked = {
-        **dict.fromkeys(("x_max", "x_first", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
+        **dict.fromkeys(("x_max", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
         "difference": np.zeros_like(peak),
         "contact_censored": np.ones_like(peak),
@@ -195,13 +165,12 @@ def solve_closed(
         "duration": (loaded - remaining) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
     }
-    tracked = {name: np.where(good, column, np.nan) for name, column in tracked.items()}
-    return _answers(scene, tracked, quantities)
+    return {name: np.where(good, column, np.nan) for name, column in tracked.items()}
 
 
-def reduced_mass(mass: Values, partner: Values = math.inf) -> Array:
+def reduced_mass(mass: Values, partner: Values) -> Values:
     """M* = M m/(M + m) [kg] of a sphere and a free counter-body (fixed: m = inf). (R6)."""
-    return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
+    return mass / (1.0 + mass / partner)
 
 
 #: columns of the table: restitution, peak force, contact time, rise time
@@ -217,12 +186,6 @@ def _impact_table() -> Mapping[str, np.polynomial.Chebyshev]:
     return dict(zip(_COLUMNS, series, strict=True))
 
 
-@cache
-def _on_rigid() -> Mapping[str, Array]:
-    """`_COLUMNS` of a rigid counter-body: one number each for all rows."""
-    return elastic_impact(np.zeros(1))
-
-
 def elastic_impact(lam: Array) -> Mapping[str, Array]:
     """Restitution, peak force, contact time and rise time at lam, (R10) to (R13); NaN above 3.
 
@@ -235,12 +198,16 @@ def elastic_impact(lam: Array) -> Mapping[str, Array]:
     return {name: np.asarray(series(inside)) for name, series in _impact_table().items()}
 
 
-def _elastic(scene: Scene, ahead: Partner, force: Array) -> tuple[Mapping[str, Array], Array]:
-    """`_COLUMNS` of an impact of unit force `force` on a counter-body, and its lam."""
-    if ahead.kind not in ("bar", "plate"):
-        return _on_rigid(), np.zeros(1)
-    lam = force / (scene.scales.speed * ahead.impedance)
-    return elastic_impact(lam), lam
+def _elastic(scene: Scene, ahead: Partner, force: Array) -> Mapping[str, Array]:
+    """`_COLUMNS` of an impact of unit force `force` on a counter-body.
+
+    Also `radiated`, the integral of q²: the lost energy is radiated, (1 - e²)/2 = lam times it.
+    """
+    lam = np.zeros(1)
+    if ahead.kind in ("bar", "plate"):
+        lam = force / (scene.scales.speed * ahead.impedance)
+    at = elastic_impact(lam)
+    return {**at, "radiated": (1.0 - np.square(at["restitution"])) / (2.0 * lam)}
 
 
 def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
@@ -268,13 +235,19 @@ _SWING, _SWING_POWER = 0.70, 0.45
 _BLOCK_ROWS: Final = 8192
 
 
-def closed_form_rows(scene: Scene) -> Flags:
-    """Rows that `solve_impact` applies to, (n,).
+def closed_form_rows(scene: Scene, fidelity: str = "full") -> Flags:
+    """Rows that `solve_closed` applies to, (n,).
 
-    All rows under slow loading; impacts with one contact and no reflected wave during contact.
+    A massless sphere between infinite bars under a rectangular or step pulse, or under a drop
+    weight; all rows under slow loading; impacts with one contact and no reflected wave during
+    contact.
     """
     every, (behind, ahead) = np.ones(len(scene), dtype=bool), scene.partners
-    if scene.setup.by_press:
+    if scene.by_wave:
+        plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
+        applies = fidelity == "massless" and scene.infinite and scene.contact_law == "hertz"
+        return every & (plain and applies)
+    if scene.setup.by_press or _is_light(scene, fidelity):
         return every
     if behind is not None or ahead is None or scene.horizon is not None:
         return ~every
@@ -286,39 +259,47 @@ def closed_form_rows(scene: Scene) -> Flags:
     if not np.any(ahead.reflection):
         return every
     with np.errstate(all="ignore"):
-        duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)[0]["duration"]
+        duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
         return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
 
 
-def solve_impact(scene: Scene, quantities: Collection[str] | None = None) -> SceneAnswers:
+def _is_light(scene: Scene, fidelity: str) -> bool:
+    """Whether it is a drop weight on an elastic sphere without mass, and no reflected wave."""
+    return (
+        fidelity == "massless"
+        and scene.setup.weight_falls
+        and scene.horizon is None
+        and not np.any(scene.reflections)
+        and all(partner.face is None for partner in scene.there)
+    )
+
+
+def solve_closed(
+    scene: Scene, fidelity: str = "full", quantities: Collection[str] | None = None
+) -> SceneAnswers:
     """Quantities of interest of n scenes in closed form, as `integrator.solve`.
 
-    Elastic impact by (R10) to (R13), plastic impact by the energy balance (R23), slow loading by
-    statics.  Only for scenes all of whose rows are in `closed_form_rows`.
+    Raises ValueError for a scene with a row that is not in `closed_form_rows`.
     """
+    if not closed_form_rows(scene, fidelity).all():
+        raise ValueError(
+            "closed forms need slow loading, an impact on one body, or fidelity = 'massless' with "
+            "a drop weight on elastic contacts or a rectangular or step pulse in infinite bars"
+        )
     if len(scene) > _BLOCK_ROWS:
-        rows = np.arange(len(scene))
-        parts = []
-        for start in range(0, len(scene), _BLOCK_ROWS):
-            block = rows[start : start + _BLOCK_ROWS]
-            parts.append((block, solve_impact(scene.at(block), quantities)))
-        return merged_answers(*parts)
+        blocks = np.split(np.arange(len(scene)), range(_BLOCK_ROWS, len(scene), _BLOCK_ROWS))
+        return merged_answers(
+            *((rows, solve_closed(scene.at(rows), fidelity, quantities)) for rows in blocks)
+        )
     with np.errstate(all="ignore"):
-        if scene.setup.by_press:
-            tracked = _pressed(scene)
+        if scene.by_wave:
+            closed = _massless(scene)
+        elif scene.setup.by_press:
+            closed = _pressed(scene)
+        elif scene.setup.weight_falls:
+            closed = _light(scene)
         else:
-            ahead = scene.partners[1]
-            assert ahead is not None
-            if ahead.face is None:
-                tracked = _elastic_impact(scene, ahead)
-            else:
-                tracked = _plastic_impact(scene, ahead.face, ahead)
-    return _answers(scene, tracked, quantities)
-
-
-def _answers(
-    scene: Scene, closed: Mapping[str, Array], quantities: Collection[str] | None
-) -> SceneAnswers:
+            closed = _impact(scene)
     # closed forms have a single force peak
     columns = {"x_first": closed["x_max"], **closed}
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}
@@ -327,81 +308,33 @@ def _answers(
     )
 
 
-def light_sphere_applies(scene: Scene) -> bool:
-    """Whether `solve_light` applies: a drop weight on an elastic sphere, no reflected wave."""
-    behind, ahead = scene.partners
-    if behind is None or ahead is None or behind.kind != "mass" or scene.horizon is not None:
-        return False
-    if np.any(ahead.reflection):
-        return False
-    return behind.face is None and ahead.face is None
-
-
-def solve_light(scene: Scene, quantities: Collection[str] | None = None) -> SceneAnswers:
-    """Drop weight on a light sphere: contacts in series, (R15) and (R13), peaks raised by (R16).
-
-    Raises ValueError if `light_sphere_applies` is false.
-    """
-    behind, ahead = scene.partners
-    if behind is None or ahead is None or not light_sphere_applies(scene):
-        raise ValueError(
-            "fidelity = 'massless' needs a drop weight, elastic contacts and no reflected wave"
-        )
-    with np.errstate(all="ignore"):
-        scales = scene.scales
-        both = light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
-        moved = reduced_mass(behind.mass, ahead.mass)
-        force = both**0.4 * moved**0.6 * scales.speed**1.2
-        at, lam = _elastic(scene, ahead, force)
-        time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
-        q = at["force"] * force / scales.force
-        slow_a = np.cbrt(np.square(q))
-        slow_b = np.cbrt(np.square(q * behind.hertz_constant / ahead.hertz_constant))
-        # the sphere oscillates between the contacts: their peaks are higher, the energies hardly
-        raised = np.cbrt(np.square(1.0 + _SWING * (scales.mass / moved) ** _SWING_POWER))
-        x_a, x_b = raised * slow_a, raised * slow_b
-        share = behind.mass / (behind.mass + ahead.mass)
-        tracked = {
-            "x_max": x_a,
-            "x_a": x_a,
-            "x_b": x_b,
-            "force_b_at_a": q,
-            "force_a_at_b": q,
-            "mean_force": q,
-            "difference": np.zeros(1),
-            "duration": (1.0 + at["restitution"]) / at["force"] * time,
-            "stored": 0.4 * q * (slow_a + slow_b),
-            "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
-            "rise": at["rise"] * time,
-            "end_speed": np.full(1, np.nan),
-            "end_speed_a": share - (1.0 - share) * at["restitution"],
-            "end_speed_b": share * (1.0 + at["restitution"]),
-            **_over(at["duration"] * time),
-        }
-        tracked["carried_b"] = _radiated(at, lam) * force**2 * time / scales.force**2
-    return _answers(scene, tracked, quantities)
-
-
-def _elastic_impact(scene: Scene, ahead: Partner) -> dict[str, Array]:
-    """An elastic impact in scaled variables, (R13), in the centre-of-mass frame."""
-    at, lam = _elastic(scene, ahead, scene.scales.force)
-    x = np.cbrt(np.square(at["force"]))
+def _light(scene: Scene) -> dict[str, Array]:
+    """Drop weight on a light sphere: contacts in series, (R15) and (R13), peaks raised by (R16)."""
+    scales, (behind, ahead) = scene.scales, scene.there
+    both = light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
+    moved = reduced_mass(behind.mass, ahead.mass)
+    force = both**0.4 * moved**0.6 * scales.speed**1.2
+    at = _elastic(scene, ahead, force)
+    time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
+    q = at["force"] * force / scales.force
+    slow_a = np.cbrt(np.square(q))
+    slow_b = np.cbrt(np.square(q * behind.hertz_constant / ahead.hertz_constant))
+    # the sphere oscillates between the contacts: their peaks are higher, the energies hardly
+    raised = np.cbrt(np.square(1.0 + _SWING * (scales.mass / moved) ** _SWING_POWER))
+    share = behind.mass / (behind.mass + ahead.mass)
     return {
-        "x_max": x,
-        "x_b": x,
-        "stored": 0.4 * at["force"] * x,
-        "rise": at["rise"],
-        # momentum: each body leaves with e times its speed in the centre-of-mass frame
-        "duration": (1.0 + at["restitution"]) / at["force"],
-        "carried_b": _radiated(at, lam),
-        **_speeds(scene, ahead, at["restitution"]),
-        **_over(at["duration"]),
+        **dict.fromkeys(("x_max", "x_a"), raised * slow_a),
+        "x_b": raised * slow_b,
+        **dict.fromkeys(("force_b_at_a", "force_a_at_b", "mean_force"), q),
+        "difference": np.zeros(1),
+        "duration": (1.0 + at["restitution"]) / at["force"] * time,
+        "stored": 0.4 * q * (slow_a + slow_b),
+        "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
+        "rise": at["rise"] * time,
+        "end_speed_a": share - (1.0 - share) * at["restitution"],
+        "carried_b": at["radiated"] * force**2 * time / scales.force**2,
+        **_over(at["duration"] * time),
     }
-
-
-def _radiated(at: Mapping[str, Array], lam: Array) -> Array:
-    """Integral of q²: the lost energy is radiated, (1 - e²)/2 = lam times it."""
-    return (1.0 - np.square(at["restitution"])) / (2.0 * lam)
 
 
 def _over(time: Array) -> dict[str, Array]:
@@ -412,38 +345,56 @@ def _over(time: Array) -> dict[str, Array]:
     }
 
 
-def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:
-    """Speeds of sphere and counter-body after an impact, over the closing speed."""
-    if ahead.kind != "mass":
-        return {"end_speed": -restitution, "end_speed_b": np.zeros(1)}
-    share = scene.scales.mass / (scene.scales.mass + ahead.mass)
-    return {
-        "end_speed": share - (1.0 - share) * restitution,
-        "end_speed_b": share * (1.0 + restitution),
-    }
+def _impact(scene: Scene) -> dict[str, Array]:
+    """An impact on one body in scaled variables, in the centre-of-mass frame.
 
-
-def _plastic_impact(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
-    """An impact with plastic contact in scaled variables: depth by (R23), times by quadrature."""
-    scales = scene.scales
-    depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
-    x = depth * face.onset_approach / scales.approach
-    state, restitution = face.pressed(depth), face.restitution(depth)
-    low = _loading(face, depth, face.depth_at(0.1 * state.force))
-    high = _loading(face, depth, face.depth_at(0.9 * state.force))
-    first = _loading(face, depth, np.zeros(1))
-    to_scaled = face.onset_approach / scales.approach
-    # unloading follows Hertz from alpha_e, and ends at the rebound speed
-    up = face.recovery(depth) * to_scaled / restitution
-    whole = first * to_scaled + up * _UNLOADING
+    Elastic by (R13); plastic with the depth by (R23) and times by quadrature.
+    """
+    scales, ahead = scene.scales, scene.struck
+    face = ahead.face
+    if face is None:
+        at = _elastic(scene, ahead, scales.force)
+        restitution, peak = at["restitution"], at["force"]
+        x = np.cbrt(np.square(peak))
+        rest = {
+            "stored": 0.4 * peak * x,
+            "rise": at["rise"],
+            # momentum: each body leaves with e times its speed in the centre-of-mass frame
+            "duration": (1.0 + restitution) / peak,
+            "carried_b": at["radiated"],
+            **_over(at["duration"]),
+        }
+    else:
+        depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
+        state, restitution = face.pressed(depth), face.restitution(depth)
+        to_scaled = face.onset_approach / scales.approach
+        x = depth * face.onset_approach / scales.approach
+        low, high, first = (
+            _loading(face, depth, start)
+            for start in (
+                face.depth_at(0.1 * state.force),
+                face.depth_at(0.9 * state.force),
+                np.zeros(1),
+            )
+        )
+        # unloading follows Hertz from alpha_e, and ends at the rebound speed
+        up = face.recovery(depth) * to_scaled / restitution
+        rest = {
+            "stored": state.stored / (scales.force * scales.approach),
+            "duration": (1.0 + restitution) * scales.force / state.force,
+            "rise": (low - high) * to_scaled,
+            **_over(first * to_scaled + up * _UNLOADING),
+        }
+    share = np.zeros(1)
+    if ahead.kind == "mass":
+        share = scales.mass / (scales.mass + ahead.mass)
     return {
         "x_max": x,
         "x_b": x,
-        "stored": state.stored / (scales.force * scales.approach),
-        "duration": (1.0 + restitution) * scales.force / state.force,
-        "rise": (low - high) * to_scaled,
-        **_speeds(scene, ahead, restitution),
-        **_over(whole),
+        # speeds after the impact, over the closing speed
+        "end_speed": share - (1.0 - share) * restitution,
+        "end_speed_b": share * (1.0 + restitution),
+        **rest,
     }
 
 
@@ -494,38 +445,28 @@ def _pressed(scene: Scene) -> dict[str, Array]:
         slope = face.slope(depth) * face.onset_force / face.onset_approach
         stored = face.pressed(depth).stored
     rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
-    x, q = approach / scales.approach, force / scales.force
     return {
-        "x_max": x,
-        "x_a": x,
-        "x_b": x,
-        "force_b_at_a": q,
-        "force_a_at_b": q,
-        "mean_force": q,
-        "difference": np.zeros(1),
+        **dict.fromkeys(("x_max", "x_a", "x_b"), approach / scales.approach),
+        **dict.fromkeys(("force_b_at_a", "force_a_at_b", "mean_force"), force / scales.force),
+        **dict.fromkeys(("difference", "ended"), np.zeros(1)),
         "stored": 2.0 * stored / (scales.force * scales.approach),
         "rise": 0.8 * force / rate / scales.time,
-        "ended": np.zeros(1),
     }
 
 
 def _force_at(partner: Partner, displacement: Array, softness: Array) -> Array:
     """Force [N] at a displacement [m] of two contacts and a machine; Newton's method."""
-    face = partner.face
-    if face is None:
-        scale = partner.effective_radius
-        unit = partner.hertz_constant * scale**1.5
-    else:
+    face, scale = partner.face, partner.effective_radius
+    unit = partner.hertz_constant * scale**1.5
+    if face is not None:
         scale, unit = face.onset_approach, face.onset_force
     wanted, stiff = displacement / scale, softness * unit / scale
 
-    def force_of(depth: Array) -> Array:
+    def force(depth: Array) -> Array:
         return depth**1.5 if face is None else face.force(depth)
 
     def step(depth: Array) -> Array:
         slope = 1.5 * np.sqrt(depth) if face is None else face.slope(depth)
-        excess = 2.0 * depth + stiff * force_of(depth) - wanted
-        return excess / (2.0 + stiff * slope)
+        return (2.0 * depth + stiff * force(depth) - wanted) / (2.0 + stiff * slope)
 
-    depth = newton(step, 0.5 * wanted, 0.0)
-    return unit * force_of(depth)
+    return unit * force(newton(step, 0.5 * wanted, 0.0))

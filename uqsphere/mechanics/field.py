@@ -16,34 +16,16 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.pulses import pulse_value
-from uqsphere.mechanics.scene import Scene
 
 #: the bars by name, in the order of every pair of numbers
 BARS: Final = ("incident", "receiving")
 #: reflected waves weaker than this, relative to the first wave, are neglected
 _FAINT: Final = 1e-18
+#: relative tolerance of positions
+_ROUNDING: Final = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
-class Waves:
-    """Particle velocities at the contacts [m/s], (m,).
-
-    incident, returning: towards the sphere (f, h).  leaving_a, leaving_b: away from it (g_A, k_B).
-    """
-
-    incident: Array
-    returning: Array
-    leaving_a: Array
-    leaving_b: Array
-
-    @classmethod
-    def none(cls, count: int) -> Waves:
-        """Waves of bodies at rest."""
-        still = np.zeros(count)
-        return cls(incident=still, returning=still, leaving_a=still, leaving_b=still)
-
-
-def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
+def leaving(motion: Motion, bar: int, times: Array, *, sides: Values = 1.0) -> Array:
     """The wave that leaves a contact, (m,) [m/s]: g_A of the incident bar (0), k_B (1).
 
         g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z]
@@ -52,68 +34,141 @@ def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = Non
     times: (m,) [s].  sides (m,): -1 for the value before a jump at that instant, 1 (default) for
     the value after it.
     """
-    return _echoes(motion, bar, times, _sided(motion, times, sides), first=0)
+    return _echoes(motion, bar, times, sides, first=0)
 
 
-def arriving(motion: Motion, bar: int, times: Array, *, sides: Array | None = None) -> Array:
+def arriving(motion: Motion, bar: int, times: Array, *, sides: Values = 1.0) -> Array:
     """The wave that arrives at a contact, (m,) [m/s]; arguments as of `leaving`.
 
     It is f = f_in + R_1 g_A(t - T_1) in the incident bar (0), h = R_3 k_B(t - T_3) in the receiving
     bar (1).
     """
-    nudge = _sided(motion, times, sides)
-    reflected = _echoes(motion, bar, times, nudge, first=1)
+    reflected = _echoes(motion, bar, times, sides, first=1)
     if bar == 0:
-        return _pulse(motion.scene, motion.row, times + nudge) + reflected
+        return _pulse(motion, times + _nudge(motion, times, sides)) + reflected
     return reflected
 
 
-def _sided(motion: Motion, times: Array, sides: Array | None) -> Array:
+def _nudge(motion: Motion, times: Array, sides: Values) -> Array:
     """Shift of an instant to the requested side of a jump, above the rounding of t - k T."""
-    scale = float(motion.scene.scales.time[motion.row])
-    nudge = 1e-12 * (np.abs(times) + scale)
-    if sides is None:
-        return nudge
-    return nudge * sides
+    return np.asarray(1e-12 * (np.abs(times) + motion.unit) * sides)
 
 
-def _echoes(motion: Motion, bar: int, times: Array, nudge: Array, *, first: int) -> Array:
+def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int) -> Array:
     """Sum over k >= first of R^k times the wave that first left the contact at t - k T."""
-    scene, row = motion.scene, motion.row
-    end, trip, impedance = motion.reflection(bar), motion.round_trip(bar), motion.impedance
+    end, trip, nudge = motion.reflection(bar), motion.round_trip(bar), _nudge(motion, times, sides)
     last = float(times.max(initial=0.0)) * (1.0 + 1e-12)
     total = np.zeros_like(times)
     k, strength = first, end**first
     while k == 0 or (abs(strength) > _FAINT and k * trip <= last):
         earlier = times - k * trip if k else times
-        part = motion.forces_at(earlier)[:, bar] / impedance
+        part = motion.forces_at(earlier)[:, bar] / motion.impedance
         if bar == 0:
-            part = _pulse(scene, row, earlier + nudge) - part
+            part = _pulse(motion, earlier + nudge) - part
         total += strength * part
         k, strength = k + 1, strength * end
     return total
 
 
-def waves_at(motion: Motion, times: Array, *, sides: Array | None = None) -> Waves:
-    """All four waves at the contacts at `times` [s]; `sides` as of `leaving`."""
-    return Waves(
-        incident=arriving(motion, 0, times, sides=sides),
-        returning=arriving(motion, 1, times, sides=sides),
-        leaving_a=leaving(motion, 0, times, sides=sides),
-        leaving_b=leaving(motion, 1, times, sides=sides),
-    )
-
-
-def _pulse(scene: Scene, row: int, times: Array) -> Array:
-    return 0.5 * float(scene.columns["striker.speed"][row]) * pulse_value(scene.pulse, row, times)
+def _pulse(motion: Motion, times: Array) -> Array:
+    speed = 0.5 * float(motion.scene.columns["striker.speed"][motion.row])
+    return speed * pulse_value(motion.scene.pulse, motion.row, times)
 
 
 # --- Stress and particle velocity anywhere in both bars, by the method of characteristics.  The
 # wave towards the sphere is constant along t + d/c0, the wave away from it along t - d/c0 (d: the
 # distance from the sphere), so that theory (4) and (5) at the contacts give the whole plane.
 
-#: relative tolerance of instants and positions beyond the computed range
-_ROUNDING: Final = 1e-9
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """Stress [Pa], tension positive, and particle velocity [m/s], positive from A to B."""
+
+    stress: Array
+    velocity: Array
+
+
+def field_at(
+    motion: Motion, bar: str, position: Values, times: Array, *, sides: Values = 1.0
+) -> Field:
+    """Stress and particle velocity at positions of a bar, (m,).
+
+    With d the distance from the sphere, rho and c0 of the bars:
+
+        incident:   sigma = rho c0 [g_A(t - d/c0) - f(t + d/c0)],   v = f(t + d/c0) + g_A(t - d/c0)
+        receiving:  sigma = rho c0 [h(t + d/c0) - k_B(t - d/c0)],   v = k_B(t - d/c0) + h(t + d/c0)
+
+    bar: `incident` or `receiving`.  position: d [m], one or (m,).  times: (m,) [s] since first
+    touch; negative while the pulse approaches, up to `last_time`.  sides (m,): see `leaving`.
+
+    Raises ValueError for an unknown bar or a position beyond its end.
+    Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (2.1), (2.2), (3.13), (3.14), re-derived
+    (docs/errata.md) and extended to all reflections.
+
+    >>> from uqsphere.mechanics.integrator.solve import motion
+    >>> from uqsphere.mechanics.scene import Scene
+    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01,
+    ...            "sphere.density": 2650.0, "bars.E": 190e9, "bars.nu": 0.3,
+    ...            "bars.density": 8000.0, "bars.diameter": 0.04,
+    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
+    ...            "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.speed": 0.5,
+    ...            "striker.length": 0.4}
+    >>> columns = {name: np.array([number]) for name, number in numbers.items()}
+    >>> found = motion(Scene(columns=columns), 0)
+    >>> field_at(found, "incident", 0.75, np.array([-1e-4])).velocity.tolist()  # v0/2
+    [0.25]
+    """
+    number = check_position(motion, bar, position)
+    delay = position / motion.wave_speed
+    towards = arriving(motion, number, times + delay, sides=sides)
+    away = leaving(motion, number, times - delay, sides=sides)
+    density = motion.scene.columns["bars.density"][motion.row]
+    stress = density * motion.wave_speed * _pull(number, away, towards)
+    return Field(stress=stress, velocity=towards + away)
+
+
+def _pull(number: int, away: Values, towards: Values) -> Values:
+    """Tension over rho c0: of the incident bar (0), or of the receiving bar (1)."""
+    if number == 0:
+        return away - towards
+    return towards - away
+
+
+def check_position(motion: Motion, bar: str, position: Values) -> int:
+    """Number of a bar, 0 or 1; ValueError for an unknown bar or a position beyond its end."""
+    if bar not in BARS:
+        raise ValueError(f"unknown bar {bar!r} (allowed: {', '.join(BARS)})")
+    number = BARS.index(bar)
+    length = 0.5 * motion.wave_speed * motion.round_trip(number)
+    position = np.ravel(position)
+    outside = ~((position >= 0.0) & (position <= length * (1.0 + _ROUNDING)))
+    if outside.any():
+        raise ValueError(
+            f"position on the {bar} bar must be between 0 and {length:g} m, not "
+            f"{position[outside][0]:g} m"
+        )
+    return number
+
+
+def field_grid(motion: Motion, places: Array, times: Array) -> Field:
+    """The field (m, k) on a grid of instants (m,) [s] and positions (k,) [m] of both bars.
+
+    The sphere is at 0; positions are negative in the incident bar and positive in the receiving
+    bar.
+    """
+    stress, velocity = np.zeros((2, len(times), len(places)))
+    for bar, inside in (("incident", places <= 0.0), ("receiving", places > 0.0)):
+        distance = np.abs(places[inside])
+        field = field_at(
+            motion, bar, np.tile(distance, len(times)), np.repeat(times, len(distance))
+        )
+        stress[:, inside] = field.stress.reshape(len(times), -1)
+        velocity[:, inside] = field.velocity.reshape(len(times), -1)
+    return Field(stress=stress, velocity=velocity)
+
+
+# --- the first tension of a bar -------------------------------------------------------------------
+
 #: fraction of the pulse's stress that counts as tension; its maximum for a measured pulse
 _TENSION_LEVEL: Final = 1e-6
 _LARGEST_TENSION_LEVEL: Final = 0.05
@@ -125,119 +180,12 @@ _ZOOM_POINTS: Final = 33
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
-    """Stress [Pa], tension positive, and particle velocity [m/s], positive from A to B."""
-
-    stress: Array
-    velocity: Array
-
-
-@dataclass(frozen=True, kw_only=True)
 class Tension:
     """Where and when a bar is first under tension: distance from the sphere [m], time [s]."""
 
     bar: str
     position: float
     time: float
-
-
-def field_at(
-    motion: Motion, bar: str, position: Values, times: Values, *, sides: Array | None = None
-) -> Field:
-    """Stress and particle velocity at positions of a bar, (m,).
-
-    With d the distance from the sphere, rho and c0 of the bars:
-
-        incident:   sigma = rho c0 [g_A(t - d/c0) - f(t + d/c0)],   v = f(t + d/c0) + g_A(t - d/c0)
-        receiving:  sigma = rho c0 [h(t + d/c0) - k_B(t - d/c0)],   v = k_B(t - d/c0) + h(t + d/c0)
-
-    bar: `incident` or `receiving`.  position: d [m], one or (m,).  times: (m,) [s] since first
-    touch; negative while the pulse approaches.  sides (m,): see `leaving`.
-
-    Raises ValueError for an unknown bar, a position beyond its end, times that are not a finite
-    (m,) array, or a time after `last_time`.
-    Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (2.1), (2.2), (3.13), (3.14), re-derived
-    (docs/errata.md) and extended to all reflections.
-
-    >>> from uqsphere.mechanics.integrator.solve import motion
-    >>> numbers = {"sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01,
-    ...            "sphere.density": 2650.0, "bars.E": 190e9, "bars.nu": 0.3,
-    ...            "bars.density": 8000.0, "bars.diameter": 0.04,
-    ...            "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
-    ...            "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.speed": 0.5,
-    ...            "striker.length": 0.4}
-    >>> columns = {name: np.array([number]) for name, number in numbers.items()}
-    >>> found = motion(Scene(columns=columns), 0)
-    >>> field_at(found, "incident", 0.75, [-100e-6]).velocity.tolist()  # v0/2 behind the front
-    [0.25]
-    """
-    times = np.asarray(times, dtype=float)
-    if times.ndim != 1 or not np.isfinite(times).all():
-        raise ValueError(f"times must be a finite array of shape (m,), not {times.shape}")
-    position = np.broadcast_to(np.asarray(position, dtype=float), times.shape)
-    number = check_position(motion, bar, position)
-    _check_end(motion, bar, position, times)
-    delay = position / motion.wave_speed
-    towards = arriving(motion, number, times + delay, sides=sides)
-    away = leaving(motion, number, times - delay, sides=sides)
-    stress = motion.scene.columns["bars.density"][motion.row] * motion.wave_speed * (away - towards)
-    if number == 1:
-        stress = -stress
-    return Field(stress=stress, velocity=towards + away)
-
-
-def check_position(motion: Motion, bar: str, position: Values) -> int:
-    """Number of a bar, 0 or 1; ValueError for an unknown bar or a position beyond its end."""
-    if bar not in BARS:
-        raise ValueError(f"unknown bar {bar!r} (allowed: {', '.join(BARS)})")
-    number = BARS.index(bar)
-    length = 0.5 * motion.wave_speed * motion.round_trip(number)
-    position = np.atleast_1d(np.asarray(position, dtype=float))
-    outside = ~((position >= 0.0) & (position <= length * (1.0 + _ROUNDING)))
-    if outside.any():
-        raise ValueError(
-            f"position on the {bar} bar must be between 0 and {length:g} m, not "
-            f"{position[outside][0]:g} m"
-        )
-    return number
-
-
-def last_time(motion: Motion, bar: str, position: Values) -> Values:
-    """Last instant [s] at which the motion up to the horizon determines a position of a bar."""
-    number = BARS.index(bar)
-    delay = np.asarray(position, dtype=float) / motion.wave_speed
-    if not motion.echoes(number):
-        return motion.horizon + delay
-    return motion.horizon + np.minimum(delay, motion.round_trip(number) - delay)
-
-
-def _check_end(motion: Motion, bar: str, position: Array, times: Array) -> None:
-    last = last_time(motion, bar, position)
-    late = times > last + _ROUNDING * motion.horizon
-    if late.any():
-        k = int(np.argmax(late))
-        raise ValueError(
-            f"time must be at most {last[k]:.6g} s at {position[k]:g} m of the {bar} bar, not "
-            f"{times[k]:.6g} s; compute a history with a later horizon"
-        )
-
-
-def field_grid(motion: Motion, places: Values, times: Values) -> Field:
-    """The field (m, k) on a grid of instants (m,) [s] and positions (k,) [m] of both bars.
-
-    The sphere is at 0; positions are negative in the incident bar and positive in the receiving
-    bar.
-    """
-    places, times = np.asarray(places, dtype=float), np.asarray(times, dtype=float)
-    stress, velocity = np.zeros((len(times), len(places))), np.zeros((len(times), len(places)))
-    for bar, inside in (("incident", places <= 0.0), ("receiving", places > 0.0)):
-        distance = np.abs(places[inside])
-        field = field_at(
-            motion, bar, np.tile(distance, len(times)), np.repeat(times, len(distance))
-        )
-        stress[:, inside] = field.stress.reshape(len(times), -1)
-        velocity[:, inside] = field.velocity.reshape(len(times), -1)
-    return Field(stress=stress, velocity=velocity)
 
 
 def tension_level(motion: Motion) -> float:
@@ -249,8 +197,7 @@ def tension_level(motion: Motion) -> float:
     record = motion.scene.record
     if record is None:
         return _TENSION_LEVEL
-    joints = np.asarray(record.breaks)
-    step = np.linspace(0.0, 1.0, 65) * np.diff(joints)[:, None]
+    step = np.linspace(0.0, 1.0, 65) * np.diff(record.breaks)[:, None]
     coefficients = np.asarray(record.coefficients)
     strain = sum(coefficients[:, k, None] * step**k for k in range(coefficients.shape[1]))
     return float(np.clip(-1.5 * np.min(strain), _TENSION_LEVEL, _LARGEST_TENSION_LEVEL))
@@ -263,19 +210,16 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     k_B(u)), u = t - d/c0 and w = t + d/c0.  The least u + w with 0 <= w - u <= 2 l/c0 is found on a
     grid and by zooming in.  None if there is no tension up to the horizon.
     """
-    number = check_position(motion, bar, 0.0)
-    if share is None:
-        share = tension_level(motion)
+    number, share = BARS.index(bar), tension_level(motion) if share is None else share
     level = share * 0.5 * float(motion.scene.columns["striker.speed"][motion.row])
-    trip, horizon = motion.round_trip(number), motion.horizon
-    nodes = _nodes(motion, number, horizon)
+    trip = motion.round_trip(number) * (1.0 + _ROUNDING)
+    nodes = _search_times(motion, number)
     away, towards = leaving(motion, number, nodes), arriving(motion, number, nodes)
     best, places = np.inf, (0, 0)
     for k, begin in enumerate(nodes):
         if 2.0 * begin >= best:
             break
-        latest = min(begin + trip * (1.0 + _ROUNDING), best - begin)
-        stop = min(np.searchsorted(nodes, latest, side="right"), len(nodes))
+        stop = np.searchsorted(nodes, min(begin + trip, best - begin), side="right")
         pulled = _pull(number, away[k], towards[k:stop]) > level
         if pulled.any():
             first = k + int(np.argmax(pulled))
@@ -283,23 +227,22 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
                 best, places = begin + nodes[first], (k, first)
     if not np.isfinite(best):
         return None
-    at = [_around(nodes, k) for k in places]
-    point = (nodes[places[0]], nodes[places[1]])
+    # the instants u and w, and half the widths of the ranges that are searched around them
+    ends = [(nodes[max(k - 1, 0)], nodes[min(k + 1, len(nodes) - 1)]) for k in places]
+    point = [float(nodes[k]) for k in places]
     for _ in range(_ZOOMS):
         grids = [
-            np.append(np.linspace(low, high, _ZOOM_POINTS), here)
-            for (low, high), here in zip(at, point, strict=True)
+            np.append(np.linspace(low, high, _ZOOM_POINTS), centre)
+            for (low, high), centre in zip(ends, point, strict=True)
         ]
         u, w = (grid.ravel() for grid in np.meshgrid(*grids, indexing="ij"))
-        inside = (w >= u) & (w - u <= trip * (1.0 + _ROUNDING)) & (u >= 0.0)
+        inside = (w >= u) & (w - u <= trip) & (u >= 0.0)
         pull = _pull(number, leaving(motion, number, u), arriving(motion, number, w))
-        total = np.where(inside & (pull > level), u + w, np.inf)
-        k = int(np.argmin(total))
-        point = (float(u[k]), float(w[k]))
-        widths = [(high - low) / (_ZOOM_POINTS - 1) for low, high in at]
-        at = [
-            (here - 2.0 * width, here + 2.0 * width)
-            for here, width in zip(point, widths, strict=True)
+        k = int(np.argmin(np.where(inside & (pull > level), u + w, np.inf)))
+        point = [float(u[k]), float(w[k])]
+        widths = [2.0 * ((high - low) / (_ZOOM_POINTS - 1)) for low, high in ends]
+        ends = [
+            (centre - width, centre + width) for centre, width in zip(point, widths, strict=True)
         ]
     u_best, w_best = point
     return Tension(
@@ -307,30 +250,20 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     )
 
 
-def _pull(number: int, away: Values, towards: Values) -> Values:
-    if number == 0:
-        return away - towards
-    return towards - away
-
-
-def _nodes(motion: Motion, number: int, horizon: float) -> Array:
+def _search_times(motion: Motion, number: int) -> Array:
     """Instants at a contact: an even grid, the kinks of the pulse, and their reflections."""
+    horizon, trip = motion.horizon, motion.round_trip(number)
     breaks = motion.scene.pulse.breaks[motion.row]
     kinks = breaks[np.isfinite(breaks)]
     if motion.echoes(number):
-        kinks = np.concatenate(
-            [kinks, kinks + motion.round_trip(number), [motion.round_trip(number)]]
-        )
-    near = min(horizon, 4.0 * motion.round_trip(number), 20.0 * motion.pulse_end)
-    grid = np.concatenate(
-        [np.linspace(0.0, horizon, _SEARCH_POINTS), np.linspace(0.0, near, _SEARCH_POINTS), kinks]
-    )
+        kinks = np.concatenate([kinks, kinks + trip, [trip]])
+    near = min(horizon, 4.0 * trip, 20.0 * motion.pulse_end)
+    grids = [np.linspace(0.0, end, _SEARCH_POINTS) for end in (horizon, near)]
+    grid = np.concatenate([*grids, kinks])
     return np.unique(grid[(grid >= 0.0) & (grid <= horizon)])
 
 
-def _around(nodes: Array, k: int) -> tuple[float, float]:
-    return float(nodes[max(k - 1, 0)]), float(nodes[min(k + 1, len(nodes) - 1)])
-
+# --- gauges ---------------------------------------------------------------------------------------
 
 #: a wave has ended once it stays below this fraction of its peak
 _ENDED_LEVEL: Final = 0.01
@@ -352,16 +285,16 @@ class Overlap:
 class GaugeRecord:
     """The signal of one gauge.
 
-    bar: `incident` or `receiving`.  position: distance from the sphere [m].  time, strain (m,): [s]
-    since first touch, instants of jumps twice (before, after); tension positive.  overlaps: times
-    at which waves cannot be separated.
+    bar: `incident`, `receiving` or `rod`.  position: distance from the sphere [m].  time, strain
+    (m,): [s] since first touch, instants of jumps twice (before, after); tension positive.
+    overlaps: times at which waves cannot be separated.
     """
 
     bar: str
     position: float
     time: Array
     strain: Array
-    overlaps: tuple[Overlap, ...]
+    overlaps: tuple[Overlap, ...] = ()
 
     @property
     def name(self) -> str:
@@ -369,11 +302,8 @@ class GaugeRecord:
         return f"{self.bar} {self.position * 1e3:.6g} mm"
 
 
-# --- signals --------------------------------------------------------------------------------------
-
-
 def gauge_strain(
-    motion: Motion, bar: str, position: float, times: Values, *, sides: Array | None = None
+    motion: Motion, bar: str, position: float, times: Array, *, sides: Values = 1.0
 ) -> Array:
     """Axial strain at a position of a bar, (m,), tension positive: stress of `field_at` over E_b.
 
@@ -381,7 +311,6 @@ def gauge_strain(
     measures the local field.  Source: W. K. Nowacki, Engng. Trans. 42(3), 1994, (3.17), re-derived
     (docs/errata.md).
     """
-    check_position(motion, bar, position)
     stress = field_at(motion, bar, position, times, sides=sides).stress
     return stress / float(motion.scene.columns["bars.E"][motion.row])
 
@@ -392,23 +321,33 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     points: of an even grid, to which the jumps are added twice.
     """
     number = check_position(motion, bar, position)
-    delay = position / motion.wave_speed
-    begin, end = 0.0, float(last_time(motion, bar, position))
-    if number == 0:
-        begin = -1.1 * delay
-    grid = np.linspace(begin, end, points)
-    jumps = _jumps(motion, number)
+    delay, end = position / motion.wave_speed, last_time(motion, bar, position)
+    begin = -1.1 * delay if number == 0 else 0.0
+    # jumps and kinks at the contact: of the pulse and of its reflections
+    jumps = motion.scene.pulse.breaks[motion.row]
+    jumps = jumps[np.isfinite(jumps)] if number == 0 else np.zeros(0)
+    if motion.echoes(number):
+        trip = motion.round_trip(number)
+        echoes = np.arange(1 + int(min(motion.horizon / trip, 16.0)))
+        jumps = (jumps[:, None] + echoes * trip).ravel()
     jumps = np.unique(np.concatenate([jumps - delay, jumps + delay]))
     jumps = jumps[(jumps > begin) & (jumps < end)]
-    times, sides = with_jumps(grid, jumps)
-    strain = gauge_strain(motion, bar, position, times, sides=sides)
+    times, sides = with_jumps(np.linspace(begin, end, points), jumps)
     return GaugeRecord(
         bar=bar,
         position=position,
         time=times,
-        strain=strain,
+        strain=gauge_strain(motion, bar, position, times, sides=sides),
         overlaps=overlaps(motion, bar, position),
     )
+
+
+def last_time(motion: Motion, bar: str, position: float) -> float:
+    """Last instant [s] at which the motion up to the horizon determines a position of a bar."""
+    number, delay = BARS.index(bar), position / motion.wave_speed
+    if not motion.echoes(number):
+        return motion.horizon + delay
+    return motion.horizon + min(delay, motion.round_trip(number) - delay)
 
 
 def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
@@ -421,22 +360,8 @@ def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
 
 def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
     """Default gauges: midway along each bar with a length, as in the paper."""
-    places = []
-    for number, bar in enumerate(BARS):
-        half = 0.25 * motion.wave_speed * motion.round_trip(number)
-        if np.isfinite(half):
-            places.append((bar, half))
-    return tuple(places)
-
-
-def _jumps(motion: Motion, number: int) -> Array:
-    """Instants of jumps and kinks at the contact: of the pulse and of its reflections."""
-    breaks = motion.scene.pulse.breaks[motion.row]
-    breaks = breaks[np.isfinite(breaks)] if number == 0 else np.zeros(0)
-    if not motion.echoes(number):
-        return breaks
-    trips = np.arange(1 + int(min(motion.horizon / motion.round_trip(number), 16.0)))
-    return (breaks[:, None] + trips * motion.round_trip(number)).ravel()
+    halves = [0.25 * motion.wave_speed * motion.round_trip(number) for number in (0, 1)]
+    return tuple((bar, half) for bar, half in zip(BARS, halves, strict=True) if np.isfinite(half))
 
 
 def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
@@ -445,29 +370,29 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     The incident and the reflected wave overlap for position < c0 t_pulse/2.  The wave that leaves
     the sphere overlaps its own reflection if it has not ended by then (1 % of its peak).
     """
-    number = check_position(motion, bar, position)
-    delay = position / motion.wave_speed
-    names = ("transmitted", "its reflection")
-    if number == 0:
-        names = ("reflected", "its reflection from the struck end")
+    number, delay = BARS.index(bar), position / motion.wave_speed
     overlapping = []
     if number == 0 and motion.pulse_end > 2.0 * delay:
         # a step overlaps to the end of the computed time
-        end = min(motion.pulse_end - delay, float(last_time(motion, bar, position)))
+        end = min(motion.pulse_end - delay, last_time(motion, bar, position))
         overlapping.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
+    if not motion.echoes(number):
+        return tuple(overlapping)
     # return of the wave that leaves the contact, in the time of the contact
-    back = np.inf
-    if motion.echoes(number):
-        back = motion.round_trip(number) - 2.0 * delay
-    if back < min(motion.round_trip(number), motion.horizon):
-        looks = np.linspace(0.0, min(motion.round_trip(number), motion.horizon), _END_POINTS)
-        wave = np.abs(leaving(motion, number, looks, sides=-np.ones_like(looks)))
-        above = looks[wave > _ENDED_LEVEL * wave.max()]
+    trip = motion.round_trip(number)
+    back, end = trip - 2.0 * delay, min(trip, motion.horizon)
+    if back < end:
+        instants = np.linspace(0.0, end, _END_POINTS)
+        wave = np.abs(leaving(motion, number, instants, sides=-1.0))
+        above = instants[wave > _ENDED_LEVEL * wave.max()]
+        first, second = "transmitted", "its reflection"
+        if number == 0:
+            first, second = "reflected", "its reflection from the struck end"
         if above.size and above[-1] > back:
             overlapping.append(
                 Overlap(
-                    first=names[0],
-                    second=names[1],
+                    first=first,
+                    second=second,
                     begin=back + delay,
                     end=float(above[-1]) + delay,
                 )
@@ -480,9 +405,8 @@ def force_imbalance(force_a: Values, force_b: Values) -> Array:
 
     Source: G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267; R <= 0.05.
 
-    >>> force_imbalance([0.0, 1.0, 1.0], [0.0, 0.0, 0.9]).round(4).tolist()
+    >>> force_imbalance(np.array([0.0, 1.0, 1.0]), np.array([0.0, 0.0, 0.9])).round(4).tolist()
     [0.0, 2.0, 0.1053]
     """
-    force_a, force_b = np.asarray(force_a, dtype=float), np.asarray(force_b, dtype=float)
     total = force_a + force_b
     return np.asarray(2.0 * np.abs(force_a - force_b) / np.where(total > 0.0, total, 1.0))

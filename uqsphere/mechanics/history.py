@@ -6,192 +6,48 @@ accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values
 from uqsphere.errors import UsageError
-from uqsphere.mechanics import contact
-from uqsphere.mechanics.bars import wave_speed
+from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.field import (
     BARS,
     GaugeRecord,
     Tension,
-    Waves,
     arriving,
     field_grid,
     first_tension,
     force_imbalance,
     leaving,
-    waves_at,
     with_jumps,
 )
 from uqsphere.mechanics.integrator.solve import Motion, motion, solve
 from uqsphere.mechanics.integrator.tracked import ORDER
 from uqsphere.mechanics.roots import bisect
-from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.scene import Partner, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-#: an approach over time, of times [s]
-Course = Callable[[Array], Array]
-
 #: an approach above this many tolerances of the largest counts as contact, as in the integrator
 _TOUCH: Final = 5.0
-
-
-# --- forces, indentation, velocities and energies of one motion, for every rig and contact law ----
-# The peak force so far gives depth, residual indentation and plastic work of a contact by the law
-# of first loading (`uqsphere.mechanics.yielding`); a smaller force lies on the unloading curve.
-# Velocities of the counter-bodies at the contacts: V_A = w + alpha_A', V_B = w - alpha_B', (R1).
-
-
-@dataclass(frozen=True, kw_only=True)
-class Balance:
-    """Contacts A and B, sphere and counter-bodies at m instants; SI.
-
-    Of the contacts, (2, m): approach (negative while separated), force, radius, residual
-    indentation `dent`, elastic energy `stored`, plastic work.  partner (2, m): velocities of the
-    counter-bodies at the contacts, 0 without a contact.  passed (2, m): work of counter-body A on
-    the sphere, and of the sphere on B, since first touch.  sphere, kinetic (m,): velocity and
-    kinetic energy of the sphere.
-    """
-
-    time: Array
-    approach: Array
-    force: Array
-    radius: Array
-    dent: Array
-    stored: Array
-    plastic: Array
-    sphere: Array
-    partner: Array
-    kinetic: Array
-    passed: Array
-
-    @property
-    def mean_pressure(self) -> Array:
-        """P/(pi a²) at both contacts, (2, m) [Pa]; 0 while separated."""
-        area = np.pi * np.square(self.radius)
-        return np.divide(self.force, area, out=np.zeros_like(area), where=area > 0.0)
-
-    @property
-    def residual(self) -> Array:
-        """Energy balance, (m,) [J]: zero except for the quadrature error of the work."""
-        energy = self.kinetic + self.stored.sum(axis=0) + self.plastic.sum(axis=0)
-        return np.asarray(energy - energy[0] - self.passed[0] + self.passed[1])
-
-
-def balance_of(motion: Motion, times: Array) -> Balance:
-    """The balance of a motion at ascending instants (m,) [s]; work by the trapezoidal rule.
-
-    Raises ValueError for a massless motion, in which the sphere has no velocity of its own.
-    """
-    if motion.fidelity == "massless":
-        raise ValueError("a massless sphere has no velocity of its own; use the full model")
-    scene = motion.scene
-    states, rates = motion.states_at(times), motion.rates_at(times)
-    forces, sphere = motion.forces_at(times).T, states[:, 2]
-    approach, radius, dent, stored, plastic = (
-        np.stack(column)
-        for column in zip(
-            *(_face(motion, pole, states[:, pole], forces[pole]) for pole in (0, 1)), strict=True
-        )
-    )
-    partner = np.zeros((2, len(times)))
-    for pole, sign in enumerate((1.0, -1.0)):
-        if scene.partners[pole] is not None:
-            partner[pole] = sphere + sign * rates[:, pole]
-    power = forces * partner
-    passed = np.zeros((2, len(times)))
-    passed[:, 1:] = np.cumsum(0.5 * (power[:, 1:] + power[:, :-1]) * np.diff(times), axis=1)
-    return Balance(
-        time=times,
-        approach=approach,
-        force=forces,
-        radius=radius,
-        dent=dent,
-        stored=stored,
-        plastic=plastic,
-        sphere=sphere,
-        partner=partner,
-        kinetic=0.5 * float(scene.scales.mass[motion.row]) * np.square(sphere),
-        passed=passed,
-    )
-
-
-def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, ...]:
-    """Approach, radius, dent, elastic and plastic energy of a contact.
-
-    gap: its approach above the residual indentation.
-    """
-    partner = motion.scene.partners[pole]
-    none = np.zeros_like(gap)
-    if partner is None:
-        return (none,) * 5
-    if motion.forces is None or partner.face is None or not partner.face.own[motion.row]:
-        beta = float(partner.hertz_constant[motion.row])
-        pressed = np.maximum(gap, 0.0)
-        radius = np.sqrt(float(partner.effective_radius[motion.row]) * pressed)
-        return gap, radius, none, np.asarray(contact.contact_energy(pressed, beta)), none
-    law, largest = partner.face.at(motion.row), np.maximum.accumulate(force)
-    peak = law.pressed(law.depth_at(largest))
-    back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.cbrt(np.square(np.where(largest > 0.0, force / largest, 0.0)))
-        # a² = r_p (alpha - alpha_r) on the spring, (C9)
-        radius = np.where(largest > 0.0, peak.radius * np.sqrt(share), 0.0)
-    above = np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
-    stored = 0.4 * force * np.maximum(above, 0.0)
-    return peak.dent + above, radius, peak.dent, stored, peak.plastic
-
-
-def rod_length(motion: Motion) -> float:
-    """Length of the rod ahead of the sphere [m]; infinite without a reflection, 0 without a rod."""
-    partner = motion.scene.partners[1]
-    if partner is None or partner.kind != "bar" or partner.table == "bars":
-        return 0.0
-    return 0.5 * _rod_speed(motion, partner.table) * motion.round_trip(1)
-
-
-def _rod_speed(motion: Motion, table: str) -> float:
-    E, density = (motion.scene.columns[f"{table}.{key}"][motion.row] for key in ("E", "density"))
-    return float(wave_speed(E, density))
-
-
-def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
-    """The signal of a gauge at `position` [m] along the rod, at times (m,) [s], tension positive.
-
-    The wave that leaves the contact is g(t) = P_B(t)/Z + R g(t - T); with the reflected wave the
-    strain at x is eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Before the first reflection this
-    is (R17), F = -E A eps(t + x/c0).
-
-    Raises ValueError without a rod, or for a position beyond its end.
-    """
-    partner = motion.scene.partners[1]
-    if partner is None or partner.kind != "bar":
-        raise ValueError("a gauge needs a rod or a bar ahead of the sphere")
-    speed = _rod_speed(motion, partner.table)
-    length = 0.5 * speed * motion.round_trip(1)
-    if not 0.0 <= position <= length:
-        raise ValueError(f"the gauge must be on the rod, at most {length:.4g} m from the sphere")
-    delay = position / speed
-    away, towards = leaving(motion, 1, times - delay), arriving(motion, 1, times + delay)
-    return GaugeRecord(
-        bar="rod",
-        position=position,
-        time=times,
-        strain=(towards - away) / speed,
-        overlaps=(),
-    )
-
-
-# --- one scene over time --------------------------------------------------------------------------
+#: columns of a history as a table, with their units
+COLUMN_UNITS: Final = {
+    "time": "s",
+    "force_a": "N",
+    "force_b": "N",
+    "pressure_a": "Pa",
+    "pressure_b": "Pa",
+    "approach_a": "m",
+    "approach_b": "m",
+    "velocity": "m/s",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,19 +69,6 @@ class PressurePeak:
     force: float
 
 
-#: columns of a history as a table, with their units
-COLUMN_UNITS = {
-    "time": "s",
-    "force_a": "N",
-    "force_b": "N",
-    "pressure_a": "Pa",
-    "pressure_b": "Pa",
-    "approach_a": "m",
-    "approach_b": "m",
-    "velocity": "m/s",
-}
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class History:
     """One scene over time, SI.
@@ -236,13 +79,13 @@ class History:
         yields.
     velocity (m,): of the sphere's centre.
     incident, returning, leaving_a, leaving_b (m,): the waves f, h, g_A and k_B of theory (4) and
-        (5) [m/s]; 0 in rigs without a wave.
+        (5) [m/s], particle velocities at the contacts towards the sphere and away from it; 0 in
+        rigs without a wave.
     first_peak, later_peak: peak contact pressure in the evaluation window and after it.
     record_end, horizon: ends of the evaluation window of the quantities, and of this history.
     mass_number, pulse_number: mu and theta of theory (10).
     modulus, effective_radius, hertz_constant: for `pressure_over_contact`.
     motion: the integrated scene, for `field`.
-    balance: indentation, velocities and energies; None for the massless and linear models.
     gauges: of the study, or one midway along each bar; empty from `trace` itself.
     """
 
@@ -271,7 +114,6 @@ class History:
     fidelity: str
     motion: Motion = field(repr=False, compare=False)
     gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
-    balance: Balance | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         end = f"{1e6 * self.horizon:.4g} us"
@@ -299,12 +141,11 @@ class History:
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Array:
         """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]
-        approach = contact.approach_at_force(force, self.hertz_constant)
+        approach = contact.approach_at_force(force, self.hertz_constant)[:, None]
         distance = np.atleast_1d(np.asarray(distance, dtype=float))
-        pressure = contact.pressure_over_contact(
-            distance[None, :], approach[:, None], self.modulus, self.effective_radius
+        return np.asarray(
+            contact.pressure_over_contact(distance, approach, self.modulus, self.effective_radius)
         )
-        return np.asarray(pressure)
 
 
 def trace(
@@ -325,24 +166,32 @@ def trace(
     if points < 2:
         raise ValueError(f"points must be at least 2, not {points}")
     row = range(len(scene))[row]
-    found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
-    changes = find_changes(found, tolerance=tolerance)
-    record_end = found.horizon
+    course = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+    changes = find_changes(course, tolerance=tolerance)
+    record_end = course.horizon
     if scene.by_wave and not scene.whole_record:
-        record_end = _record_end(found, tolerance)
-    first, later = largest(found, 0.0, record_end), None
-    if record_end < found.horizon:
-        later = largest(found, record_end, found.horizon)
+        # the window that a batch has for this row
+        answers = solve(
+            replace(scene.at(slice(row, row + 1)), demands={}),
+            fidelity=fidelity,
+            tolerance=tolerance,
+            threads=1,
+            quantities=("P_max", "contact_duration", "time_to_first_loss"),
+        )
+        record_end = float(np.fmin(answers.record[0], course.horizon))
+    first = largest(course, 0.0, record_end)
+    later = largest(course, record_end, course.horizon)
     times, sides = _instants(
-        found, points, [event.time for event in (*changes, first, later) if event is not None]
+        course, points, [event.time for event in (*changes, first, later) if event is not None]
     )
-    states, forces = found.states_at(times), found.forces_at(times).T
-    waves = waves_at(found, times, sides=sides) if scene.by_wave else Waves.none(len(times))
-    balance = balance_of(found, times) if fidelity == "full" else None
-    approaches, pressures = _pressed(found, states, forces, balance)
-    # a massless sphere moves with the mean of the two bar ends
-    velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
-    scales = scene.scales
+    states, forces = course.states_at(times), course.forces_at(times).T
+    approaches, pressures = _pressed(course, states, forces)
+    incident = returning = leaving_a = leaving_b = np.zeros(len(times))
+    if scene.by_wave:
+        incident, returning = (arriving(course, bar, times, sides=sides) for bar in (0, 1))
+        leaving_a, leaving_b = (leaving(course, bar, times, sides=sides) for bar in (0, 1))
+    names = ("mass_number", "pulse_number", "modulus", "effective_radius", "hertz_constant")
+    numbers: dict[str, Any] = {name: float(getattr(scene.scales, name)[row]) for name in names}
     return History(
         time=times,
         approach_a=approaches[0],
@@ -351,84 +200,91 @@ def trace(
         force_b=forces[1],
         pressure_a=pressures[0],
         pressure_b=pressures[1],
-        velocity=velocity,
-        **vars(waves),
-        mass_number=float(scales.mass_number[row]),
-        pulse_number=float(scales.pulse_number[row]),
-        modulus=float(scales.modulus[row]),
-        effective_radius=float(scales.effective_radius[row]),
-        hertz_constant=float(scales.hertz_constant[row]),
+        # a massless sphere moves with the mean of the two bar ends
+        velocity=incident + returning if fidelity == "massless" else states[:, 2],
+        incident=incident,
+        returning=returning,
+        leaving_a=leaving_a,
+        leaving_b=leaving_b,
+        **numbers,
         changes=changes,
         first_peak=first,
         later_peak=later,
-        horizon=found.horizon,
+        horizon=course.horizon,
         record_end=record_end,
         fidelity=fidelity,
-        motion=found,
-        balance=balance,
+        motion=course,
     )
 
 
-def _record_end(found: Motion, tolerance: float) -> float:
-    """End of the record [s] that a batch has of the row of a motion, if it wants all of it."""
-    scene = replace(found.scene.at(slice(found.row, found.row + 1)), demands={})
-    answers = solve(
-        scene,
-        fidelity=found.fidelity,
-        tolerance=tolerance,
-        threads=1,
-        quantities=("P_max", "contact_duration", "time_to_first_loss"),
-    )
-    return float(np.fmin(answers.record[0], found.horizon))
+def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array]:
+    """Approaches and pressures (2, m) of both contacts.
+
+    If a contact yields, the peak force so far gives its depth and residual indentation by the law
+    of first loading; a smaller force lies on the unloading curve.
+    """
+    gaps, row = states[:, :2].T, course.row
+    approaches, radii, dented = gaps.copy(), np.zeros_like(gaps), False
+    for pole, partner in enumerate(course.scene.partners):
+        if partner is None:
+            approaches[pole] = 0.0
+            continue
+        force, gap = forces[pole], gaps[pole]
+        if course.forces is None or partner.face is None or not partner.face.own[row]:
+            radii[pole] = np.sqrt(partner.effective_radius[row] * np.maximum(gap, 0.0))
+            continue
+        law, reached = partner.face.at(row), np.maximum.accumulate(force)
+        peak = law.pressed(law.depth_at(reached))
+        dented = dented or peak.dent.max() > 0.0
+        back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.cbrt(np.square(np.where(reached > 0.0, force / reached, 0.0)))
+            # a² = r_p (alpha - alpha_r) on the spring, (C9)
+            radii[pole] = np.where(reached > 0.0, peak.radius * np.sqrt(share), 0.0)
+        approaches[pole] = peak.dent + np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
+    if dented and course.fidelity == "full":
+        area = np.pi * np.square(radii)
+        return approaches, np.divide(forces, area, out=np.zeros_like(area), where=area > 0.0)
+    return gaps, np.stack([course.pressure_at(force, pole) for pole, force in enumerate(forces)])
 
 
-def _pressed(
-    found: Motion, states: Array, forces: Array, balance: Balance | None
-) -> tuple[Array, Array]:
-    """Approaches and pressures (2, m) of both contacts, from the balance if a contact yields."""
-    if balance is not None and balance.dent.max() > 0.0:
-        return balance.approach, balance.mean_pressure
-    return states[:, :2].T, np.stack(
-        [found.pressure_at(force, pole) for pole, force in enumerate(forces)]
-    )
-
-
-def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, Array]:
+def _instants(course: Motion, points: int, events: Sequence[float]) -> tuple[Array, Array]:
     """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
-    scene, row, horizon = found.scene, found.row, found.horizon
+    scene, row, horizon = course.scene, course.row, course.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row] if scene.by_wave else np.zeros(0)
-    breaks = breaks[np.isfinite(breaks)]
-    bars = [bar for bar in (0, 1) if scene.reflections[row, bar] != 0.0]
     # the first reflection of each bar; later ones are left to the grid
-    delays = np.array([0.0, *(scene.round_trips[row, bar] for bar in bars)])
-    jumps = np.unique((breaks[None, :] + delays[:, None]).ravel())
+    delays = np.array([0.0, *(course.round_trip(bar) for bar in (0, 1) if course.echoes(bar))])
+    jumps = np.unique(breaks[np.isfinite(breaks), None] + delays)
     jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
     return with_jumps(np.setdiff1d(smooth, jumps), jumps)
 
 
-def _nodes(found: Motion, begin: float, end: float) -> Array:
+# --- events ---------------------------------------------------------------------------------------
+
+
+def _nodes(course: Motion, begin: float, end: float) -> Array:
     """Ascending instants [s] from begin to end that divide every step into as many parts as its
     series has powers.
     """
     shares = np.arange(ORDER) / ORDER
-    inner = (found.start[:, None] + found.length[:, None] * shares).ravel() * found.unit
+    inner = (course.start[:, None] + course.length[:, None] * shares).ravel() * course.unit
     return np.concatenate([[begin], inner[(inner > begin) & (inner < end)], [end]])
 
 
-def _zeros(function: Course, low: Array, high: Array) -> Array:
+def _zeros(function: Callable[[Array], Array], low: Array, high: Array) -> Array:
     positive = function(low) > 0.0
     return bisect(lambda times: (function(times) > 0.0) == positive, low, high)[1]
 
 
-def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
+def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
     """Contact losses and recontacts up to the end of the motion, in order of time.
 
     A contact exists from the first approach above the error of the integrator; the zero approach at
     first touch is not a loss.
     """
-    nodes = _nodes(found, 0.0, found.horizon)
-    states = found.states_at(nodes)
+    nodes = _nodes(course, 0.0, course.horizon)
+    states = course.states_at(nodes)
     changes = []
     for face, name in enumerate("AB"):
         approach = states[:, face]
@@ -438,45 +294,43 @@ def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...
         pressed = approach > 0.0
         pressed[: touched[0]] = True
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
-        times = _zeros(_approach(found, face), nodes[at], nodes[at + 1])
+        times = _zeros(
+            lambda times, of=face: course.states_at(times)[:, of],  # type: ignore[misc]
+            nodes[at],
+            nodes[at + 1],
+        )
         for time, before in zip(times, pressed[at], strict=True):
-            changes.append(
-                ContactChange(time=float(time), face=name, kind="lost" if before else "found")
-            )
+            kind = "lost" if before else "found"
+            changes.append(ContactChange(time=float(time), face=name, kind=kind))
     return tuple(sorted(changes, key=lambda change: (change.time, change.face)))
 
 
-def _approach(found: Motion, face: int) -> Course:
-    """The approach of one contact as a function of time."""
-    return lambda times: found.states_at(times)[:, face]
-
-
-def largest(found: Motion, begin: float, end: float) -> PressurePeak | None:
+def largest(course: Motion, begin: float, end: float) -> PressurePeak | None:
     """Peak contact pressure between begin and end [s], at either contact; None without a force."""
     from scipy.optimize import minimize_scalar
 
-    end = min(end, found.horizon)
+    end = min(end, course.horizon)
     if not begin < end:
         return None
-    nodes = _nodes(found, begin, end)
+    nodes = _nodes(course, begin, end)
+    approaches = course.states_at(nodes)[:, :2]
     best: PressurePeak | None = None
     for face, name in enumerate("AB"):
-        approach = _approach(found, face)
-        highest = int(np.argmax(approach(nodes)))
+        highest = int(np.argmax(approaches[:, face]))
         low, high = nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)]
         refined = minimize_scalar(
-            lambda at, of=approach: -of(np.array([at]))[0],
+            lambda at, of=face: -course.states_at(np.array([at]))[0, of],
             bounds=(low, high),
             method="bounded",
             options={"xatol": 1e-8 * (high - low)},
         )
         time = float(refined.x)
-        if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
-            time = nodes[highest]
-        force = float(found.forces_at(np.array([time]))[0, face])
-        pressure = float(np.ravel(found.pressure_at(force, face))[0])
+        if -refined.fun < approaches[highest, face]:
+            time = float(nodes[highest])
+        force = float(course.forces_at(np.array([time]))[0, face])
+        pressure = float(np.ravel(course.pressure_at(force, face))[0])
         if force > 0.0 and (best is None or pressure > best.pressure):
-            best = PressurePeak(time=float(time), face=name, pressure=pressure, force=force)
+            best = PressurePeak(time=time, face=name, pressure=pressure, force=force)
     return best
 
 
@@ -508,8 +362,43 @@ def equilibrium(history: History, level: float = 0.05) -> float | None:
     return float(_zeros(excess, nodes[entries], nodes[entries + 1])[0])
 
 
-# --- What a picture of the bars over place and time shows: how far it goes, the stress on a grid,
-# and the fronts.
+# --- the rod of a load cell -----------------------------------------------------------------------
+
+
+def _rod(course: Motion) -> tuple[float, float]:
+    """Wave speed [m/s] and length [m] of the rod or bar ahead of the sphere; 0 without one."""
+    partner: Partner | None = course.scene.partners[1]
+    if partner is None or partner.kind != "bar":
+        return 0.0, 0.0
+    E, density = (column[course.row] for column in course.scene.numbers(partner.table, "E density"))
+    speed = float(bars.wave_speed(E, density))
+    return speed, 0.5 * speed * course.round_trip(1)
+
+
+def rod_length(course: Motion) -> float:
+    """Length of the rod ahead of the sphere [m]; infinite without a reflection, 0 without a rod."""
+    return 0.0 if course.scene.by_wave else _rod(course)[1]
+
+
+def rod_record(course: Motion, position: float, times: Array) -> GaugeRecord:
+    """The signal of a gauge at `position` [m] along the rod, at times (m,) [s], tension positive.
+
+    The wave that leaves the contact is g(t) = P_B(t)/Z + R g(t - T); with the reflected wave the
+    strain at x is eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Before the first reflection this
+    is (R17), F = -E A eps(t + x/c0).
+
+    Raises ValueError for a position beyond the end of the rod.
+    """
+    speed, length = _rod(course)
+    if not 0.0 <= position <= length:
+        raise ValueError(f"the gauge must be on the rod, at most {length:.4g} m from the sphere")
+    delay = position / speed
+    away, towards = leaving(course, 1, times - delay), arriving(course, 1, times + delay)
+    strain = (towards - away) / speed
+    return GaugeRecord(bar="rod", position=position, time=times, strain=strain)
+
+
+# --- the bars over place and time -----------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -536,25 +425,22 @@ def view_field(history: History, *, places: int = 300, times: int = 380) -> Fiel
 
     In time it covers the evaluation window, and at least one round trip if waves are reflected.
     """
-    found, speed = history.motion, history.motion.wave_speed
-    trips = [found.round_trip(bar) for bar in (0, 1)]
-    echoes = [trip for bar, trip in enumerate(trips) if found.echoes(bar)]
-    last = min(max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0)), history.horizon)
-    if echoes:
-        last = min(last, 2.2 * max(echoes))
-    else:
-        last = min(last, 6.0 * found.pulse_end)
+    course, speed = history.motion, history.motion.wave_speed
+    trips = [course.round_trip(bar) for bar in (0, 1)]
+    echo = max((trip for bar, trip in enumerate(trips) if course.echoes(bar)), default=0.0)
+    last = min(max(1.15 * history.record_end, 1.1 * echo), history.horizon)
+    last = min(last, 2.2 * echo if echo else 6.0 * course.pulse_end)
     left, right = (min(0.5 * speed * trip, 1.2 * speed * last) for trip in trips)
     begin = -left / speed
     x = -left + (np.arange(places) + 0.5) / places * (left + right)
     t = begin + (np.arange(times) + 0.5) / times * (last - begin)
-    tensions = [first_tension(found, bar) for bar in BARS]
+    tensions = [first_tension(course, bar) for bar in BARS]
     return FieldView(
         reach=(left, right),
         begin=begin,
         last=last,
         places=x,
         times=t,
-        stress=field_grid(found, x, t).stress,
+        stress=field_grid(course, x, t).stress,
         tensions=tuple(tension for tension in tensions if tension is not None),
     )

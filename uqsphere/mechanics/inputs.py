@@ -7,21 +7,28 @@ they are closed.  A value outside the plausible range gets a warning.
 from __future__ import annotations
 
 import csv
+import tomllib
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
 from uqsphere.units import Quantity
 
 
-def _read() -> dict[str, Quantity]:
-    """The lines of the table by their dotted path in the study file."""
-    path = resources.files("uqsphere.mechanics").joinpath("inputs.csv")
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return {row["name"]: _quantity(row) for row in csv.DictReader(lines)}
+def _text(file: str) -> str:
+    return resources.files("uqsphere.mechanics").joinpath(file).read_text(encoding="utf-8")
 
 
-def _quantity(row: dict[str, str]) -> Quantity:
-    return Quantity(
+def declared(file: str) -> dict[str, dict[str, Any]]:
+    """Entries of a TOML file of this package by their names; lists become tuples."""
+    return {
+        name: {key: tuple(cell) if isinstance(cell, list) else cell for key, cell in table.items()}
+        for name, table in tomllib.loads(_text(file)).items()
+    }
+
+
+#: every number of a scene, fixed or random, by its dotted path in the study file
+INPUTS: Final = {
+    row["name"]: Quantity(
         name=row["name"],
         symbol=row["symbol"],
         dimension=row["dimension"],
@@ -32,7 +39,5 @@ def _quantity(row: dict[str, str]) -> Quantity:
         plausible=(float(row["plausible_low"]), float(row["plausible_high"])),
         meaning=row["meaning"],
     )
-
-
-#: every number of a scene, fixed or random, by its dotted path in the study file
-INPUTS: Final = _read()
+    for row in csv.DictReader(_text("inputs.csv").splitlines())
+}

@@ -44,6 +44,23 @@ def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Co
     return body
 
 
+def sphere_body(columns: Mapping[str, Array]) -> ContactParameters:
+    """Contact parameters of the sphere, which is elastic without an onset pressure."""
+    elastic = np.full(len(columns["sphere.E"]), np.inf)
+    pile_up = np.full_like(elastic, CAP_PILE_UP)
+    return _with_columns(columns, "sphere", ContactParameters(elastic, elastic, pile_up))
+
+
+def law_of(
+    columns: Mapping[str, Array], body: ContactParameters, *, at_onset: bool = False
+) -> ContactParameters:
+    """Contact parameters of sphere and counter-body: of the softer one in each row, unless
+    [contact] gives them; with the hardness `at_onset`.
+    """
+    law = _with_columns(columns, "contact", softer(body, sphere_body(columns)))
+    return law._replace(hardness=law.onset) if at_onset else law
+
+
 def _with_columns(
     columns: Mapping[str, Array], table: str, body: ContactParameters
 ) -> ContactParameters:
@@ -51,24 +68,6 @@ def _with_columns(
     return ContactParameters(
         *(columns.get(f"{table}.{key}", value) for key, value in zip(LAW, body, strict=True))
     )
-
-
-def sphere_body(columns: Mapping[str, Array]) -> ContactParameters:
-    """Contact parameters of the sphere, which is elastic without an onset pressure."""
-    defaults = np.full((3, len(columns["sphere.E"])), np.inf)
-    defaults[2] = CAP_PILE_UP
-    return _with_columns(columns, "sphere", ContactParameters(*defaults))
-
-
-def law_of(
-    columns: Mapping[str, Array], table: str, *, rigid: bool = False, at_onset: bool = False
-) -> ContactParameters:
-    """Contact parameters: of the softer body in each row, unless [contact] gives them."""
-    body = softer(body_of(columns, table, rigid), sphere_body(columns))
-    body = _with_columns(columns, "contact", body)
-    if at_onset:
-        return body._replace(hardness=body.onset)
-    return body
 
 
 #: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³] (from memory)
@@ -144,11 +143,6 @@ class Rig:
         if self.by_wave:
             tables |= dict.fromkeys(("striker", "pulse"))
         return tuple(name for name in tables if name)
-
-    def may_have(self, kind: str) -> bool:
-        """Whether a counter-body of this rig is, or can be chosen to be, of a kind."""
-        poles = zip((self.behind, self.ahead), self.kinds, strict=True)
-        return any(table and fixed in ("", kind) for table, fixed in poles)
 
     def kind(self, pole: int, options: Values) -> str:
         """Kind of the counter-body at a contact; `thick` unless the study chooses another."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -29,7 +29,7 @@ from uqsphere.mechanics.rigs import (
     plate_impedance,
     sphere_body,
 )
-from uqsphere.mechanics.yielding import Face
+from uqsphere.mechanics.yielding import ContactParameters, Face
 
 #: what the status of a row means; only rows with status 0 have values
 STATUS: dict[int, str] = {
@@ -101,10 +101,10 @@ class Partner:
     table: table of the study with its numbers.  kind: `bar`, `plate`, `thick`, `mass` or `platen`.
     modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of the contact.
     share: chi = E* (1 - nu²)/E, the sphere's fraction of the elastic energy, (R22).  impedance: Z
-    [N s/m], infinite if it is rigid.  mass: [kg], infinite if it is not free.  speed: V [m/s] at
-    first touch, positive from A to B.  round_trip, reflection: of a bar and its far end; infinite
-    and 0 without a reflected wave.  face: its contact law if it yields.  takes: the sphere's
-    fraction of the plastic work, 1 if the sphere itself yields.
+    [N s/m], infinite if it is rigid.  mass: [kg], infinite if it is not free.  round_trip,
+    reflection: of a bar and its far end; infinite and 0 without a reflected wave.  body: its own
+    contact parameters.  face: the law of the contact if it yields.  takes: the sphere's fraction of
+    the plastic work, 1 if the sphere itself yields.
     """
 
     table: str
@@ -115,9 +115,9 @@ class Partner:
     share: Array
     impedance: Array
     mass: Array
-    speed: Array
     round_trip: Array
     reflection: Array
+    body: ContactParameters
     face: Face | None
     takes: Array
 
@@ -157,24 +157,19 @@ class Scene:
     options: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _check_word("rig", self.rig, RIGS)
-        _check_word("pulse shape", self.shape, (*SHAPES, "measured"))
-        _check_word("contact law", self.contact_law, FORMS["contact"])
+        for name, word, allowed in (
+            ("rig", self.rig, RIGS),
+            ("pulse shape", self.shape, (*SHAPES, "measured")),
+            ("contact law", self.contact_law, FORMS["contact"]),
+        ):
+            if word not in allowed:
+                raise ValueError(f"unknown {name} {word!r} (allowed: {', '.join(allowed)})")
         missing = self._missing_columns()
         if missing:
             raise ValueError(f"columns are missing: {', '.join(missing)}")
-        unknown = [name for name in self.columns if name not in INPUTS]
+        unknown = self.columns.keys() - INPUTS.keys()
         if unknown:
-            raise ValueError(f"unknown columns: {', '.join(unknown)}")
-        self._check_pulse()
-        shapes = {np.shape(column) for column in self.columns.values()}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-            raise ValueError(
-                f"all columns must have the same shape (n,), not {sorted(map(str, shapes))}"
-            )
-
-    def _check_pulse(self) -> None:
-        """Raise ValueError for a pulse, or an evaluation window, that contradicts itself."""
+            raise ValueError(f"unknown columns: {', '.join(sorted(unknown))}")
         if (self.shape == "measured") != (self.record is not None):
             raise ValueError("the shape 'measured' needs a record, and other shapes take none")
         if self.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(self.columns):
@@ -185,6 +180,11 @@ class Scene:
             raise ValueError("a step pulse in infinite bars needs a horizon")
         if self.horizon is not None and not 0.0 < self.horizon < np.inf:
             raise ValueError(f"horizon must be positive and finite, not {self.horizon!r} s")
+        shapes = {np.shape(column) for column in self.columns.values()}
+        if shapes != {(len(self),)}:
+            raise ValueError(
+                f"all columns must have the same shape (n,), not {sorted(map(str, shapes))}"
+            )
 
     def _missing_columns(self) -> list[str]:
         """Required columns that are not given."""
@@ -205,7 +205,7 @@ class Scene:
         return missing
 
     def __len__(self) -> int:
-        return len(next(iter(self.columns.values())))
+        return np.size(next(iter(self.columns.values())))
 
     def at(self, rows: Places | slice) -> Scene:
         """The scene of some of its rows."""
@@ -214,6 +214,10 @@ class Scene:
     def column(self, name: str, default: float = np.nan) -> Array:
         """A column, or `default` in every row."""
         return np.asarray(self.columns.get(name, np.full(len(self), default)), dtype=float)
+
+    def numbers(self, table: str, keys: str) -> list[Array]:
+        """Columns of a table by their keys, separated by spaces; NaN where one is not given."""
+        return [self.column(f"{table}.{key}") for key in keys.split()]
 
     @property
     def setup(self) -> Rig:
@@ -243,7 +247,7 @@ class Scene:
         numbers = {
             name.removeprefix("pulse."): column
             for name, column in self.columns.items()
-            if name.startswith("pulse.") and name != "pulse.duration"
+            if name.startswith("pulse.")
         }
         if self.striker_ratio is not None:
             numbers["striker_ratio"] = self.striker_ratio
@@ -259,9 +263,7 @@ class Scene:
         if "pulse.duration" in self.columns:
             return self.columns["pulse.duration"]
         with np.errstate(all="ignore"):
-            return np.asarray(
-                2.0 * self.columns["striker.length"] / bars.wave_speed(*self._striker)
-            )
+            return np.asarray(bars.round_trip(self.columns["striker.length"], *self._striker))
 
     @property
     def _striker(self) -> tuple[Array, Array]:
@@ -284,21 +286,7 @@ class Scene:
     @cached_property
     def partners(self) -> tuple[Partner | None, Partner | None]:
         """Counter-bodies at contact A (behind the sphere) and B (ahead), None without a contact."""
-        rig = self.setup
-        if rig.by_wave:
-            partner = _partner(self, rig.behind, "bar")
-            ends = zip(self.round_trips.T, self.reflections.T, strict=True)
-            incident, receiving = (
-                replace(partner, round_trip=trip, reflection=end) for trip, end in ends
-            )
-            return incident, receiving
-        ahead = _partner(self, rig.ahead, rig.kind(1, self.options))
-        if not rig.behind:
-            return None, ahead
-        if rig.by_press:
-            return ahead, ahead
-        behind = _partner(self, rig.behind, rig.kind(0, self.options))
-        return replace(behind, speed=self.closing_speed), ahead
+        return _partner(self, 0), _partner(self, 1)
 
     @property
     def there(self) -> tuple[Partner, ...]:
@@ -310,39 +298,17 @@ class Scene:
         """The counter-body whose contact gives the scale factors: A, or B if there is no A."""
         return self.there[0]
 
-    @property
-    def faces(self) -> Face | None:
-        """The contact law of `struck` (of both bars), (n,) each; None if elastic."""
-        return self.struck.face
-
     @cached_property
     def round_trips(self) -> Array:
         """Round trips of the bars at A and B, (n, 2) [s]; infinite without a bar, or its length."""
-        if not self.by_wave:
-            return self._of_poles("round_trip", np.inf)
-        E, density = self.columns["bars.E"], self.columns["bars.density"]
-        lengths = [self.column(f"bars.{bar}_length", np.inf) for bar in ("incident", "receiving")]
-        with np.errstate(all="ignore"):
-            return np.stack([bars.round_trip(length, E, density) for length in lengths], axis=1)
+        none = np.full(len(self), np.inf)
+        return np.stack([p.round_trip if p else none for p in self.partners], axis=1)
 
     @cached_property
     def reflections(self) -> Array:
         """Velocity reflection coefficients of the far ends, (n, 2); 0 without a reflected wave."""
-        if not self.by_wave:
-            return self._of_poles("reflection", 0.0)
-        if self.infinite:
-            return np.zeros((len(self), 2))
-        incident = self.column("bars.incident_end", bars.END_COEFFICIENTS["free"])
-        receiving = self.column("bars.receiving_end", bars.END_COEFFICIENTS["absorbing"])
-        return np.stack([incident, receiving], axis=1)
-
-    def _of_poles(self, name: str, default: float) -> Array:
-        """A number of the counter-bodies at A and B, (n, 2); `default` without a contact."""
-        columns = np.full((len(self), 2), default)
-        for pole, partner in enumerate(self.partners):
-            if partner is not None:
-                columns[:, pole] = getattr(partner, name)
-        return columns
+        none = np.zeros(len(self))
+        return np.stack([p.reflection if p else none for p in self.partners], axis=1)
 
     @cached_property
     def first_echo(self) -> Array:
@@ -393,25 +359,37 @@ class Scene:
 
     @cached_property
     def scales(self) -> Scales:
-        """Scale factors of every row; not finite in rows outside the domain."""
-        c, face = self.columns, self.struck
+        """Scale factors of every row; not finite in rows outside the domain.
+
+        An impact has V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), with the mass m of the drop
+        weight, or the reduced mass of sphere and counter-body.  For slow loading V_c = 1, and P_c
+        is the force at an approach of one radius.
+        """
+        c, (behind, ahead), struck = self.columns, self.partners, self.struck
+        beta = struck.hertz_constant
         with np.errstate(all="ignore"):
             mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
-            impedance = (self.partners[1] or face).impedance
+            impedance = (ahead or struck).impedance
             if self.by_wave:
                 speed = 0.5 * c["striker.speed"]
                 force = impedance * speed
+            elif self.setup.by_press:
+                speed, force = np.ones(len(self)), beta * c["sphere.radius"] ** 1.5
             else:
-                speed, force = self._impact_scales(mass)
-            approach = contact.approach_at_force(force, face.hertz_constant)
+                speed = self.closing_speed
+                moved = behind.mass if behind else mass / (1.0 + mass / struck.mass)
+                # one root for the three powers: m³ v⁶ beta²
+                impulse = moved * speed * speed
+                force = (beta * beta * impulse * impulse * impulse) ** 0.2
+            approach = contact.approach_at_force(force, beta)
             time = approach / speed
             mass_number = mass * speed / (force * time)
             if self.by_wave:
                 mass_number = mass / (impedance * time)
         return Scales(
-            modulus=face.modulus,
-            effective_radius=face.effective_radius,
-            hertz_constant=face.hertz_constant,
+            modulus=struck.modulus,
+            effective_radius=struck.effective_radius,
+            hertz_constant=beta,
             mass=mass,
             impedance=impedance,
             force=force,
@@ -422,45 +400,22 @@ class Scene:
             speed=speed,
         )
 
-    def _impact_scales(self, mass: Array) -> tuple[Array, Array]:
-        """V_c and P_c = beta^0.4 m^0.6 V_c^1.2, (R5), of an impact.
-
-        m is the mass of the drop weight, or the reduced mass of sphere and counter-body.  For slow
-        loading V_c = 1, and P_c is the force at an approach of one radius.
-        """
-        face, behind, beta = self.struck, self.partners[0], self.struck.hertz_constant
-        if self.setup.by_press:
-            return np.ones(len(self)), beta * self.columns["sphere.radius"] ** 1.5
-        speed = self.closing_speed
-        if behind is None:
-            moved = mass / (1.0 + mass / face.mass)
-        else:
-            moved = behind.mass
-        # one root for the three powers: m³ v⁶ beta²
-        impulse = moved * speed * speed
-        return speed, (beta * beta * impulse * impulse * impulse) ** 0.2
-
     # --- the domain -------------------------------------------------------------------------------
 
     @cached_property
     def status(self) -> Places:
         """Status of every row before the integration, (n,): see `STATUS`."""
-        codes = np.zeros(len(self), dtype=np.int64)
         with np.errstate(all="ignore"):
-            codes[~self._in_domain()] = DOMAIN
-            if not self.by_wave:
-                codes[self._outside()] = DOMAIN
-                if self.setup.by_impact:
-                    codes[self.closing_speed <= 0.0] = NEVER_CLOSES
-                return codes
-            codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = DOMAIN
-            codes[~self.pulse.valid] = DOMAIN
-            if not self.infinite:
+            inside = self._valid_numbers() & self._in_range()
+            codes = np.where(inside, 0, DOMAIN)
+            if self.setup.by_impact:
+                codes[self.closing_speed <= 0.0] = NEVER_CLOSES
+            if self.by_wave and not self.infinite:
                 too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
-                codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = TOO_LONG_PULSE
+                codes[inside & too_long & (self.reflections[:, 0] != 0.0)] = TOO_LONG_PULSE
         return codes
 
-    def _in_domain(self) -> Flags:
+    def _valid_numbers(self) -> Flags:
         """Rows whose numbers, scale factors and contact laws are valid, (n,)."""
         inside = np.ones(len(self), dtype=bool)
         for name, column in self.columns.items():
@@ -473,50 +428,52 @@ class Scene:
         scales = self.scales
         for number in (scales.mass_number, scales.force, scales.approach, scales.time):
             inside &= np.isfinite(number) & (number > 0.0)
-        inside &= ~(scales.duration < _SHORTEST * scales.time)
+        shortest = _SHORTEST * scales.time
+        inside &= ~(scales.duration < shortest)
+        inside &= ~(self.first_echo < shortest)
         for partner in self.there:
             if partner.face is not None:
                 inside &= partner.face.valid
-        if any(partner.kind == "bar" for partner in self.there):
-            brief = self.round_trips < _SHORTEST * scales.time[:, None]
-            inside &= ~(brief & (self.reflections != 0.0)).any(axis=1)
         return inside
 
-    def _outside(self) -> Flags:
-        """Rows of a rig without a wave that are outside the domain of its equations, (n,)."""
-        scales, (behind, ahead) = self.scales, self.partners
-        rows = np.zeros(len(self), dtype=bool)
+    def _in_range(self) -> Flags:
+        """Rows inside the domain of the equations of their rig, (n,)."""
+        c, scales, (behind, ahead) = self.columns, self.scales, self.partners
+        if self.by_wave:
+            return self.pulse.valid & ~(2.0 * c["sphere.radius"] > c["bars.diameter"])
+        inside = np.ones(len(self), dtype=bool)
         for partner in self.there:
             if partner.kind == "plate" or (behind is None and partner.kind == "bar"):
-                rows |= ~(scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM)
+                inside &= scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM
         if behind is not None and ahead is not None:
-            rows |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
+            inside &= _between(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
             if self.setup.weight_falls:
-                rows |= _beyond(scales.mass / behind.mass, MASS_RATIO)
-        if "platens.displacement" in self.columns:
-            rows |= self.columns["platens.displacement"] >= self.columns["sphere.radius"]
-        return rows
+                inside &= _between(scales.mass / behind.mass, MASS_RATIO)
+        if "platens.displacement" in c:
+            inside &= ~(c["platens.displacement"] >= c["sphere.radius"])
+        return inside
 
 
-def _check_word(name: str, word: str, allowed: Collection[str]) -> None:
-    """Raise ValueError for a word that is not allowed."""
-    if word not in allowed:
-        raise ValueError(f"unknown {name} {word!r} (allowed: {', '.join(allowed)})")
+def _between(ratio: Array, bounds: tuple[float, float]) -> Flags:
+    return (ratio >= bounds[0]) & (ratio <= bounds[1])
 
 
-def _beyond(ratio: Array, bounds: tuple[float, float]) -> Flags:
-    return ~((ratio >= bounds[0]) & (ratio <= bounds[1]))
-
-
-def _partner(scene: Scene, table: str, kind: str) -> Partner:
-    """The counter-body of a table, at rest; not finite in rows outside the domain."""
-    c = scene.columns
-    E, nu, density = (scene.column(f"{table}.{key}") for key in ("E", "nu", "density"))
+def _partner(scene: Scene, pole: int) -> Partner | None:
+    """The counter-body at contact A (0) or B (1); not finite in rows outside the domain."""
+    c, rig = scene.columns, scene.setup
+    table, kind = (rig.behind, rig.ahead)[pole], rig.kind(pole, scene.options)
+    if not table:
+        return None
+    E, nu, density = scene.numbers(table, "E nu density")
     rigid, still = (np.broadcast_to(np.float64(value), len(scene)) for value in (np.inf, 0.0))
     impedance = mass = round_trip = rigid
-    reflection = still
-    ball = _ball_radius(scene, table)
-    face_radius = scene.column(f"{table}.{'end' if table == 'bars' else 'face'}_radius", np.inf)
+    reflection = takes = still
+    end_radius = scene.column(f"{table}.{'end' if scene.by_wave else 'face'}_radius", np.inf)
+    ball = table == "other" or scene.options.get(f"{table}.shape") == "ball"
+    if table == "other":
+        end_radius = c["other.radius"]
+    elif ball:
+        end_radius = 0.5 * c[f"{table}.diameter"]
     with np.errstate(all="ignore"):
         modulus = contact.reduced_modulus(
             c["sphere.E"],
@@ -525,20 +482,27 @@ def _partner(scene: Scene, table: str, kind: str) -> Partner:
             c.get(f"{table}.insert_nu", nu),
             rigid_bars=scene.rigid_contact,
         )
-        radius = contact.effective_radius(c["sphere.radius"], face_radius if ball is None else ball)
+        radius = contact.effective_radius(c["sphere.radius"], end_radius)
         if kind == "bar":
-            impedance = bars.impedance(E, density, scene.column(f"{table}.diameter"))
-            # round trips and ends of the two Hopkinson bars differ: `Scene.partners`
-            if f"{table}.length" in c:
-                round_trip = bars.round_trip(c[f"{table}.length"], E, density)
-                reflection = scene.column(f"{table}.end", bars.END_COEFFICIENTS["free"])
+            impedance = bars.impedance(E, density, c[f"{table}.diameter"])
+            bar = ("incident_", "receiving_")[pole] if scene.by_wave else ""
+            if f"{table}.{bar}length" in c:
+                round_trip = bars.round_trip(c[f"{table}.{bar}length"], E, density)
+                if not scene.infinite:
+                    end = "absorbing" if bar == "receiving_" else "free"
+                    reflection = scene.column(f"{table}.{bar}end", bars.END_COEFFICIENTS[end])
         elif kind == "plate":
-            impedance = plate_impedance(E, nu, density, scene.column(f"{table}.thickness"))
+            impedance = plate_impedance(E, nu, density, c[f"{table}.thickness"])
+        elif ball:
+            mass = contact.sphere_mass(end_radius, density)
         elif kind == "mass":
-            mass = scene.column(f"{table}.mass")
-            if ball is not None:
-                mass = np.asarray(contact.sphere_mass(ball, density))
-        face, takes = _law(scene, table, modulus, radius)
+            mass = c[f"{table}.mass"]
+        body, face = body_of(c, table, scene.rigid_contact), None
+        if scene.contact_law == "plastic":
+            law = law_of(c, body, at_onset=scene.hardness_at_onset)
+            if not np.isinf(law.onset).all():
+                face = Face(**law._asdict(), modulus=modulus, effective_radius=radius)
+                takes = np.where(sphere_body(c).onset < body.onset, 1.0, 0.0)
         return Partner(
             table=table,
             kind=kind,
@@ -548,33 +512,9 @@ def _partner(scene: Scene, table: str, kind: str) -> Partner:
             share=np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"]),
             impedance=impedance,
             mass=mass,
-            speed=still,
             round_trip=round_trip,
             reflection=reflection,
+            body=body,
             face=face,
-            takes=still if takes is None else takes,
+            takes=takes,
         )
-
-
-def _ball_radius(scene: Scene, table: str) -> Array | None:
-    """Radius of a counter-body that is a ball, (n,) [m]; None for another."""
-    if table == "other":
-        return scene.columns["other.radius"]
-    if table == "hammer" and scene.options.get("hammer.shape") == "ball":
-        return 0.5 * scene.columns["hammer.diameter"]
-    return None
-
-
-def _law(
-    scene: Scene, table: str, modulus: Array, radius: Array
-) -> tuple[Face, Array] | tuple[None, None]:
-    """The contact law of a counter-body, if any row can yield, and the rows whose sphere yields."""
-    if scene.contact_law != "plastic":
-        return None, None
-    c, rigid = scene.columns, scene.rigid_contact
-    numbers = law_of(c, table, rigid=rigid, at_onset=scene.hardness_at_onset)
-    if np.isinf(numbers.onset).all():
-        return None, None
-    sphere_yields = sphere_body(c).onset < body_of(c, table, rigid).onset
-    face = Face(**numbers._asdict(), modulus=modulus, effective_radius=radius)
-    return face, np.where(sphere_yields, 1.0, 0.0)

@@ -2,24 +2,26 @@
 
 Each check measures one number per row and grades it 0 ok, 1 note, 2 warning or 3 failure.  A breach
 never stops a run; it is reported with the percentage of rows concerned.  Failed rows (status not 0)
-are excluded.
+are excluded.  Thresholds and sentences are in ``validity.toml``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import reduce
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range, ranges_of
+from uqsphere.mechanics.criteria import CRITERIA, Parameters, ranges_of
+from uqsphere.mechanics.inputs import declared
 from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
-from uqsphere.mechanics.rigs import GRAVITY, Rig, body_of, sphere_body, terminal_speed
-from uqsphere.mechanics.scene import Scene, answered
+from uqsphere.mechanics.rigs import GRAVITY, sphere_body, terminal_speed
+from uqsphere.mechanics.scene import Partner, Scene, answered
 from uqsphere.mechanics.yielding import ContactParameters, Face, softer
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
@@ -31,147 +33,103 @@ _IMBALANCE: Final = (1.318, 0.45)
 _USUAL: Final = 0.95
 _FAR: Final = 0.9
 
-#: numbers of the rows (n,), why a check was not made, or None where it does not apply
-Measured: TypeAlias = "Array | str | None"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """One check: what it measures, its thresholds, and its sentence.
+    """One check: thresholds of its grades 1, 2, 3 and its sentence; fields as in validity.toml."""
 
-    measure: function of (scene, answers) that returns the measured number per row, (n,), NaN for
-    rows it does not apply to; or a text, why the check was not made; or None for a scene it does
-    not apply to.  information, warning, failure: thresholds of the grades 1, 2, 3; exceeded above
-    if `rising`, else below.  words: sentence on a breach, with {worst} and {limit}.  laws: contact
-    laws it applies to.  applies: whether it applies to a rig.  advice: function of (scene, answers,
-    good rows) that returns what is added to the sentence on a breach.  needs: column without which
-    the check is not made.
-    """
-
+    key: str
     name: str
-    meaning: str
-    measure: Callable[[Scene, SceneAnswers], Measured]
-    information: float | None = None
-    warning: float | None = None
-    failure: float | None = None
-    rising: bool = True
     words: str
-    laws: tuple[str, ...] = ("hertz", "plastic")
-    applies: Callable[[Rig], bool] = lambda rig: True
-    advice: Callable[[Scene, SceneAnswers, Flags], str] = lambda scene, answers, good: ""
-    needs: str = "sphere.E"
+    information: float = math.nan
+    warning: float = math.nan
+    failure: float = math.nan
+    rising: bool = True
+    law: str = ""
+    movers: Sequence[str] = ()
+    needs: str = ""
 
     @property
-    def thresholds(self) -> dict[int, float]:
-        """Thresholds by their grade."""
-        values = {1: self.information, 2: self.warning, 3: self.failure}
-        return {grade: value for grade, value in values.items() if value is not None}
+    def thresholds(self) -> tuple[float, float, float]:
+        """Thresholds of the grades 1, 2 and 3; NaN for a grade without one."""
+        return self.information, self.warning, self.failure
 
-    def statement(self, worst: float, rows: str, advice: str = "", usual: str = "") -> str:
-        """The sentence on the worst number, with the threshold of the grade that it reaches.
+    def applies(self, scene: Scene) -> bool:
+        """Whether it is made for the contact law, the rig and the columns of a scene."""
+        return (
+            self.law in ("", scene.contact_law)
+            and (not self.movers or scene.setup.mover in self.movers)
+            and (not self.needs or self.needs in scene.columns)
+        )
 
-        rows: which rows break the check; empty if none does.  usual: what few rows are beyond.
-        """
-        shown = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
-        grade = int(grades(self, np.array([worst]))[0])
-        if not rows or grade == 0:
-            side = "at most" if self.rising else "at least"
-            limit = next(iter(self.thresholds.values()))
-            return f"{self.meaning}: {side} {shown} (limit {limit:.3g})"
-        limit = self.thresholds[grade]
-        words = self.words.format(worst=shown + usual, limit=f"{limit:.3g}")
-        return f"{rows}: {words.replace(') (limit', '; limit')}{advice}"
+
+RULES: Final = {
+    key: Rule(**{"key": key, "name": key, **entry})
+    for key, entry in declared("validity.toml").items()
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValidityCheck:
     """Result of one check over a batch.
 
-    The three shares are fractions of the computed rows and do not overlap: each row has one grade.
-    `worst` is the worst measured number, None if the check was not made; `text` is the sentence.
+    shares: fractions of the computed rows with the grades 1, 2 and 3.  worst: the worst measured
+    number, None if the check could not be made.  text: the sentence on a breach.  grades (n,): of
+    every row, 0 without a number.
     """
 
     check: str
-    share_information: float
-    share_warning: float
-    share_failure: float
-    worst: float | None
-    text: str
+    shares: tuple[float, ...] = (0.0, 0.0, 0.0)
+    worst: float | None = None
+    text: str = ""
+    grades: Places = field(repr=False, compare=False)
 
     @property
     def grade(self) -> int:
         """The highest grade that any row has."""
-        if self.share_failure > 0.0:
-            return 3
-        if self.share_warning > 0.0:
-            return 2
-        return int(self.share_information > 0.0)
+        return max((grade for grade in (1, 2, 3) if self.shares[grade - 1] > 0.0), default=0)
 
     @property
     def share(self) -> float:
         """Fraction of the rows that break the check."""
-        return self.share_information + self.share_warning + self.share_failure
+        return sum(self.shares)
 
 
-_NO_FACE: Final = "not checked: no contact yields"
-_NO_ROW: Final = "not checked: no row was computed"
-_NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
-_NO_ONSET: Final = "not checked: the onset pressure of the sphere is not given"
+# --- what the checks measure: functions of a scene and its answers --------------------------------
 
 
 def softest_partner(scene: Scene) -> ContactParameters:
     """Contact parameters of the counter-body that yields first in each row."""
-    tables = dict.fromkeys(partner.table for partner in scene.there)
-    return reduce(softer, [body_of(scene.columns, table, scene.rigid_contact) for table in tables])
+    return reduce(softer, [partner.body for partner in scene.there])
 
 
-def _contact_over_radius(scene: Scene, answers: SceneAnswers) -> Array | str:
-    return answers.values["a_max"] / scene.columns["sphere.radius"]
+def _over_onset(pressure: Array, onset: Array) -> Array:
+    """Contact pressure / onset pressure; NaN for a body that does not yield."""
+    return np.asarray(pressure / np.where((onset > 0.0) & np.isfinite(onset), onset, np.nan))
 
 
-def _bars_of(scene: Scene) -> list[tuple[Array, Array]]:
-    """Diameters and wave speeds of the counter-bodies that are bars."""
-    c = scene.columns
-    tables = dict.fromkeys(partner.table for partner in scene.there if partner.kind == "bar")
-    return [
-        (c[f"{table}.diameter"], bars.wave_speed(c[f"{table}.E"], c[f"{table}.density"]))
-        for table in tables
+def _over_partner_onset(scene: Scene, answers: SceneAnswers) -> Array:
+    """Hertz pressure at peak force / onset pressure of the counter-bodies; the largest."""
+    force = answers.values["P_max"]
+    ratios = [
+        _over_onset(
+            contact.pressure_at_force(force, partner.modulus, partner.effective_radius),
+            partner.body.onset,
+        )
+        for partner in scene.there
     ]
-
-
-def _contact_over_bar(scene: Scene, answers: SceneAnswers) -> Array | str | None:
-    ratios = [2.0 * answers.values["a_max"] / diameter for diameter, _ in _bars_of(scene)]
-    if not ratios:
-        return None
-    return np.asarray(np.maximum.reduce(ratios))
-
-
-def _positive(values: Array) -> Array:
-    return np.where(values > 0.0, values, np.nan)
-
-
-def _over_onset(
-    scene: Scene, answers: SceneAnswers, body: ContactParameters, absent: str
-) -> Array | str:
-    """Elastic contact pressure over the onset pressure of a body."""
-    onset = np.where(np.isfinite(body.onset), _positive(body.onset), np.nan)
-    if np.isnan(onset).all():
-        return absent
-    return np.asarray(answers.values["p_max"] / onset)
+    return np.asarray(np.fmax.reduce(ratios))
 
 
 def _static_estimate(
     scene: Scene, answers: SceneAnswers, good: Flags, body: ContactParameters
 ) -> str:
     """Pressure and indentation, by statics, of a body that was taken as elastic."""
-    with np.errstate(all="ignore"):
-        scales = scene.scales
-        law = Face(
-            **body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius
-        )
-        rows = np.flatnonzero(good & np.isfinite(body.onset) & np.isfinite(body.hardness))
-        face = law.at(rows)
-        press = face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[rows]))
+    scales = scene.scales
+    law = Face(**body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius)
+    rows = np.flatnonzero(good & np.isfinite(body.onset) & np.isfinite(body.hardness))
+    face = law.at(rows)
+    press = face.pressed(face.depth_at(answers.values["P_max"][rows]))
     centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
     if len(centre) == 0 or len(dent) == 0:
         return ""
@@ -179,69 +137,30 @@ def _static_estimate(
     return f". Static plastic estimate: p_max up to {pressure}, indentation {depth}"
 
 
-def _partner_estimate(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
-    return _static_estimate(scene, answers, good, softest_partner(scene))
-
-
-def _sphere_estimate(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
-    return _static_estimate(scene, answers, good, sphere_body(scene.columns))
-
-
-def _over_partner_onset(scene: Scene, answers: SceneAnswers) -> Array | str:
-    """Hertz pressure at peak force / onset pressure of the counter-bodies; the largest."""
-    ratios = []
-    for table, partner in {partner.table: partner for partner in scene.there}.items():
-        onset = body_of(scene.columns, table, scene.rigid_contact).onset
-        pressure = contact.pressure_at_force(
-            answers.values["P_max"], partner.modulus, partner.effective_radius
-        )
-        ratios.append(pressure / np.where(np.isfinite(onset), _positive(onset), np.nan))
-    worst = np.asarray(np.fmax.reduce(ratios))
-    if np.isnan(worst).all():
-        return "not checked: the yield strength of the counter-body is not given"
-    return worst
-
-
-def _depth(scene: Scene, answers: SceneAnswers) -> Array | str:
-    return _of_faces(scene, answers, lambda face, depth: depth)
-
-
-def _of_faces(
-    scene: Scene, answers: SceneAnswers, pick: Callable[[Face, Array], Array]
-) -> Array | str:
+def _at_peak(
+    scene: Scene, answers: SceneAnswers, number: Callable[[Face, Array], Array]
+) -> Array | None:
     """A number of each contact that yields, at the depth of the peak force; the largest."""
-    faces = [partner.face for partner in scene.there if isinstance(partner.face, Face)]
+    faces = [partner.face for partner in scene.there if partner.face is not None]
     if not faces:
-        return _NO_FACE
-    force = np.asarray(answers.values["P_max"])
-    with np.errstate(all="ignore"):
-        values = [pick(face, face.depth_at(force)) for face in faces]
-    return np.asarray(np.maximum.reduce(values))
+        return None
+    force = answers.values["P_max"]
+    return np.asarray(np.maximum.reduce([number(face, face.depth_at(force)) for face in faces]))
 
 
-def _other_onset(scene: Scene, answers: SceneAnswers) -> Array | str:
-    """Onset ratio of the harder and the softer body, the least of the contacts that yield.
+def _depth(scene: Scene, answers: SceneAnswers) -> Array | None:
+    return _at_peak(scene, answers, lambda face, depth: depth)
 
-    It is 1 where the body with the higher onset has the lower hardness.
-    """
-    sphere = sphere_body(scene.columns)
-    ratios = []
-    for partner in scene.there:
-        if partner.face is None:
-            continue
-        body = body_of(scene.columns, partner.table, scene.rigid_contact)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
-            crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
-            ratios.append(np.where(crossed & np.isfinite(ratio), 1.0, ratio))
-    if not ratios:
-        return _NO_FACE
-    return np.asarray(np.fmin.reduce(ratios))
+
+def _relative_dent(scene: Scene, answers: SceneAnswers) -> Array | None:
+    return _at_peak(
+        scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius
+    )
 
 
 def _dents(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
-    depths = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent)
-    assert not isinstance(depths, str)
+    depths = _at_peak(scene, answers, lambda face, depth: face.pressed(depth).dent)
+    assert depths is not None
     deepest = np.nanmax(depths[good])
     text = f". Residual indentation: up to {1e6 * deepest:.2g} um"
     flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene.columns).onset).any())
@@ -250,92 +169,148 @@ def _dents(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
     return text
 
 
-def _contact_over_insert(scene: Scene, answers: SceneAnswers) -> Array | str:
-    thickness = scene.columns.get("bars.insert_thickness")
-    if thickness is None:
-        return "not checked: the thickness of the inserts is not given"
-    return 3.0 * answers.values["a_max"] / thickness
+def _other_onset(scene: Scene, answers: SceneAnswers) -> Array | None:
+    """Onset ratio of the harder and the softer body, the least of the contacts that yield.
+
+    It is 1 where the body with the higher onset has the lower hardness.
+    """
+    sphere, ratios = sphere_body(scene.columns), []
+    for partner in scene.there:
+        if partner.face is not None:
+            body = partner.body
+            ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
+            crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
+            ratios.append(np.where(crossed & np.isfinite(ratio), 1.0, ratio))
+    if not ratios:
+        return None
+    return np.asarray(np.fmin.reduce(ratios))
 
 
-def _pulse_over_yield(scene: Scene, answers: SceneAnswers) -> Array | str:
-    strength = _positive(scene.column("bars.yield_strength"))
-    if np.isnan(strength).all():
-        return _NO_YIELD
-    c = scene.columns
-    level = np.ones(len(scene))
+def _pulse_over_yield(scene: Scene, answers: SceneAnswers) -> Array:
+    c, level = scene.columns, np.ones(len(scene))
     if scene.shape == "two_peak":
         level = np.maximum(c["pulse.level1"], c["pulse.level2"])
     if scene.striker_ratio is not None:
         level = 2.0 * scene.striker_ratio / (1.0 + scene.striker_ratio)
     stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
-    return np.asarray(stress / strength)
+    return _over_onset(stress, scene.column("bars.yield_strength"))
 
 
-def _imbalance(scene: Scene, answers: SceneAnswers) -> Array | str:
+def _imbalance(scene: Scene, answers: SceneAnswers) -> Array:
     measured = answers.values["force_imbalance"]
     if np.any(measured > 0.0):
         return measured
     # forces of the massless model are balanced by assumption: the mass number gives an estimate
     factor, power = _IMBALANCE
-    with np.errstate(all="ignore"):
-        estimate = factor * scene.scales.mass_number**power
-        return estimate * scene.scales.force / answers.values["P_max"]
+    estimate = factor * scene.scales.mass_number**power
+    return estimate * scene.scales.force / answers.values["P_max"]
 
 
-def _transits(scene: Scene, answers: SceneAnswers, time: str) -> Array:
-    """Wave transits of the sphere during the rise time, or during the contact time."""
+def _transits(scene: Scene, time: Array) -> Array:
+    """Wave transits of the sphere, 2 r/sqrt(E/rho), in a time."""
     c = scene.columns
-    with np.errstate(all="ignore"):
-        transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
-        return np.asarray(answers.values[time] / transit)
+    transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
+    return np.asarray(time / transit)
 
 
-def _plate_of(scene: Scene) -> tuple[str, tuple[Array, ...]] | None:
-    """Table of the counter-body that is a plate; its E, nu, density and thickness."""
-    for partner in scene.there:
-        if partner.kind == "plate":
-            keys = (f"{partner.table}.{key}" for key in ("E", "nu", "density", "thickness"))
-            return partner.table, tuple(scene.columns[key] for key in keys)
-    return None
+def _bars(scene: Scene) -> list[tuple[Array, Array]]:
+    """Diameters and wave speeds of the counter-bodies that are bars."""
+    c = scene.columns
+    return [
+        (c[f"{table}.diameter"], bars.wave_speed(c[f"{table}.E"], c[f"{table}.density"]))
+        for table in (partner.table for partner in scene.there if partner.kind == "bar")
+    ]
 
 
-def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | str | None:
+def _contact_over_bar(scene: Scene, answers: SceneAnswers) -> Array | None:
+    ratios = [2.0 * answers.values["a_max"] / diameter for diameter, _ in _bars(scene)]
+    if not ratios:
+        return None
+    return np.asarray(np.maximum.reduce(ratios))
+
+
+def _rod_rise(scene: Scene, answers: SceneAnswers) -> Array | None:
+    rise = answers.values["rise_time"]
+    ratios = [rise * speed / (0.5 * diameter) for diameter, speed in _bars(scene)]
+    if not ratios:
+        return None
+    return np.asarray(np.minimum.reduce(ratios))
+
+
+def _pulse_rise(scene: Scene, answers: SceneAnswers) -> Array | None:
+    c, breaks = scene.columns, scene.pulse.breaks
+    if scene.shape in ("rectangular", "step"):
+        return None
+    if scene.shape == "trapezoid":
+        rise = np.minimum(c["pulse.rise"], c["pulse.fall"])
+    elif scene.record is not None:
+        rise = np.full(len(scene), scene.record.rise / 0.8)
+    elif scene.shape == "ramp":
+        rise = c["pulse.rise"]
+    elif scene.shape == "two_peak":
+        rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
+    else:
+        rise = 0.5 * scene.pulse.end
+    return np.asarray(
+        rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"])
+    )
+
+
+def _ideal_pulse(scene: Scene, answers: SceneAnswers) -> Array | None:
+    if scene.shape not in ("rectangular", "step"):
+        return None
+    return np.zeros(len(scene))
+
+
+def _record_over_echo(scene: Scene, answers: SceneAnswers) -> Array | None:
+    if not scene.infinite:
+        return None
+    # an end that is given as absorbing reflects nothing; one that is not given may
+    echoing = [scene.column(f"bars.{bar}_end", 1.0) != 0.0 for bar in ("incident", "receiving")]
+    first = np.where(np.stack(echoing, axis=1), scene.round_trips, np.inf).min(axis=1)
+    return np.asarray(answers.record / np.where(np.isfinite(first), first, np.nan))
+
+
+def _echo_under_load(scene: Scene, answers: SceneAnswers) -> Array | None:
+    if not np.any(np.isfinite(scene.first_echo)):
+        return None
+    return answers.values["loaded_time"] / scene.first_echo
+
+
+def _plate(scene: Scene) -> Partner | None:
+    return next((partner for partner in scene.there if partner.kind == "plate"), None)
+
+
+def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | None:
     """Thickness over contact radius, or wave transits of the thickness if fewer, but at least 2.
 
     A plate that is thick for the contact time is no failure: the kind `thick` fits it better.
     """
-    plate = _plate_of(scene)
+    plate = _plate(scene)
     if plate is None:
         return None
-    _, (E, nu, density, thickness) = plate
-    with np.errstate(all="ignore"):
-        sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
-        transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
-        return np.asarray(
-            np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0))
-        )
+    E, nu, density, thickness = scene.numbers(plate.table, "E nu density thickness")
+    sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
+    transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
+    return np.asarray(np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0)))
 
 
-def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | str | None:
+def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | None:
     """Contact time over the return time of the flexural wave from the plate edge.
 
     The group speed is that of a half period equal to the contact time t, c_g = 2 (D/(rho h))^(1/4)
     sqrt(pi/t), over a path of one width.
     """
-    plate = _plate_of(scene)
+    plate = _plate(scene)
     if plate is None:
         return None
-    table, (E, nu, density, thickness) = plate
-    width = scene.columns.get(f"{table}.width")
-    if width is None:
-        return f"not checked: {table}.width is not given"
-    with np.errstate(all="ignore"):
-        loaded = answers.values["loaded_time"]
-        bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
-        return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
+    E, nu, density, thickness, width = scene.numbers(plate.table, "E nu density thickness width")
+    loaded = answers.values["loaded_time"]
+    bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
+    return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
 
 
-def _gravity(scene: Scene, answers: SceneAnswers) -> Array | str:
+def _gravity(scene: Scene, answers: SceneAnswers) -> Array:
     behind, moving = scene.partners[0], scene.scales.mass
     if behind is not None:
         moving = moving + behind.mass
@@ -348,467 +323,132 @@ def _drag(scene: Scene, answers: SceneAnswers) -> Array:
     return c["rig.drop_height"] * GRAVITY / terminal**2
 
 
-def _rod_rise(scene: Scene, answers: SceneAnswers) -> Array | str | None:
-    rise = answers.values["rise_time"]
-    ratios = [rise * speed / (0.5 * diameter) for diameter, speed in _bars_of(scene)]
-    if not ratios:
-        return None
-    return np.asarray(np.minimum.reduce(ratios))
+def _small_contact(scene: Scene, answers: SceneAnswers) -> Array:
+    return answers.values["a_max"] / scene.columns["sphere.radius"]
 
 
-def _echo_under_load(scene: Scene, answers: SceneAnswers) -> Array | str | None:
-    if not np.any(np.isfinite(scene.first_echo)):
-        return None
-    with np.errstate(all="ignore"):
-        return answers.values["loaded_time"] / scene.first_echo
-
-
-def _one_sided(scene: Scene, answers: SceneAnswers) -> Array | str:
-    ratio = _contact_over_radius(scene, answers)
+def _one_sided(scene: Scene, answers: SceneAnswers) -> Array:
+    ratio = _small_contact(scene, answers)
     imbalance = answers.values.get("force_imbalance")
     if imbalance is None:
         return ratio
     return np.where(imbalance > 0.1, ratio, np.nan)
 
 
-def _pulse_rise(scene: Scene, answers: SceneAnswers) -> Array | str:
-    c, breaks = scene.columns, scene.pulse.breaks
-    if scene.shape in ("rectangular", "step"):
-        return "an ideal jump"
-    with np.errstate(all="ignore"):
-        if scene.shape == "trapezoid":
-            rise = np.minimum(c["pulse.rise"], c["pulse.fall"])
-        elif scene.record is not None:
-            rise = np.full(len(scene), scene.record.rise / 0.8)
-        elif scene.shape == "ramp":
-            rise = c["pulse.rise"]
-        elif scene.shape == "two_peak":
-            rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
-        else:
-            rise = 0.5 * scene.pulse.end
-        return np.asarray(
-            rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"])
-        )
+#: the number that each check measures, (n,), NaN for rows it does not apply to; None for a scene
+#: it does not apply to
+MEASURES: Final[dict[str, Callable[[Scene, SceneAnswers], Array | None]]] = {
+    "small_contact": _small_contact,
+    "contact_on_bar_end": _contact_over_bar,
+    "bar_yield_contact": lambda s, a: _over_onset(a.values["p_max"], softest_partner(s).onset),
+    "bar_yield_pulse": _pulse_over_yield,
+    "force_balance": _imbalance,
+    "quasi_static_sphere": lambda s, a: _transits(s, a.values["rise_time"]),
+    "one_dimensional_bars": _pulse_rise,
+    "ideal_pulse": _ideal_pulse,
+    "force_level": lambda s, a: s.scales.pulse_number,
+    "before_reflection": _record_over_echo,
+    "sphere_yield_contact": lambda s, a: _over_onset(
+        a.values["p_max"], sphere_body(s.columns).onset
+    ),
+    "dented": _depth,
+    "softer_body": _other_onset,
+    "plastic_range": _depth,
+    "deep_dent": _relative_dent,
+    "insert_thickness": lambda s, a: 3.0 * a.values["a_max"] / s.column("bars.insert_thickness"),
+    "pressure_shape": _depth,
+    "quasi_static_impact": lambda s, a: _transits(s, a.values["loaded_time"]),
+    "face_yield": _over_partner_onset,
+    "thin_plate": _thin_plate,
+    "plate_edge": _plate_edge,
+    "gravity": _gravity,
+    "drag": _drag,
+    "oblique": lambda s, a: np.rad2deg(s.columns["rig.angle"]),
+    "wave_loss": lambda s, a: loss_to_waves(s),
+    "one_dimensional_rod": _rod_rise,
+    "echo_in_contact": _echo_under_load,
+    "grazing_contact": lambda s, a: np.where(a.grazes, 1.0, 0.0),
+    "chatter": lambda s, a: a.values["retouches"],
+    "one_sided_field": _one_sided,
+}
+#: what is added to the sentence on a breach, from the scene, its answers and the computed rows
+ADVICE: Final[dict[str, Callable[[Scene, SceneAnswers, Flags], str]]] = {
+    "bar_yield_contact": lambda s, a, good: _static_estimate(s, a, good, softest_partner(s)),
+    "sphere_yield_contact": lambda s, a, good: _static_estimate(s, a, good, sphere_body(s.columns)),
+    "dented": _dents,
+    "face_yield": lambda s, a, good: _static_estimate(s, a, good, softest_partner(s)),
+}
 
 
-def _record_over_echo(scene: Scene, answers: SceneAnswers) -> Array | str:
-    if not scene.infinite:
-        return "not needed: reflected waves are part of the model"
-    # an end that is given as absorbing reflects nothing; one that is not given may
-    echoing = [scene.column(f"bars.{bar}_end", 1.0) != 0.0 for bar in ("incident", "receiving")]
-    first = np.where(np.stack(echoing, axis=1), scene.round_trips, np.inf).min(axis=1)
-    if not np.any(np.isfinite(first)):
-        return "not checked: the bars are infinite, and no length with a reflecting end is given"
-    return np.asarray(answers.record / first)
+# --- the checks of a batch ------------------------------------------------------------------------
 
 
-def _between_bars(rig: Rig) -> bool:
-    return rig.by_wave
-
-
-def _one_contact(rig: Rig) -> bool:
-    return rig.contacts == 1
-
-
-def _two_contacts(rig: Rig) -> bool:
-    return rig.contacts == 2 and not rig.by_press
-
-
-def _on_rod(rig: Rig) -> bool:
-    return rig.may_have("bar") and not rig.by_wave
-
-
-RULES: Final[tuple[Rule, ...]] = (
-    Rule(
-        name="small_contact",
-        meaning="contact radius / sphere radius (Hertz: small contact)",
-        measure=_contact_over_radius,
-        warning=0.2,
-        failure=0.3,
-        words="the contact is not small, a/r up to {worst} (limit {limit})",
-    ),
-    Rule(
-        name="contact_on_bar_end",
-        meaning="contact radius / bar radius (Hertz: half space)",
-        measure=_contact_over_bar,
-        warning=0.2,
-        failure=1.0,
-        applies=lambda rig: rig.may_have("bar"),
-        words="the contact is large for the bar end, a/(d_b/2) up to {worst} (limit {limit})",
-    ),
-    Rule(
-        name="bar_yield_contact",
-        meaning="contact pressure / onset pressure of the bars (elastic contact)",
-        measure=lambda s, a: _over_onset(s, a, softest_partner(s), _NO_YIELD),
-        warning=1.0,
-        laws=("hertz",),
-        applies=_between_bars,
-        advice=_partner_estimate,
-        words="the bars yield under the sphere, p_0 up to {worst} times their onset pressure. Use "
-        'harder bars or inserts, thinner bars or a shorter pulse, or contact.law = "plastic"',
-    ),
-    Rule(
-        name="bar_yield_pulse",
-        meaning="pulse stress / yield strength of the bars (elastic waves)",
-        measure=_pulse_over_yield,
-        warning=1.0,
-        applies=_between_bars,
-        words="the pulse yields the bars: its stress is up to {worst} times their yield strength",
-    ),
-    Rule(
-        name="force_balance",
-        meaning="peak difference of the contact forces / peak force",
-        measure=_imbalance,
-        information=0.05,
-        warning=0.1,
-        applies=_two_contacts,
-        words="the two contact forces differ by up to {worst} of the peak force (limit {limit}). A "
-        "gauge at one contact does not measure the force at the other",
-    ),
-    Rule(
-        name="quasi_static_sphere",
-        meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
-        measure=lambda s, a: _transits(s, a, "rise_time"),
-        warning=4.0,
-        failure=3.0,
-        rising=False,
-        applies=_two_contacts,
-        words="only {worst} wave transits of the sphere during the rise time (at least {limit} are "
-        "needed for a quasi-static sphere)",
-    ),
-    Rule(
-        name="one_dimensional_bars",
-        meaning="rise time of the pulse / (bar radius/c_0) (one-dimensional waves)",
-        measure=_pulse_rise,
-        warning=5.0,
-        rising=False,
-        applies=_between_bars,
-        words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit} are needed "
-        "for one-dimensional waves)",
-    ),
-    Rule(
-        name="force_level",
-        meaning="pulse duration / t_c (does the force reach P_0 = Z v_0/2?)",
-        measure=lambda s, a: s.scales.pulse_number,
-        information=2.0,
-        rising=False,
-        applies=_between_bars,
-        words="the pulse is short: {worst} times the contact time scale t_c (limit {limit}). The "
-        "peak force depends on the pulse duration; Z v_0/2 would overestimate it",
-    ),
-    Rule(
-        name="before_reflection",
-        meaning="evaluation window / arrival of the first reflected wave (infinite bars)",
-        measure=_record_over_echo,
-        information=1.0,
-        applies=_between_bars,
-        words="the bars are taken as infinite, but the evaluation window is up to {worst} times "
-        "the arrival of the first reflected wave in bars of the given length",
-    ),
-    Rule(
-        name="sphere_yield_contact",
-        needs="sphere.onset_pressure",
-        meaning="contact pressure / onset pressure of the sphere",
-        measure=lambda s, a: _over_onset(s, a, sphere_body(s.columns), _NO_ONSET),
-        warning=1.0,
-        laws=("hertz",),
-        advice=_sphere_estimate,
-        words="the sphere yields or crushes at the contacts, p_0 up to {worst} times its onset "
-        "pressure",
-    ),
-    Rule(
-        name="dented",
-        meaning="approach / approach at first yield",
-        measure=_depth,
-        information=1.0,
-        laws=("plastic",),
-        advice=_dents,
-        words="a contact yields: the approach is up to {worst} times that at first yield (included "
-        "in the pressures)",
-    ),
-    Rule(
-        name="softer_body",
-        meaning="onset pressure of the harder / the softer body of a contact",
-        measure=_other_onset,
-        information=1.3,
-        rising=False,
-        laws=("plastic",),
-        words="both bodies of a contact yield at nearly the same pressure, ratio {worst} (distinct "
-        "above {limit}). The law lets only the softer one yield: forces and pressures beyond first "
-        "yield are upper bounds",
-    ),
-    Rule(
-        name="plastic_range",
-        meaning="approach / approach at first yield (law validated up to 110)",
-        measure=_depth,
-        warning=110.0,  # finite elements: Kogut and Etsion 2002, Jackson and Green 2005
-        failure=1000.0,
-        laws=("plastic",),
-        words="the approach of a contact is up to {worst} times that at first yield; the law is "
-        "validated up to {limit}",
-    ),
-    Rule(
-        name="deep_dent",
-        meaning="residual indentation / effective radius (curvature unchanged)",
-        measure=lambda s, a: _of_faces(
-            s, a, lambda face, depth: face.pressed(depth).dent / face.effective_radius
-        ),
-        warning=0.01,
-        failure=0.045,  # a contact of 0.3 times the effective radius: a² = 2 R · dent
-        laws=("plastic",),
-        words="the residual indentation is not shallow: up to {worst} of the effective radius "
-        "(limit {limit})",
-    ),
-    Rule(
-        name="insert_thickness",
-        needs="bars.insert_E",
-        meaning="three contact radii / thickness of the inserts",
-        measure=_contact_over_insert,
-        warning=1.0,
-        applies=_between_bars,
-        words="the inserts are thin: three contact radii are up to {worst} times their thickness. "
-        "The bars deform, and may yield, below them",
-    ),
-    Rule(
-        name="pressure_shape",
-        meaning="approach / approach at first yield (pressure distribution)",
-        measure=_depth,
-        information=2.0,
-        warning=6.0,
-        laws=("plastic",),
-        words="the approach of a contact is up to {worst} times that at first yield (limit "
-        "{limit}): the pressure distribution is flatter than Hertz's, stresses inside the sphere "
-        "and at the rim are approximate",
-    ),
-    Rule(
-        name="quasi_static_sphere",
-        meaning="wave transits of the sphere, 2 r/sqrt(E/rho), during contact",
-        measure=lambda s, a: _transits(s, a, "loaded_time"),
-        warning=6.0,
-        failure=4.0,
-        rising=False,
-        applies=_one_contact,
-        words="only {worst} wave transits of the sphere during contact (at least {limit} are "
-        "needed for a quasi-static sphere)",
-    ),
-    Rule(
-        name="face_yield",
-        meaning="contact pressure / onset pressure of the counter-body",
-        measure=_over_partner_onset,
-        warning=1.0,
-        laws=("hertz",),
-        applies=lambda rig: not rig.by_wave,
-        advice=_partner_estimate,
-        words="the counter-body yields under the sphere, p_0 up to {worst} times its onset "
-        "pressure",
-    ),
-    Rule(
-        name="thin_plate",
-        meaning="plate thickness / contact radius, or wave transits of the plate during contact",
-        measure=_thin_plate,
-        warning=5.0,
-        failure=2.0,
-        rising=False,
-        applies=lambda rig: rig.may_have("plate"),
-        words="the plate is too thick for the thin-plate model (thickness/contact radius or wave "
-        'transits: {worst}, at least {limit} needed). Use kind = "thick" if few waves cross the '
-        "thickness during contact",
-    ),
-    Rule(
-        name="plate_edge",
-        meaning="contact time / return time of the flexural wave from the plate edge",
-        measure=_plate_edge,
-        warning=1.0,
-        applies=lambda rig: rig.may_have("plate"),
-        words="the contact lasts up to {worst} times the return time of the flexural wave from the "
-        "plate edge",
-    ),
-    Rule(
-        name="gravity",
-        meaning="moving weight / peak force (gravity is neglected)",
-        measure=_gravity,
-        information=0.01,
-        warning=0.05,
-        applies=lambda rig: rig.by_impact,
-        words="the weight of the moving bodies is up to {worst} of the peak force (limit {limit}); "
-        "the motion neglects gravity",
-    ),
-    Rule(
-        name="drag",
-        meaning="air drag of the fall, g h/v_t²",
-        measure=_drag,
-        needs="rig.drop_height",
-        information=0.05,
-        warning=0.2,
-        applies=_one_contact,
-        words="air drag affects the impact speed: g h/v_t² up to {worst} (limit {limit})",
-    ),
-    Rule(
-        name="oblique",
-        meaning="impact angle from the surface [deg] (friction and spin are neglected)",
-        measure=lambda s, a: np.rad2deg(s.columns["rig.angle"]),
-        needs="rig.angle",
-        information=75.0,
-        warning=45.0,
-        failure=20.0,
-        rising=False,
-        applies=_one_contact,
-        words="oblique impact, {worst} deg (limit {limit}). Only the normal velocity is used; "
-        "friction, spin and rim tension due to sliding are neglected",
-    ),
-    Rule(
-        name="wave_loss",
-        meaning="fraction of the impact energy radiated into a thick target",
-        measure=lambda s, a: loss_to_waves(s),
-        information=0.02,
-        warning=0.05,
-        applies=_one_contact,
-        words="up to {worst} of the impact energy is radiated into the target (limit {limit}). The "
-        "restitution includes this loss; forces and durations neglect it",
-    ),
-    Rule(
-        name="one_dimensional_rod",
-        meaning="rise time of the force / (bar radius/c_0) (one-dimensional waves)",
-        measure=_rod_rise,
-        warning=5.0,
-        rising=False,
-        applies=_on_rod,
-        words="the force rises within {worst} rod radii/c_0 (at least {limit} are needed for "
-        "one-dimensional waves)",
-    ),
-    Rule(
-        name="echo_in_contact",
-        meaning="contact time / wave round trip of the rod",
-        measure=_echo_under_load,
-        information=1.0,
-        applies=_on_rod,
-        words="reflected waves return along the rod during contact: {worst} round trips",
-    ),
-    Rule(
-        name="grazing_contact",
-        meaning="grazing contact, lost or kept by rounding alone (1 or 0)",
-        measure=lambda s, a: np.where(a.grazes, 1.0, 0.0),
-        information=0.0,
-        words="the contact force nearly vanishes, or contact is lost too often to keep the "
-        "tolerance: time to first contact loss, contact duration and force imbalance may be wrong "
-        "by what one oscillation of the sphere changes",
-    ),
-    Rule(
-        name="chatter",
-        meaning="number of recontacts before peak force",
-        measure=lambda s, a: a.values["retouches"],
-        information=0.0,
-        applies=lambda rig: rig.weight_falls,
-        words="contact is lost and regained before peak force, up to {worst} times",
-    ),
-    Rule(
-        name="one_sided_field",
-        meaning="contact radius / sphere radius where the contact forces differ",
-        measure=_one_sided,
-        information=0.1,
-        warning=0.2,
-        failure=0.3,
-        applies=lambda rig: rig.by_impact,
-        words="the contact forces differ and the contact is large, a/r up to {worst} (limit "
-        "{limit}). Stresses inside the sphere are approximate: the one-sided stress field is not "
-        "half the two-sided one",
-    ),
-)
-
-
-def grades(rule: Rule, measured: Array) -> Places:
+def grades_of(rule: Rule, measured: Array) -> Places:
     """Grade 0 to 3 of every row; a row without a number is graded 0.
 
-    >>> grades(RULES[0], np.array([0.1, 0.25, 0.4, np.nan])).tolist()
+    >>> grades_of(RULES["small_contact"], np.array([0.1, 0.25, 0.4, np.nan])).tolist()
     [0, 2, 3, 0]
     """
-    result = np.zeros(len(measured), dtype=np.int64)
-    for grade, threshold in enumerate((rule.information, rule.warning, rule.failure), start=1):
-        if threshold is not None:
-            beyond = measured > threshold if rule.rising else measured < threshold
-            result[beyond] = grade
-    return result
-
-
-def rules_of(scene: Scene) -> tuple[Rule, ...]:
-    """The checks that apply to a scene, by its contact law, its rig and its columns."""
-    return tuple(
-        rule
-        for rule in RULES
-        if scene.contact_law in rule.laws
-        and rule.applies(scene.setup)
-        and rule.needs in scene.columns
-    )
-
-
-def measured_rules(scene: Scene, answers: SceneAnswers) -> dict[Rule, Measured]:
-    """What every rule that applies measures, in the order of `RULES`."""
-    return {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
+    grades = np.zeros(len(measured), dtype=np.int64)
+    for grade, threshold in enumerate(rule.thresholds, start=1):
+        beyond = measured > threshold if rule.rising else measured < threshold
+        grades[beyond] = grade
+    return grades
 
 
 def check_validity(
-    scene: Scene, answers: SceneAnswers, measured: Mapping[Rule, Measured] | None = None
+    scene: Scene, answers: SceneAnswers, quantities: Collection[str] = ()
 ) -> list[ValidityCheck]:
     """Every check that applies to a batch, on its answers, in the order of `RULES`.
 
-    `measured` is what `measured_rules` returns, where it is at hand.  Raises ValueError for answers
-    of another batch.
+    quantities: names whose criteria have a range of validity; each gets one more check, named
+    ``range_of_QUANTITY``, at the peak force of each row.  Raises ValueError for answers of another
+    batch.
     """
     if len(answers.status) != len(scene):
         raise ValueError(f"the scene has {len(scene)} rows, the answers have {len(answers.status)}")
     good = answered(answers.status)
-    if measured is None:
-        measured = measured_rules(scene, answers)
-    checks = [_check(rule, scene, answers, good, values) for rule, values in measured.items()]
-    return [check for check in checks if check is not None]
+    with np.errstate(all="ignore"):
+        measured = {
+            key: MEASURES[key](scene, answers) for key, rule in RULES.items() if rule.applies(scene)
+        }
+        checks = [
+            _check(RULES[key], scene, answers, good, values)
+            for key, values in measured.items()
+            if values is not None
+        ]
+    return checks + _check_ranges(scene, answers, good, quantities)
 
 
 def _check(
-    rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags, measured: Measured
-) -> ValidityCheck | None:
-    if measured is None:
-        return None
-    if isinstance(measured, str):
-        return _without_number(rule, scene, measured, bool(good.any()))
-    usable = measured[good & ~np.isnan(measured)]
-    if len(usable) == 0:
-        return _result(rule.name, np.zeros(3), None, _NO_ROW)
-    worst = float(usable.max() if rule.rising else usable.min())
-    shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
-    if not shares.any():
-        return _result(rule.name, shares, worst, rule.statement(worst, ""))
-    usual, beyond = "", float(shares.sum())
-    if rule.rising and beyond > 1.0 - _USUAL:
-        most = float(np.quantile(usable, _USUAL, method="inverted_cdf"))
-        if most < _FAR * worst:
-            usual = f" ({most:.3g} in {100.0 * _USUAL:.3g} % of the samples)"
-    text = rule.statement(worst, _rows_text(beyond), rule.advice(scene, answers, good), usual)
-    return _result(rule.name, shares, worst, text)
-
-
-def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> ValidityCheck:
-    """A check without a number: one that was not made, or a pulse that jumps in every row."""
-    if rule.name == "one_dimensional_bars" and any_row:
-        text = (
-            f"an ideal {scene.shape} pulse has a vertical front that no bar transmits; use a "
-            "trapezoid with a measured rise time"
-        )
-        return _result(rule.name, np.array([1.0, 0.0, 0.0]), 0.0, text)
-    return _result(rule.name, np.zeros(3), None, why)
-
-
-def _result(name: str, shares: Array, worst: float | None, text: str) -> ValidityCheck:
-    information, warning, failure = (float(share) for share in shares)
-    # a step pulse has an infinite duration
-    if worst is not None and not np.isfinite(worst):
-        worst = None
+    rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags, measured: Array
+) -> ValidityCheck:
+    grades, usable = grades_of(rule, measured), good & ~np.isnan(measured)
+    if not usable.any():
+        return ValidityCheck(check=rule.name, grades=grades)
+    numbers = measured[usable]
+    worst = float(numbers.max() if rule.rising else numbers.min())
+    shares = np.bincount(grades[usable], minlength=4)[1:] / len(numbers)
+    text, broken = "", float(shares.sum())
+    if broken > 0.0:
+        shown = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
+        if rule.rising and broken > 1.0 - _USUAL:
+            most = float(np.quantile(numbers, _USUAL, method="inverted_cdf"))
+            if most < _FAR * worst:
+                shown += f" ({most:.3g} in {100.0 * _USUAL:.3g} % of the samples)"
+        # the threshold of the grade that the worst row reaches
+        limit = rule.thresholds[grades[usable].max() - 1]
+        words = rule.words.format(worst=shown, limit=f"{limit:.3g}", shape=scene.shape)
+        text = f"{_rows_text(broken)}: {words.replace(') (limit', '; limit')}"
+        if rule.key in ADVICE:
+            text += ADVICE[rule.key](scene, answers, good)
     return ValidityCheck(
-        check=name,
-        share_information=information,
-        share_warning=warning,
-        share_failure=failure,
-        worst=worst,
+        check=rule.name,
+        shares=tuple(shares.tolist()),
+        # a step pulse has an infinite duration
+        worst=worst if np.isfinite(worst) else None,
         text=text,
+        grades=grades,
     )
 
 
@@ -827,69 +467,57 @@ def _rows_text(fraction: float) -> str:
 _SYMBOLS: Final = {"sphere.nu": "nu", "modulus": "m"}
 
 
-def check_ranges(
-    scene: Scene, answers: SceneAnswers, quantities: Collection[str], demands: Demands | None = None
+def _check_ranges(
+    scene: Scene, answers: SceneAnswers, good: Flags, quantities: Collection[str]
 ) -> list[ValidityCheck]:
-    """One check per criterion whose demand is among the quantities, named ``range_of_QUANTITY``.
-
-    answers: with `p_max` and `a_max`.  demands: name -> (criterion, parameters), those of the scene
-    if None.  Each row is checked at its peak force.
-    """
-    criteria: dict[str, tuple[str, Mapping[str, float]]] = {
+    criteria: dict[str, tuple[str, Parameters]] = {
         entry.quantity: (name, {})
         for name, entry in CRITERIA.items()
         # the range of the contact pressure is Hertz's, which has its own check
         if entry.quantity is not None and name != "contact_pressure"
     }
-    criteria |= dict(scene.demands if demands is None else demands)
-    good = answered(answers.status)
-    columns = {
-        name: np.asarray(values)[good]
-        for name, values in {**scene.columns, **answers.values}.items()
-    }
-    checks = []
-    for name in dict.fromkeys(quantities):
-        if name in criteria:
-            key, parameters = criteria[name]
-            if CRITERIA[key].ranges:
-                checks.append(_check_range(name, CRITERIA[key], parameters, columns))
-    return checks
+    criteria |= scene.demands
+    columns = {name: values[good] for name, values in {**scene.columns, **answers.values}.items()}
+    return [
+        _check_range(name, *criteria[name], columns, good)
+        for name in dict.fromkeys(quantities)
+        if name in criteria and CRITERIA[criteria[name][0]].ranges
+    ]
 
 
 def _check_range(
-    quantity: str,
-    criterion: Criterion,
-    parameters: Mapping[str, float],
-    columns: Mapping[str, Array],
+    quantity: str, key: str, parameters: Parameters, columns: Mapping[str, Array], good: Flags
 ) -> ValidityCheck:
-    name = f"range_of_{quantity}"
-    inside = in_range(criterion, columns, parameters)
-    if len(inside) == 0:
-        return _result(name, np.zeros(3), None, _NO_ROW)
-    share = float((~inside).sum() / len(inside))
-    parts = [_farthest(*part) for part in ranges_of(criterion, columns, parameters)]
-    worst = max(parts, key=lambda part: part[0])[1]
-    text = f"{criterion.name} is used inside its range ({criterion.range_text})"
+    criterion, grades = CRITERIA[key], np.zeros(len(good), dtype=np.int64)
+    check = f"range_of_{quantity}"
+    if not good.any():
+        return ValidityCheck(check=check, grades=grades)
+    inside = np.ones(int(good.sum()), dtype=bool)
+    farthest, worst, outside = -math.inf, math.nan, []
+    for name, values, low, high in ranges_of(criterion, columns, parameters):
+        inside &= (values >= low) & (values <= high)
+        least, most = float(values.min()), float(values.max())
+        below, above = low - least, most - high
+        beyond, extreme = max(below, above) / (high - low), most
+        if below > max(above, 0.0):
+            extreme = least
+        if beyond > farthest:
+            farthest, worst = beyond, extreme
+        if beyond > 0.0:
+            text = f"{extreme:.3g}"
+            if min(below, above) > 0.0:
+                text = f"{least:.3g} to {most:.3g}"
+            outside.append(f"{_SYMBOLS.get(name, name)} = {text}")
+    share, text = float((~inside).sum() / len(inside)), ""
     if share > 0.0:
-        outside = ", ".join(words for beyond, _, words in parts if beyond > 0.0)
         consequence = "the formula is extrapolated"
         if "equal forces" in criterion.range_text:
             consequence = "the value at the table edge is used"
         text = (
             f"{_rows_text(share)}: {criterion.name} is outside its range "
-            f"({criterion.range_text}), {outside}; {consequence}"
+            f"({criterion.range_text}), {', '.join(outside)}; {consequence}"
         )
-    return _result(name, np.array([0.0, share, 0.0]), worst, text)
-
-
-def _farthest(key: str, values: Array, low: float, high: float) -> tuple[float, float, str]:
-    """How far values lie beyond the bounds (over their distance), the farthest value, its text."""
-    least, most = float(values.min()), float(values.max())
-    below, above = low - least, most - high
-    worst = most
-    if below > max(above, 0.0):
-        worst = least
-    text = f"{worst:.3g}"
-    if min(below, above) > 0.0:
-        text = f"{least:.3g} to {most:.3g}"
-    return max(below, above) / (high - low), worst, f"{_SYMBOLS.get(key, key)} = {text}"
+    grades[good] = np.where(inside, 0, 2)
+    return ValidityCheck(
+        check=check, shares=(0.0, share, 0.0), worst=worst, text=text, grades=grades
+    )

@@ -135,7 +135,6 @@ def _warn_of_unusual(names: Sequence[str], rows: Array) -> None:
 
 def _warn_of_range(study: Study, names: Sequence[str], rows: Array, columns: Sequence[str]) -> None:
     """Warn of samples that lie outside the range in which the impact model is valid."""
-    results, _ = checked_rows(study, names, rows[:_CHECKED], columns)
-    for result in results:
+    for result in checked_rows(study, names, rows[:_CHECKED], columns):
         if result.grade == _FAILURE:
             warnings.warn(f"outside the validity range of the model: {result.text}", stacklevel=3)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
 from uqsphere.models.rows import EvaluatedRows, where_of
@@ -119,14 +119,8 @@ def solve_scene(
         threads=threads,
         quantities=quantities,
     )
-    if scene.by_wave:
-        exact: Flags = np.asarray(closed_form.closed_form_applies(scene, fidelity))
-        closed = partial(closed_form.solve_closed, fidelity=fidelity, quantities=quantities)
-    elif fidelity == "massless" and closed_form.light_sphere_applies(scene):
-        exact, closed = np.asarray(True), partial(closed_form.solve_light, quantities=quantities)
-    else:
-        exact = closed_form.closed_form_rows(scene)
-        closed = partial(closed_form.solve_impact, quantities=quantities)
+    exact = closed_form.closed_form_rows(scene, fidelity)
+    closed = partial(closed_form.solve_closed, fidelity=fidelity, quantities=quantities)
     if exact.all():
         return closed(scene)
     if not exact.any():
@@ -214,21 +208,15 @@ def check_scene(study: Study) -> None:
 
 def checked_rows(
     study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str]
-) -> tuple[list[ValidityCheck], dict[str, Places]]:
-    """The validity checks of rows (n, d), those of the ranges of criteria among the quantities, and
-    the grade of every row, (n,), by the name of its check."""
-    from uqsphere.mechanics.validity import check_ranges, check_validity, grades, measured_rules
+) -> list[ValidityCheck]:
+    """The validity checks of rows (n, d), with those of the ranges of criteria among the
+    quantities.
+    """
+    from uqsphere.mechanics.validity import check_validity
 
     scene = scene_at(study, names, rows)
     answers = solve_scene(scene, study.model.fidelity, tolerance=study.model.tolerance)
-    measured = measured_rules(scene, answers)
-    graded = {
-        rule.name: grades(rule, row)
-        for rule, row in measured.items()
-        if isinstance(row, np.ndarray)
-    }
-    checks = check_validity(scene, answers, measured)
-    return [*checks, *check_ranges(scene, answers, quantities)], graded
+    return check_validity(scene, answers, quantities)
 
 
 def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:
@@ -252,10 +240,7 @@ def onset_of(study: Study) -> float | None:
     if study.black_box:
         return None
     scene = scene_of(study, {}, 1)
-    tables = {partner.table for partner in scene.there}
-    onsets = [
-        float(law_of(scene.columns, table, rigid=scene.rigid_contact).onset[0]) for table in tables
-    ]
+    onsets = [float(law_of(scene.columns, partner.body).onset[0]) for partner in scene.there]
     lowest = min(onsets, default=math.inf)
     if not math.isfinite(lowest):
         return None
@@ -277,8 +262,7 @@ def fractures_of(
     study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], shares: Array
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
-    from uqsphere.mechanics.fracture import first_fractures
-    from uqsphere.mechanics.outputs import path_of
+    from uqsphere.mechanics.fracture import first_fractures, path_of
 
     paths = [path_of(name, study.demands) for name in quantities]
     return first_fractures(

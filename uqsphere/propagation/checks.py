@@ -113,16 +113,13 @@ def _breaches(
     worst where none is given.
     """
     design, breached = line.design, []
-    results, grades = checked_rows(design.judged, *inputs_at(line), design.columns)
     current = {limit.name: limit for limit in design.judged.limits}
     weights = {}
     for limit in limits:
         state = line.state(current[limit.name])
         weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
-    for result in results:
-        beyond = np.zeros(line.rows.size, dtype=bool)
-        if result.check in grades:
-            beyond = grades[result.check] >= (grade_by_check or {}).get(result.check, 3)
+    for result in checked_rows(design.judged, *inputs_at(line), design.columns):
+        beyond = result.grades >= (grade_by_check or {}).get(result.check, 3)
         if result.grade:
             check = Check(
                 name=result.check,

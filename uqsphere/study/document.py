@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -28,7 +28,7 @@ from pydantic import model_validator as checked
 
 from uqsphere.documents import Fault, Place, TomlTable, shown, table_in
 from uqsphere.mechanics.bars import END_COEFFICIENTS
-from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Parameter
+from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS
 from uqsphere.study.values import (
@@ -81,17 +81,10 @@ def _fixed(name: str) -> Any:
     """The mark of a fixed number with its unit: a parameter of a criterion, or any number of a
     dimension.
     """
-    part = PARAMETERS.get(name) or Parameter(name=name, dimension=name, meaning=name)
-    quantity = Quantity(
-        name=name,
-        symbol="",
-        dimension=part.dimension,
-        meaning=f"the {part.meaning}",
-        lower=part.lower,
-        upper=part.upper,
-    )
+    number = PARAMETERS.get(name) or Quantity(name=name, symbol="", dimension=name, meaning=name)
+    quantity = replace(number, meaning=f"the {number.meaning}")
     return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(
-        _fixed_schema(part.dimension)
+        _fixed_schema(number.dimension)
     )
 
 

@@ -16,7 +16,7 @@ from uqsphere.documents import Fault, Place, declared, one_of, shown, suggestion
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
-from uqsphere.mechanics.outputs import PATHS, follows_force
+from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.rigs import LAW, RIGS, sphere_body
 from uqsphere.quantities import INPUTS, lookup, plain_quantity
 from uqsphere.study import values
@@ -72,10 +72,11 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     """One limit: demand, strength and model factor; raises Fault."""
     place = ("limits", name)
     limit = _demand(draft, name, table)
-    if table.fracture and table.criterion is None and limit.quantity not in PATHS:
+    of_fracture = sorted(name for name, entry in OUTPUTS.items() if entry.fracture)
+    if table.fracture and table.criterion is None and limit.quantity not in of_fracture:
         raise Fault(
             f"{limit.quantity} is not a fracture quantity; fracture = true needs a criterion or "
-            f"one of {one_of(sorted(PATHS))}",
+            f"one of {one_of(of_fracture)}",
             "fracture",
         )
     with within("model_factor"):
@@ -228,7 +229,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     Fault.
     """
     demand, kind = limit.criterion or limit.quantity, table.fit or "weibull"
-    if limit.criterion is None and not follows_force(demand):
+    if limit.criterion is None and not lookup(demand).follows:
         raise Fault(
             f"forces at failure do not determine {demand}. Use a criterion (uqsphere list "
             "criteria)",

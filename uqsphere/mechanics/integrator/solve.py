@@ -478,7 +478,7 @@ def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
         raise ValueError(
             f"the fidelity {fidelity!r} is one of the rig bars: rig {scene.rig!r} needs 'full'"
         )
-    if fidelity == "linear" and scene.faces is not None:
+    if fidelity == "linear" and scene.struck.face is not None:
         raise ValueError(
             "a linear contact does not yield: choose the fidelity full or massless, or [contact] "
             "law hertz"
