@@ -113,9 +113,8 @@ def test_the_first_tension_against_a_plain_search(bar, shape, numbers, share, ne
         assert (
             field_at(history.motion, bar, d, np.full(d.shape, time)).stress > level
         ).any() == some
-    assert (
-        field_at(history.motion, bar, found.position, [found.time * (1.0 + 1e-5)]).stress[0] > 0.0
-    )
+    later = np.array([found.time * (1.0 + 1e-5)])
+    assert field_at(history.motion, bar, found.position, later).stress[0] > 0.0
 
 
 def test_no_tension_where_nothing_pulls():

@@ -128,11 +128,11 @@ def massless_approach(s: Values, theta: Values) -> Array:
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
     [0.363053, 0.620178, 0.066776]
     """
-    s, theta = np.broadcast_arrays(np.asarray(s, dtype=float), np.asarray(theta, dtype=float))
+    s, theta = np.asarray(s, dtype=float), np.asarray(theta, dtype=float)
     loading = loading_approach(np.minimum(s, theta))
-    over = s > theta
-    after = np.where(over, s - np.where(over, theta, 0.0), 0.0)
-    return np.where(over, relaxing_approach(np.where(over, loading, 1.0), after), loading)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relaxing = relaxing_approach(loading, np.maximum(s - theta, 0.0))
+    return np.where(s > theta, relaxing, loading)
 
 
 def _massless(scene: Scene) -> dict[str, Array]:
@@ -156,7 +156,7 @@ def _massless(scene: Scene) -> dict[str, Array]:
     remaining = np.where(ended > theta, relaxing_approach(peak, after), peak)
     remaining = np.where(np.isfinite(horizon), remaining, 0.0)
     tracked = {
-        **dict.fromkeys(("x_max", "x_a", "x_b", "x_first_a", "x_first_b"), peak),
+        **dict.fromkeys(("x_max", "x_a", "x_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
         "difference": np.zeros_like(peak),
         "contact_censored": np.ones_like(peak),

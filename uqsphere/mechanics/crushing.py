@@ -36,28 +36,20 @@ def value_at(
     rate: Array | None = None,
 ) -> Array:
     """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s]."""
-    own = {
-        key: np.broadcast_to(np.asarray(value, dtype=float), radius.shape)
-        for key, value in sphere.items()
-    }
+    own = {key: np.broadcast_to(np.float64(value), radius.shape) for key, value in sphere.items()}
     modulus = np.asarray(contact.reduced_modulus(own["E"], own["nu"], *platens))
     beta = contact.hertz_constant(modulus, radius)
     share = modulus * (1.0 - np.square(own["nu"])) / own["E"]
-    takes = own.get("takes")
-    if takes is None:
-        press, approach = {}, contact.approach_at_force(force, beta)
-        stored, lost = 2.0 * contact.contact_energy(approach, beta), np.zeros(radius.shape)
-    else:
-        face = Face(
-            onset=own["onset_pressure"],
-            hardness=own["hardness"],
-            pile_up=own["pile_up"],
-            modulus=modulus,
-            effective_radius=radius,
-        )
+    if "takes" in own:
+        law = {"onset": own["onset_pressure"], "hardness": own["hardness"]}
+        face = Face(**law, pile_up=own["pile_up"], modulus=modulus, effective_radius=radius)
         state = face.pressed(face.depth_at(force))
-        press, approach = pressures_of(state, modulus, radius, takes), state.approach
-        stored, lost = 2.0 * state.stored, 2.0 * takes * state.plastic
+        press = pressures_of(state, modulus, radius, own["takes"])
+        stored, lost = 2.0 * state.stored, 2.0 * own["takes"] * state.plastic
+    else:
+        approach = contact.approach_at_force(force, beta)
+        press = {"alpha_max": approach}
+        stored, lost = 2.0 * contact.contact_energy(approach, beta), np.zeros_like(beta)
     energy = stored
     if "partner" in own:
         # energy of the sphere here, and of the counter-bodies in the study's own rig
@@ -71,13 +63,12 @@ def value_at(
             "hertz_constant": beta,
             "mass": contact.sphere_mass(radius, own["density"]),
             "P_max": force,
-            "alpha_max": approach,
             **press,
             "first_peak": lambda: columns["p_max"],
             "energy_sphere": share * stored + lost,
             "impact_energy": stored,
             "energy": energy,
-            "loading_rate": np.zeros(radius.shape) if rate is None else rate,
+            "loading_rate": np.zeros_like(radius) if rate is None else rate,
         }
     )
     if isinstance(of, str):
@@ -101,18 +92,20 @@ def force_at(
     if not isinstance(of, str):
         # the tests were slow: without the rate effect
         of = of[0], {key: part for key, part in of[1].items() if key != "rate_0"}
-    value, radius = np.broadcast_arrays(
-        *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (value, radius))
-    )
+    value, radius = np.broadcast_arrays(*np.atleast_1d(np.float64(value), np.float64(radius)))
+
+    def logarithm(x: Array) -> Array:
+        return np.log(value_at(np.exp(x), of, sphere, radius, platens))
+
     with np.errstate(all="ignore"):
         wanted = np.log(np.where(value > 0.0, value, 1.0))
         x, slope = np.log(1e7 * np.square(radius)), np.full(radius.shape, 0.7)
-        y = np.log(value_at(np.exp(x), of, sphere, radius, platens))
+        y = logarithm(x)
         for _ in range(60):
             step = np.clip((wanted - y) / slope, -6.0, 6.0)
             if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
                 break
-            after = np.log(value_at(np.exp(x + step), of, sphere, radius, platens))
+            after = logarithm(x + step)
             secant = (after - y) / step
             slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
             x, y = x + step, after

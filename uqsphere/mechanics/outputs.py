@@ -255,10 +255,11 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSou
     columns: dict[str, ColumnSource] = {
         "sides": sides,
         **{column: partial(largest, column) for column in _LARGEST},
-        "first_peak": first_peak,
         "energy_sphere": energy_of_sphere,
         "dissipated": lambda: sum(side["dissipated"] for side in sides),
     }
+    if f"x_first_{'ab'[poles[0]]}" in tracked:
+        columns["first_peak"] = first_peak
     if single:
         # a single contact loads the centre by half
         names = ("mean_force_max", "force_at_centre")

@@ -21,7 +21,7 @@ from uqsphere.mechanics.criteria import CRITERIA, Parameters, ranges_of
 from uqsphere.mechanics.inputs import declared
 from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
 from uqsphere.mechanics.rigs import GRAVITY, sphere_body, terminal_speed
-from uqsphere.mechanics.scene import Partner, Scene, answered
+from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.yielding import ContactParameters, Face, softer
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
@@ -277,8 +277,12 @@ def _echo_under_load(scene: Scene, answers: SceneAnswers) -> Array | None:
     return answers.values["loaded_time"] / scene.first_echo
 
 
-def _plate(scene: Scene) -> Partner | None:
-    return next((partner for partner in scene.there if partner.kind == "plate"), None)
+def _plate(scene: Scene) -> list[Array] | None:
+    """E, nu, density, thickness and width of the counter-body that is a plate."""
+    for partner in scene.there:
+        if partner.kind == "plate":
+            return scene.numbers(partner.table, "E nu density thickness width")
+    return None
 
 
 def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | None:
@@ -289,7 +293,7 @@ def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | None:
     plate = _plate(scene)
     if plate is None:
         return None
-    E, nu, density, thickness = scene.numbers(plate.table, "E nu density thickness")
+    E, nu, density, thickness, _ = plate
     sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
     transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
     return np.asarray(np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0)))
@@ -304,7 +308,7 @@ def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | None:
     plate = _plate(scene)
     if plate is None:
         return None
-    E, nu, density, thickness, width = scene.numbers(plate.table, "E nu density thickness width")
+    E, nu, density, thickness, width = plate
     loaded = answers.values["loaded_time"]
     bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
     return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
@@ -488,27 +492,20 @@ def _check_ranges(
 def _check_range(
     quantity: str, key: str, parameters: Parameters, columns: Mapping[str, Array], good: Flags
 ) -> ValidityCheck:
-    criterion, grades = CRITERIA[key], np.zeros(len(good), dtype=np.int64)
-    check = f"range_of_{quantity}"
+    criterion, grades, check = CRITERIA[key], np.zeros_like(good, dtype=int), f"range_of_{quantity}"
     if not good.any():
         return ValidityCheck(check=check, grades=grades)
-    inside = np.ones(int(good.sum()), dtype=bool)
-    farthest, worst, outside = -math.inf, math.nan, []
+    outside = []
     for name, values, low, high in ranges_of(criterion, columns, parameters):
-        inside &= (values >= low) & (values <= high)
+        grades[good] = np.maximum(grades[good], np.where((values < low) | (values > high), 2, 0))
         least, most = float(values.min()), float(values.max())
         below, above = low - least, most - high
-        beyond, extreme = max(below, above) / (high - low), most
-        if below > max(above, 0.0):
-            extreme = least
-        if beyond > farthest:
-            farthest, worst = beyond, extreme
-        if beyond > 0.0:
-            text = f"{extreme:.3g}"
+        if max(below, above) > 0.0:
+            text = f"{least if below > above else most:.3g}"
             if min(below, above) > 0.0:
                 text = f"{least:.3g} to {most:.3g}"
             outside.append(f"{_SYMBOLS.get(name, name)} = {text}")
-    share, text = float((~inside).sum() / len(inside)), ""
+    share, text = float((grades[good] > 0).mean()), ""
     if share > 0.0:
         consequence = "the formula is extrapolated"
         if "equal forces" in criterion.range_text:
@@ -517,7 +514,4 @@ def _check_range(
             f"{_rows_text(share)}: {criterion.name} is outside its range "
             f"({criterion.range_text}), {', '.join(outside)}; {consequence}"
         )
-    grades[good] = np.where(inside, 0, 2)
-    return ValidityCheck(
-        check=check, shares=(0.0, share, 0.0), worst=worst, text=text, grades=grades
-    )
+    return ValidityCheck(check=check, shares=(0.0, share, 0.0), text=text, grades=grades)
