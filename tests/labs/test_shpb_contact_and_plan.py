@@ -18,8 +18,8 @@ from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.contact import (
     ContactDocument,
-    FaceLaw,
     face_approach,
+    face_law,
     fit_contact,
     load_loading,
 )
@@ -37,7 +37,7 @@ def loading(
         [np.linspace(0.0, top, 400), *([np.linspace(top, 0.0, 300)] if unload else [])]
     )
     largest = np.maximum(np.maximum.accumulate(force), 1e-9)
-    approach = face_approach(force, largest, FaceLaw(radius=RADIUS, **TRUTH))
+    approach = face_approach(force, largest, face_law(radius=RADIUS, **TRUTH))
     rng = np.random.default_rng(1)
     path = 2.0 * approach + compliance * force + 1e-5 + noise * rng.standard_normal(len(force))
     return pd.DataFrame({"u [um]": path * 1e6, "F [N]": force})
@@ -46,13 +46,12 @@ def loading(
 def fit(frame: pd.DataFrame, folder: Path, **keys: Any) -> Any:
     frame.to_csv(folder / "slow.csv", index=False)
     asked = ContactDocument(file="slow.csv", diameter="10 mm", **keys)
-    displacement, force, _ = load_loading(asked, folder)
-    return fit_contact(displacement, force, asked)
+    return fit_contact(load_loading(asked, folder), asked)
 
 
 def test_a_face_is_hertz_below_its_onset() -> None:
     force = np.array([5.0, 20.0])
-    law = FaceLaw(radius=RADIUS, modulus=40e9, onset=50e9, hardness=100e9, pile_up=2.0)
+    law = face_law(radius=RADIUS, modulus=40e9, onset=50e9, hardness=100e9, pile_up=2.0)
     elastic = face_approach(force, force, law)
     np.testing.assert_allclose(
         elastic, np.cbrt(np.square(force / hertz_constant(40e9, RADIUS))), rtol=1e-9

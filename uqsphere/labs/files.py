@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -45,12 +44,13 @@ def from_library(raw: Any, *kinds: str) -> Any:
         materials |= library()[kind]
     if raw["material"] not in materials:
         raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
-    properties, completed = materials[raw["material"]].properties, dict[str, Any]()
-    for key, unit in (("E", "Pa"), ("density", "kg/m3")):
-        if key in properties:
-            completed[key] = f"{properties[key].value!r} {unit}"
-    if "nu" in properties:
-        completed["nu"] = properties["nu"].value
+    properties = materials[raw["material"]].properties
+    units = {"E": "Pa", "density": "kg/m3", "nu": ""}
+    completed = {
+        key: f"{properties[key].value!r} {unit}" if unit else properties[key].value
+        for key, unit in units.items()
+        if key in properties
+    }
     return {**completed, **raw}
 
 
@@ -61,19 +61,15 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
         line = "  ".join([*cells, row[-1]]).rstrip()
-        lines.append(re.sub(r"[^\x20-\x7e]", _printable, line))
+        lines.append("".join(mark if mark.isprintable() else "?" for mark in line))
     return "\n".join(lines)
 
 
-def _printable(match: re.Match[str]) -> str:
-    return match[0] if match[0].isprintable() else "?"
-
-
-def csv_text(header: Sequence[str], columns: Sequence[Any]) -> str:
-    """Columns as CSV."""
+def csv_text(content: Any, head: Sequence[str] | None = None) -> str:
+    """Columns by their names, or rows below a head, as CSV."""
     import pandas as pd
 
-    frame = pd.DataFrame(dict(zip(header, columns, strict=True)))
+    frame = pd.DataFrame(content, columns=head)
     return str(frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
 
 
@@ -97,20 +93,14 @@ def chosen_command(
     return chosen.function(chosen) or 0
 
 
-def finish(
-    chosen: argparse.Namespace,
-    content: Any,
-    text: str,
-    files: Mapping[str, str],
-    folder: Path | None = None,
-) -> None:
-    """Write the files of a command to `--out` or `folder`, and print its answer."""
+def finish(chosen: argparse.Namespace, content: Any, text: str, files: Mapping[str, str]) -> None:
+    """Write the files of a command to `--out`, and print its answer."""
     from uqsphere.results.folder import write_files
 
-    folder, written = chosen.out or folder, list[str]()
-    if folder is not None:
-        write_files(folder, files)
-        written = [str(folder / name) for name in files]
+    written = []
+    if chosen.out is not None:
+        write_files(chosen.out, files)
+        written = [str(chosen.out / name) for name in files]
     if chosen.json:
         print(json.dumps({**content, "written": written}, indent=1, allow_nan=False))
     else:

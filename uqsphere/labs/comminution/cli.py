@@ -58,14 +58,15 @@ def _run(chosen: argparse.Namespace) -> None:
             for row in answer["classes"]
         ]
         head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
-        files["classes.csv"] = csv_text(head, [*zip(*rows, strict=True)])
-        rows = [tuple(row.values()) for row in answer["product"]]
+        files["classes.csv"] = csv_text(rows, head)
+        rows = [(*row.values(),) for row in answer["product"]]
         if rows:
             head = ["sieve [m]", "feed", "passing", "low", "high"]
-            files["product.csv"] = csv_text(head, [*zip(*rows, strict=True)])
+            files["product.csv"] = csv_text(rows, head)
     for warning in dict.fromkeys(warnings):
         print(f"note: {warning}", file=sys.stderr)
-    finish(chosen, content, text, files, Path(f"{chosen.file.stem}-{chosen.command}"))
+    chosen.out = chosen.out or Path(f"{chosen.file.stem}-{chosen.command}")
+    finish(chosen, content, text, files)
 
 
 def _json(content: Any) -> str:

@@ -136,7 +136,7 @@ class Posterior:
         bounded = np.array([model.law == "lognormal" for model in self.models])[self.law]
         p: dict[str, Any] = {"sigma": np.nan, "modulus": np.nan, **self.parameters}
         shape = np.where(bounded, p["sigma"], 0.6 * p["modulus"])
-        columns: dict[str, Any] = {
+        columns = {
             "distribution": np.where(bounded, "lognormal", "weibull"),
             "scale [J/kg]": np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape)),
             "shape": shape,
@@ -147,8 +147,7 @@ class Posterior:
             "smallest [mm]": self.tested[0] * 1e3,
             "largest [mm]": self.tested[1] * 1e3,
         }
-        rows = [np.broadcast_to(column, len(self)) for column in columns.values()]
-        return csv_text(tuple(columns), rows)
+        return csv_text(columns)
 
 
 class Fit(NamedTuple):

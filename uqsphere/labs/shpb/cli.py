@@ -15,19 +15,13 @@ from uqsphere.labs.shpb.document import RecordDocument
 
 def main(argv: Sequence[str]) -> int:
     """Run a command of the lab; exit code 2 if no record can be read."""
-    return chosen_command(
-        argv,
-        "shpb",
-        __doc__,
-        {
-            "records": (_records, "forces at the faces of a specimen from gauge records"),
-            "fit-contact": (
-                _fit_contact,
-                "contact law of a sphere that yields, from a slow load-unload record",
-            ),
-            "plan": (_plan, "speed, height or force at which a share of the spheres breaks"),
-        },
-    )
+    contact = "contact law of a sphere that yields, from a slow load-unload record"
+    commands = {
+        "records": (_records, "forces at the faces of a specimen from gauge records"),
+        "fit-contact": (_fit_contact, contact),
+        "plan": (_plan, "speed, height or force at which a share of the spheres breaks"),
+    }
+    return chosen_command(argv, "shpb", __doc__, commands)
 
 
 def _records(chosen: argparse.Namespace) -> int:
@@ -36,9 +30,8 @@ def _records(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.mending import load_record
     from uqsphere.labs.shpb.waves import read_test
 
-    several = len(chosen.file) > 1
-    lines, contents, texts, files = list[list[str]](), [], [], dict[str, str]()
-    refused = 0
+    several, refused = len(chosen.file) > 1, 0
+    lines, contents, texts, files = list[tuple[str, ...]](), [], [], dict[str, str]()
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
         try:
@@ -47,7 +40,7 @@ def _records(chosen: argparse.Namespace) -> int:
             if not several:
                 raise
             refused += 1
-            lines.append([path.stem, "", "", "", "", f"refused: {error}"])
+            lines.append((path.stem, "", "", "", "", f"refused: {error}"))
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
             continue
@@ -60,15 +53,14 @@ def _records(chosen: argparse.Namespace) -> int:
         if asked.specimen.diameter is not None:
             diameter = f"{asked.specimen.diameter * 1e3:.6g}"
         forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
-        lines.append([path.stem, diameter, *forces, "; ".join(peak.doubts)])
+        lines.append((path.stem, diameter, *forces, "; ".join(peak.doubts)))
         folder = f"{path.stem}/" if several else ""
-        files[f"{folder}forces.csv"] = sheet.forces_csv(test)
-        files[f"{folder}pulse.csv"] = sheet.pulse_csv(test)
-        files[f"{folder}sheet.html"] = sheet.page(test, asked, asked.record.file)
+        files |= {folder + name: text for name, text in sheet.written(test, asked).items()}
+    content = contents[0]
     if several:
         head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
-        files["tests.csv"] = csv_text(head, [*zip(*lines, strict=True)])
-    content = {"tests": contents} if several else contents[0]
+        files["tests.csv"] = csv_text(lines, head)
+        content = {"tests": contents}
     finish(chosen, content, "\n\n".join(texts), files)
     return 2 if refused == len(chosen.file) else 0
 
@@ -77,17 +69,12 @@ def _fit_contact(chosen: argparse.Namespace) -> None:
     from uqsphere.labs.shpb.contact import ContactDocument, fit_contact, load_loading
 
     asked = load_document(chosen.file, ContactDocument)
-    displacement, force, notes = load_loading(asked, chosen.file.parent)
-    fit = fit_contact(displacement, force, asked)
-    for note in (*notes, *fit.notes):
+    fit = fit_contact(load_loading(asked, chosen.file.parent), asked)
+    for note in fit.notes:
         print(f"note: {note}", file=sys.stderr)
     lines = fit.lines()
-    finish(
-        chosen,
-        {**asdict(fit), "toml": lines},
-        table(fit.rows()) + "\n\n" + lines,
-        {"contact.toml": lines},
-    )
+    text = table(fit.rows()) + "\n\n" + lines
+    finish(chosen, {**asdict(fit), "toml": lines}, text, {"contact.toml": lines})
 
 
 def _plan(chosen: argparse.Namespace) -> None:

@@ -8,13 +8,13 @@ first touch follow by least squares of the displacement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
@@ -63,7 +63,7 @@ class ContactDocument(Section):
     compression: Literal["positive", "negative"] = "positive"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Fitted:
     """A number with its 95 % interval, SI."""
 
@@ -122,30 +122,21 @@ class ContactFit:
         ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Loading:
-    """A slow record: displacement [m], force [N] and the largest force so far [N], (n,) each."""
+class Loading(NamedTuple):
+    """The samples (n,) of a slow record that are fitted, in its order: displacement [m], force [N]
+    and the largest force so far [N]."""
 
     displacement: Array
     force: Array
     largest: Array
+    notes: list[str]
 
 
-@dataclass(frozen=True, kw_only=True)
-class FaceLaw:
-    """The law of a face: radius of the sphere [m], E*, onset, hardness [Pa], pile-up."""
+def load_loading(asked: ContactDocument, folder: Path) -> Loading:
+    """The record of an input file.
 
-    radius: float
-    modulus: float
-    onset: float
-    hardness: float
-    pile_up: float
-
-
-def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, list[str]]:
-    """Displacement [m] and force [N], (n,) in the order of the record, and notes.
-
-    Raises UsageError for a table without them.
+    Raises UsageError for a table without displacement and force, and for a record without
+        compression or unloading, or of too few samples.
     """
     table, _ = read_recorded(folder / asked.file)
     displacement = table.numbers(
@@ -153,100 +144,8 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, li
     )
     force = table.numbers(asked.force, "force", asked.force_unit or None, key="force")
     table.check()
-    sign = 1.0 if asked.compression == "positive" else -1.0
-    return sign * displacement, sign * force, table.notes
-
-
-def face_approach(force: Array, largest: Array, law: FaceLaw) -> Array:
-    """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
-    face = Face(
-        onset=np.full(1, law.onset),
-        hardness=np.full(1, law.hardness),
-        pile_up=np.full(1, law.pile_up),
-        modulus=np.full(1, law.modulus),
-        effective_radius=np.full(1, law.radius),
-    )
-    depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
-    deepest = face.depth_at(largest[below])
-    share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
-    depth[below] = deepest - face.recovery(deepest) * (1.0 - share)
-    return np.asarray(depth * face.onset_approach)
-
-
-def fit_contact(displacement: Array, force: Array, asked: ContactDocument) -> ContactFit:
-    """Onset, hardness and pile-up of the faces of a sphere.
-
-    Raises UsageError for a record without compression or unloading, of too few samples, or elastic
-        throughout.
-    """
-    loading = _usable(displacement, force, asked)
-    radius, scale = 0.5 * asked.diameter, float(np.ptp(loading.displacement))
-    best = _best_fit(loading, radius, asked.pile_up)
-    left, law = best.fun, _law_of(best.x, radius, asked.pile_up)
-    highest = loading.force.max()
-    onset_approach = radius * (0.5 * math.pi * law.onset / law.modulus) ** 2
-    depth = float(face_approach(highest[None], highest[None], law)[0]) / onset_approach
-    # correlated residuals count for fewer
-    correlation = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    if correlation <= 2.0 / math.sqrt(len(left)):
-        correlation = 0.0
-    free = len(left) - len(best.x)
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * float(left @ left) / free
-    covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
-
-    def reach(*weights: float) -> float:
-        """Half the 95 % interval of a sum of the first parameters."""
-        part = covariance[: len(weights), : len(weights)]
-        return float(stdtrit(free, 0.975)) * math.sqrt(
-            max(float(np.array(weights) @ part @ weights), 0.0)
-        )
-
-    def interval(value: float, *weights: float) -> Fitted:
-        factor = math.exp(reach(*weights))
-        return Fitted(value=value, low=value / factor, high=value * factor)
-
-    modulus, onset = interval(law.modulus, 1.0), interval(law.onset, 0.0, 1.0)
-    hardness = interval(law.hardness, 0.0, 1.0, 1.0)
-    misfit = float(np.sqrt(np.mean(np.square(left))))
-    undetermined = onset.high > _OPEN * onset.low
-    if undetermined and misfit > 0.01:
-        raise UsageError(
-            "no contact law fits this record. Check the force for an offset, steps or clipping"
-        )
-    if undetermined or depth < 1.5:
-        reached = float(pressure_at_force(highest, law.modulus, radius))
-        raise UsageError(
-            f"the record is hardly beyond Hertz (pressure up to {reached / 1e9:.3g} GPa): press "
-            "harder"
-        )
-    notes = []
-    if hardness.high > _OPEN * hardness.low:
-        notes.append("the record does not determine the hardness: press harder")
-    if correlation > 0.0:
-        notes.append(
-            f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
-            "the intervals are widened"
-        )
-    half = reach(0.0, 0.0, 0.0, 0.0, 1.0) if asked.pile_up is None else 0.0
-    return ContactFit(
-        onset_pressure=onset,
-        hardness=hardness,
-        modulus=modulus,
-        pile_up=Fitted(
-            value=law.pile_up,
-            low=max(law.pile_up - half, _PILE_UP[0]),
-            high=min(law.pile_up + half, _PILE_UP[1]),
-        ),
-        sphere_modulus=_sphere_modulus(modulus, asked, notes, onset),
-        depth=depth,
-        misfit=scale * misfit,
-        samples=len(left),
-        notes=tuple(notes),
-    )
-
-
-def _usable(displacement: Array, force: Array, asked: ContactDocument) -> Loading:
-    """The samples that are fitted; UsageError for a record that is no such test."""
+    if asked.compression == "negative":
+        displacement, force = -displacement, -force
     if asked.machine_stiffness is not None:
         displacement = displacement - force / asked.machine_stiffness
     top = int(np.argmax(force))
@@ -274,61 +173,117 @@ def _usable(displacement: Array, force: Array, asked: ContactDocument) -> Loadin
         raise UsageError(
             f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required"
         )
-    largest = np.maximum.accumulate(force)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int))]
-    return Loading(displacement=displacement[kept], force=force[kept], largest=largest[kept])
+    largest = np.maximum.accumulate(force)
+    return Loading(displacement[kept], force[kept], largest[kept], table.notes)
 
 
-def _law_of(x: Array, radius: float, pile_up: float | None) -> FaceLaw:
-    """The law of fitted numbers: logarithms of E*, onset and H/p_y, touch, and pile-up if free."""
-    modulus, onset, ratio = (math.exp(value) for value in x[:3])
-    return FaceLaw(
-        radius=radius,
-        modulus=modulus,
-        onset=onset,
-        hardness=onset * ratio,
-        pile_up=float(x[4]) if pile_up is None else pile_up,
+def face_law(radius: float, modulus: float, onset: float, hardness: float, pile_up: float) -> Face:
+    """The law of a face of a sphere: radius [m]; E*, onset and hardness [Pa]; pile-up."""
+    return Face(
+        onset=np.full(1, onset),
+        hardness=np.full(1, hardness),
+        pile_up=np.full(1, pile_up),
+        modulus=np.full(1, modulus),
+        effective_radius=np.full(1, radius),
     )
 
 
-def _best_fit(loading: Loading, radius: float, pile_up: float | None) -> OptimizeResult:
-    """The least-squares fit of the displacement, the best of several beginnings."""
-    force, displacement = loading.force, loading.displacement
-    scale, top = float(np.ptp(displacement)), float(force.max())
-    reach = np.array([3.0, 5.0])
-    log_ratio = np.log(_RATIO)
+def face_approach(force: Array, largest: Array, face: Face) -> Array:
+    """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
+    depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
+    deepest = face.depth_at(largest[below])
+    share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
+    depth[below] = deepest - face.recovery(deepest) * (1.0 - share)
+    return np.asarray(depth * face.onset_approach)
+
+
+def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
+    """Onset, hardness and pile-up of the faces of a sphere.
+
+    Raises UsageError for a record that is elastic throughout, or that no law fits.
+    """
+    displacement, force, largest, _ = loading
+    scale, highest, radius = float(np.ptp(displacement)), float(force.max()), 0.5 * asked.diameter
+
+    def numbers(x: Array) -> tuple[float, float, float, float]:
+        """E*, onset, hardness and pile-up of logarithms of E*, onset and H/p_y, of the touch, and
+        of the pile-up if it is free."""
+        modulus, onset, ratio = (math.exp(value) for value in x[:3])
+        pile_up = float(x[4]) if asked.pile_up is None else asked.pile_up
+        return modulus, onset, onset * ratio, pile_up
 
     def residual(x: Array) -> Array:
-        approach = face_approach(force, loading.largest, _law_of(x, radius, pile_up))
+        approach = face_approach(force, largest, face_law(radius, *numbers(x)))
         return np.asarray((displacement - 2.0 * approach) / scale - x[3])
 
     fits = []
     for share in _BEGINNINGS:
-        early = (force <= max(0.15, share) * top) & (force >= loading.largest)
+        early = (force <= max(0.15, share) * highest) & (force >= largest)
         slope, touch = 0.0, 0.0
         if early.sum() > 3:
             slope, touch = np.polyfit(np.cbrt(np.square(force[early])), displacement[early], 1)
         if not slope > 0.0:
-            slope, touch = scale / float(np.cbrt(top**2)), float(displacement.min())
+            slope, touch = scale / float(np.cbrt(highest**2)), float(displacement.min())
         modulus = (2.0 / slope) ** 1.5 / float(hertz_constant(1.0, radius))
-        onset = float(pressure_at_force(share * top, modulus, radius))
-        start = np.log([modulus, onset])
-        low = [*(start - reach), log_ratio[0], -3.0, _PILE_UP[0]]
-        high = [*(start + reach), log_ratio[1], 3.0, _PILE_UP[1]]
+        onset = float(pressure_at_force(share * highest, modulus, radius))
+        start, reach, ratio = np.log([modulus, onset]), np.array([3.0, 5.0]), np.log(_RATIO)
+        low = [*(start - reach), ratio[0], -3.0, _PILE_UP[0]]
+        high = [*(start + reach), ratio[1], 3.0, _PILE_UP[1]]
         begin = np.clip([*start, math.log(2.0), touch / scale, 2.0], low, high)
-        count = 5 if pile_up is None else 4
-        bounds = (low[:count], high[:count])
-        fits.append(
-            least_squares(residual, begin[:count], bounds=bounds, x_scale="jac", xtol=1e-10)
+        free = slice(5 if asked.pile_up is None else 4)
+        bounds = (low[free], high[free])
+        fits.append(least_squares(residual, begin[free], bounds=bounds, x_scale="jac", xtol=1e-10))
+    best = min(fits, key=lambda fitted: float(fitted.cost))
+    left, (modulus, onset, hardness, pile_up) = best.fun, numbers(best.x)
+    onset_approach = radius * (0.5 * math.pi * onset / modulus) ** 2
+    top = np.full(1, highest)
+    law = face_law(radius, modulus, onset, hardness, pile_up)
+    depth = float(face_approach(top, top, law)[0]) / onset_approach
+    # correlated residuals count for fewer
+    correlation = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    if correlation <= 2.0 / math.sqrt(len(left)):
+        correlation = 0.0
+    spare = len(left) - len(best.x)
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * float(left @ left) / spare
+    covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
+
+    def reach_of(*weights: float) -> float:
+        """Half the 95 % interval of a sum of the first parameters."""
+        part = covariance[: len(weights), : len(weights)]
+        variance = float(np.array(weights) @ part @ weights)
+        return float(stdtrit(spare, 0.975)) * math.sqrt(max(variance, 0.0))
+
+    def interval(value: float, *weights: float) -> Fitted:
+        factor = math.exp(reach_of(*weights))
+        return Fitted(value, value / factor, value * factor)
+
+    fitted_modulus, fitted_onset = interval(modulus, 1.0), interval(onset, 0.0, 1.0)
+    fitted_hardness = interval(hardness, 0.0, 1.0, 1.0)
+    misfit = float(np.sqrt(np.mean(np.square(left))))
+    undetermined = fitted_onset.high > _OPEN * fitted_onset.low
+    if undetermined and misfit > 0.01:
+        raise UsageError(
+            "no contact law fits this record. Check the force for an offset, steps or clipping"
         )
-    return min(fits, key=lambda fitted: float(fitted.cost))
-
-
-def _sphere_modulus(
-    reduced: Fitted, asked: ContactDocument, notes: list[str], onset: Fitted
-) -> Fitted | None:
-    """E of the sphere from E* and the platens: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p."""
-    soft = 0.0
+    if undetermined or depth < 1.5:
+        reached = float(pressure_at_force(highest, modulus, radius))
+        raise UsageError(
+            f"the record is hardly beyond Hertz (pressure up to {reached / 1e9:.3g} GPa): press "
+            "harder"
+        )
+    notes = [*loading.notes]
+    if fitted_hardness.high > _OPEN * fitted_hardness.low:
+        notes.append("the record does not determine the hardness: press harder")
+    if correlation > 0.0:
+        notes.append(
+            f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
+            "the intervals are widened"
+        )
+    half = reach_of(0.0, 0.0, 0.0, 0.0, 1.0) if asked.pile_up is None else 0.0
+    ends = (max(pile_up - half, _PILE_UP[0]), min(pile_up + half, _PILE_UP[1]))
+    # E of the sphere: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p
+    soft, sphere_modulus = 0.0, None
     if asked.platens != "rigid":
         materials = {**library()["bars"], **library()["plates"]}
         if asked.platens not in materials:
@@ -337,12 +292,21 @@ def _sphere_modulus(
             )
         plate = {key: entry.value for key, entry in materials[asked.platens].properties.items()}
         soft = (1.0 - plate["nu"] ** 2) / plate["E"]
-        if onset.high > 1.2 * plate.get("yield_strength", math.inf):
+        if fitted_onset.high > 1.2 * plate.get("yield_strength", math.inf):
             notes.append(
                 "the platens yield near this onset too: the fitted law may be that of the platens"
             )
-    rest = [1.0 / modulus - soft for modulus in (reduced.value, reduced.low, reduced.high)]
-    if min(rest) <= 0.0:
-        return None
-    value, low, high = ((1.0 - asked.nu**2) / compliance for compliance in rest)
-    return Fitted(value=value, low=low, high=high)
+    rest = [1.0 / end - soft for end in astuple(fitted_modulus)]
+    if min(rest) > 0.0:
+        sphere_modulus = Fitted(*((1.0 - asked.nu**2) / compliance for compliance in rest))
+    return ContactFit(
+        onset_pressure=fitted_onset,
+        hardness=fitted_hardness,
+        modulus=fitted_modulus,
+        pile_up=Fitted(pile_up, *ends),
+        sphere_modulus=sphere_modulus,
+        depth=depth,
+        misfit=scale * misfit,
+        samples=len(left),
+        notes=tuple(notes),
+    )

@@ -73,29 +73,26 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
-    limits = tuple(
-        limit
-        for limit in study.limits
-        if limit.fracture is not False and (not asked.limits or limit.name in asked.limits)
-    )
+    limits = tuple(limit for limit in study.limits if limit.fracture is not False)
+    if asked.limits:
+        limits = tuple(limit for limit in limits if limit.name in asked.limits)
     if not limits:
         raise UsageError(
             "no limit of the study means fracture: a plan needs a strength, [limits.NAME]"
         )
     free, low, high = _range(asked, study)
-    quantities = tuple(dict.fromkeys(["P_max", *(limit.quantity for limit in limits)]))
+    quantities = (*dict.fromkeys(["P_max", *(limit.quantity for limit in limits)]),)
+    counted = {"quantities": quantities, "failure_modes": "given"}
     planned = replace(
         study,
         limits=limits,
         margins=Margins(solve=free, between=(low, high), for_probability=asked.shares),
-        analysis=study.analysis.model_copy(
-            update={"quantities": quantities, "failure_modes": "given"}
-        ),
+        analysis=study.analysis.model_copy(update=counted),
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
-    reached: dict[str, list[dict[str, Any]]] = {}
+    shares, reached = dict[str, Any](), dict[str, list[dict[str, Any]]]()
     for name, curve in curves.limits.items():
-        reached[name] = []
+        shares[name], reached[name] = np.array(curve.curve)[:, 1:].tolist(), []
         for share, at in curve.values.items():
             value = None if at.value is None else (at.value, at.low, at.high)
             reached[name].append({"share": share, "value": value})
@@ -113,9 +110,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         "unit": lookup(free).unit,
         "values": curves.values.tolist(),
         "force": np.nanquantile(curves.outputs["P_max"], [0.05, 0.5, 0.95], axis=1).T.tolist(),
-        "shares": {
-            name: np.array(curve.curve)[:, 1:].tolist() for name, curve in curves.limits.items()
-        },
+        "shares": shares,
         "reached": reached,
         "failed": curves.failed.tolist(),
         "notes": notes,
@@ -128,22 +123,21 @@ def plan_text(plan: dict[str, Any]) -> str:
     rows = [(free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"]))]
     for k in range(0, len(plan["values"]), max(1, len(plan["values"]) // 13)):
         low, middle, high = (force * 1e-3 for force in plan["force"][k])
-        cells = []
+        row = [format_value(plan["values"][k], free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})"]
         for shares in plan["shares"].values():
-            share, least, most = (format_probability(p) for p in shares[k])
-            cells.append(f"{share} ({least} to {most})")
-        value = format_value(plan["values"][k], free)
-        rows.append((value, f"{middle:.4g} kN ({low:.4g} to {high:.4g})", *cells))
+            share, least, most = map(format_probability, shares[k])
+            row.append(f"{share} ({least} to {most})")
+        rows.append((*row,))
     wanted = [("share broken", *plan["reached"])]
-    for row in zip(*plan["reached"].values(), strict=True):
-        cells = []
-        for cell in row:
+    for cells in zip(*plan["reached"].values(), strict=True):
+        row = [format_probability(cells[0]["share"])]
+        for cell in cells:
             text = "outside the range"
             if cell["value"] is not None:
                 value, low, high = (factor * end for end in cell["value"])
                 text = f"{value:.4g} {unit} ({low:.4g} to {high:.4g})"
-            cells.append(text)
-        wanted.append((format_probability(row[0]["share"]), *cells))
+            row.append(text)
+        wanted.append((*row,))
     notes = [f"note: {note}" for note in plan["notes"]]
     heading = f"{free} at which a share breaks"
     return "\n\n".join([plan["title"], table(rows), heading, table(wanted), *notes])
@@ -151,14 +145,13 @@ def plan_text(plan: dict[str, Any]) -> str:
 
 def plan_csv(plan: dict[str, Any]) -> str:
     """One row a value."""
-    names = [
-        f"{plan['free']} [{plan['unit']}]",
-        *(f"P_max {share} % [N]" for share in (5, 50, 95)),
-        *(f"{name}{end} [1]" for name in plan["shares"] for end in ("", " low", " high")),
-        "failed [1]",
-    ]
-    shares = [column for share in plan["shares"].values() for column in np.transpose(share)]
-    return csv_text(names, [plan["values"], *np.transpose(plan["force"]), *shares, plan["failed"]])
+    columns = {f"{plan['free']} [{plan['unit']}]": plan["values"]}
+    for k, percent in enumerate((5, 50, 95)):
+        columns[f"P_max {percent} % [N]"] = [force[k] for force in plan["force"]]
+    for name, shares in plan["shares"].items():
+        for k, end in enumerate(("", " low", " high")):
+            columns[f"{name}{end} [1]"] = [share[k] for share in shares]
+    return csv_text({**columns, "failed [1]": plan["failed"]})
 
 
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
@@ -166,11 +159,8 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     times its value.
     """
     numbers, margins = study.at_means(), study.margins
-    free = asked.free
-    if not free and margins is not None and margins.solve in numbers:
-        free = margins.solve
-    if not free:
-        free = next((name for name in _FREE if name in numbers), "")
+    solved = margins.solve if margins is not None else ""
+    free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
     if free not in numbers:
         raise UsageError(
             f"free must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}"
@@ -181,7 +171,7 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
             low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)
         except UnitError as error:
             raise UsageError(f"between: {error}") from None
-    elif margins is not None and margins.solve == free:
+    elif margins is not None and solved == free:
         low, high = margins.between
     if not low < high:
         raise UsageError("between must be [low, high], two different values in this order")

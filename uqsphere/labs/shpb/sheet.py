@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.labs.files import csv_text
-from uqsphere.labs.shpb.document import BarTable, RecordDocument
+from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.peaks import NORMAL
 from uqsphere.labs.shpb.waves import Reading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from uqsphere.arrays import Array
 
 FACES = {
     "A": "largest force at A, two waves",
@@ -39,16 +37,13 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
     lines += [("not given", "", reason) for reason in test.withheld]
     lines += [("note", "", note) for note in test.notes]
     if test.energies is not None:
-        incident, reflected, transmitted, absorbed = (
-            f"{test.energies[name]:.4g} J"
-            for name in ("incident", "reflected", "transmitted", "absorbed")
-        )
-        waves = f"{incident} incident, {reflected} reflected, {transmitted} transmitted"
-        lines.append(("energy absorbed", absorbed, waves))
+        waves = {name: f"{energy:.4g} J" for name, energy in test.energies.items()}
+        absorbed = waves.pop("absorbed")
+        text = ", ".join(f"{energy} {name}" for name, energy in waves.items())
+        lines.append(("energy absorbed", absorbed, text))
     if test.balanced is not None:
-        share = f"{test.balanced:.0%}"
         part = "of the rise from half the largest force"
-        lines.append(("forces within 5 % of their mean", share, part))
+        lines.append(("forces within 5 % of their mean", f"{test.balanced:.0%}", part))
     lines.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
     lines.append(("first touch", f"{test.touch * 1e6:.8g} us", "in the record"))
     return lines
@@ -56,15 +51,14 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
 
 def document(test: Reading) -> dict[str, Any]:
     """A test as plain JSON, SI."""
+    forces = {
+        face: {**peak._asdict(), "sound": not peak.doubts} for face, peak in test.peaks.items()
+    }
+    for force in forces.values():
+        if math.isinf(force["high"]):
+            force["high"] = None
     return {
-        "forces": {
-            face: {
-                **peak._asdict(),
-                "high": peak.high if math.isfinite(peak.high) else None,
-                "sound": not peak.doubts,
-            }
-            for face, peak in test.peaks.items()
-        },
+        "forces": forces,
         "energy": test.energies,
         "withheld": test.withheld,
         "notes": test.notes,
@@ -76,20 +70,45 @@ def document(test: Reading) -> dict[str, Any]:
     }
 
 
-def forces_csv(test: Reading) -> str:
-    """Time and forces with the ends of their 95 % intervals."""
-    header, columns = ["time [us]"], [test.time * 1e6]
+def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
+    """The files of a test: forces with the ends of their 95 % intervals, the incident pulse as a
+    study takes it, compression positive from rest to rest, and the sheet as one self-contained
+    page.
+    """
+    from jinja2 import Environment
+
+    from uqsphere.report.figures import svg
+
+    forces = {"time [us]": test.time * 1e6}
     for name, force, sd in (("A", test.force_a, test.sd_a), ("B", test.force_b, test.sd_b)):
         if force is not None:
-            header += [f"{name} [kN]", f"{name} low [kN]", f"{name} high [kN]"]
-            columns += [force * 1e-3, (force - NORMAL * sd) * 1e-3, (force + NORMAL * sd) * 1e-3]
-    return csv_text(header, columns)
-
-
-def pulse_csv(test: Reading) -> str:
-    """The incident pulse as a study takes it: compression positive, from rest to rest."""
-    time: Array = np.asarray(test.step * np.arange(len(test.pulse)), dtype=float)
-    return csv_text(["time [us]", "strain [microstrain]"], [time * 1e6, test.pulse * 1e6])
+            forces[f"{name} [kN]"] = force * 1e-3
+            forces[f"{name} low [kN]"] = (force - NORMAL * sd) * 1e-3
+            forces[f"{name} high [kN]"] = (force + NORMAL * sd) * 1e-3
+    pulse = {
+        "time [us]": test.step * np.arange(len(test.pulse)) * 1e6,
+        "strain [microstrain]": test.pulse * 1e6,
+    }
+    bars = {}
+    for name, bar in (("incident bar", asked.incident_bar), ("receiving bar", asked.receiving_bar)):
+        values = bar.model_dump(exclude_none=True)
+        for key, value in values.items():
+            if isinstance(value, float):
+                values[key] = f"{value:.5g}"
+        bars[name] = ", ".join(f"{key} {value}" for key, value in values.items() if value != "")
+    template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
+    page = Environment(autoescape=True).from_string(template)
+    sheet = page.render(
+        title=asked.title or asked.record.file,
+        source=asked.record.file,
+        rows=rows(test),
+        figure=svg(partial(_draw_forces, test=test)),
+        bars=bars,
+        changes=test.changes,
+        doubted=any(peak.doubts for peak in test.peaks.values()),
+        specimen=asked.specimen.name,
+    )
+    return {"forces.csv": csv_text(forces), "pulse.csv": csv_text(pulse), "sheet.html": sheet}
 
 
 def _draw_forces(axes: Axes, test: Reading) -> None:
@@ -108,34 +127,3 @@ def _draw_forces(axes: Axes, test: Reading) -> None:
     axes.set_xlabel("time after first touch [us]")
     axes.set_ylabel("force [kN]")
     axes.legend()
-
-
-def page(test: Reading, asked: RecordDocument, source: str) -> str:
-    """The sheet as one self-contained page."""
-    from jinja2 import Environment
-
-    from uqsphere.report.figures import svg
-
-    template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
-    bars = {"incident bar": asked.incident_bar, "receiving bar": asked.receiving_bar}
-    return (
-        Environment(autoescape=True)
-        .from_string(template)
-        .render(
-            title=asked.title or source,
-            source=source,
-            rows=rows(test),
-            figure=svg(partial(_draw_forces, test=test)),
-            bars={name: _listed(bar) for name, bar in bars.items()},
-            changes=test.changes,
-            doubted=any(peak.doubts for peak in test.peaks.values()),
-            specimen=asked.specimen.name,
-        )
-    )
-
-
-def _listed(bar: BarTable) -> str:
-    """The numbers of a bar in one line."""
-    values = bar.model_dump(exclude_none=True).items()
-    texts = {key: f"{value:.5g}" for key, value in values if isinstance(value, float)}
-    return ", ".join(f"{key} {texts.get(key, value)}" for key, value in values if value != "")
