@@ -65,7 +65,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
-def csv_text(content: Any, head: Sequence[str] | None = None) -> str:
+def csv_text(content: Any, head: list[str] | None = None) -> str:
     """Columns by their names, or rows below a head, as CSV."""
     import pandas as pd
 

@@ -80,8 +80,8 @@ def _law(asked: SizesTable, size: Array) -> Array:
     if asked.law == "rosin_rammler":
         return -np.expm1(-((size / (asked.d63 or 1.0)) ** n))
     if asked.law == "gaudin_schuhmann":
-        return np.asarray((size / (asked.top or math.inf)) ** n)
-    return np.asarray(ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0)))
+        return (size / (asked.top or math.inf)) ** n
+    return ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0))
 
 
 def _sieves(
@@ -95,7 +95,7 @@ def _sieves(
     order = np.argsort(sieve)
     sieve, share = sieve[order], share[order]
     # a heading says whether it is in percent
-    heading, largest = table.headings[table.place(column)].lower(), float(share[-1])
+    heading, largest = table.headings[table.place(column)].lower(), share[-1]
     percent = any(word in heading for word in ("%", "percent", "pct"))
     if percent and largest <= 1.0:
         raise UsageError(
@@ -112,7 +112,7 @@ def _sieves(
             f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
             "up to 100 %"
         )
-    left, top = 1.0 - float(share[-1]), asked.top or float(sieve[-1])
+    left, top = 1.0 - share[-1], asked.top or sieve[-1]
     if top > sieve[-1] * (1.0 + 1e-9):
         sieve, share = np.append(sieve, top), np.append(share, 1.0)
         if left > 1e-4:
@@ -229,7 +229,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             passing = passing + (curves * broke[:, None]).sum(axis=2)
         passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
         for k, sieve in enumerate(sieves.tolist()):
-            passes.append({"sieve": sieve, "feed": float(before[k]), **quantiles(passing[:, k])})
+            passes.append({"sieve": sieve, "feed": before[k], **quantiles(passing[:, k])})
         all_broke = np.maximum(broke.sum(axis=1), 1e-300)
         numbers["t10"] = (broke * fineness).sum(axis=1) / all_broke
         log_sieves, rows = np.log(sieves), [*passing, before]
@@ -251,13 +251,13 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         outside = (offered < _OFFERED[0]) | (offered > _OFFERED[1])
         outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
         broke_of = broke.mean(axis=0)
-        beyond = float((broke_of * outside).sum() / max(broke_of.sum(), 1e-300))
+        beyond = (broke_of * outside).sum() / max(broke_of.sum(), 1e-300)
         if beyond > 0.01:
             warnings.append(
                 f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
                 "(0.1 to 2.5 kWh/t, 13 to 63 mm): the product curve is extrapolated"
             )
-    beyond = float(mass[untested].sum())
+    beyond = mass[untested].sum()
     if beyond > 0.005:
         warnings.append(
             f"{beyond:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
@@ -275,9 +275,9 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         "numbers": {name: quantiles(values) for name, values in numbers.items()},
         "classes": [
             {
-                "upper": float(edges[k]),
-                "size": float(sizes[k]),
-                "mass": float(mass[k]),
+                "upper": edges[k],
+                "size": sizes[k],
+                "mass": mass[k],
                 "broken": quantiles(broken[:, k]),
                 "by_blow": cumulative[:, k, 1:].mean(axis=0).tolist(),
                 "extrapolated": bool(untested[k]),
@@ -298,8 +298,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         content["lot"] = {
             "mass": feed.lot,
             "broken": quantiles(lots),
-            "epistemic_sd": float(total.std()),
-            "lot_sd": math.sqrt(max(float(lots.var() - total.var()), 0.0)),
+            "epistemic_sd": total.std(),
+            "lot_sd": math.sqrt(max(lots.var() - total.var(), 0.0)),
         }
     return Answer(classes, total, sieves, passing, content)
 

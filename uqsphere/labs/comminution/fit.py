@@ -63,7 +63,7 @@ class EnergyModel:
         if self.size != "class":
             lead, phi = laws.SIZES[self.size][0], p["phi"]
             return laws.median_energy(self.size, diameter, p[lead], phi, p.get("d0", math.nan))
-        away = np.abs(np.log(np.asarray(diameter)[..., None] / np.array(self.classes)))
+        away = np.abs(np.log(diameter[..., None] / np.array(self.classes)))
         each = [np.atleast_1d(p[f"e50_{k + 1}"]) for k in range(len(self.classes))]
         return np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)]
 
@@ -124,7 +124,7 @@ class Posterior:
     def slope(self, diameter: float) -> Array:
         """Local power (D,) of the size law."""
         step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
-        return np.asarray(np.log(step)[:, 0] / math.log(1.01**2))
+        return np.log(step)[:, 0] / math.log(1.01**2)
 
     def strength_csv(self, diameter: float) -> str:
         """Draws of the strength of particles of one size [m], as a study reads them.
@@ -202,7 +202,7 @@ def log_likelihoods(
                     likelihood[..., rows] = function(
                         model.law, ends, median[..., rows], shape, model.ratio
                     )
-        return np.asarray(tests.weight * likelihood)
+        return tests.weight * likelihood
 
     return value
 
@@ -220,7 +220,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     else:
         largest = tests.diameter >= 0.75 * tests.diameter.max()
         energies = np.log(tests.last[largest])
-        middle = float(np.average(energies, weights=tests.weight[largest]))
+        middle = np.average(energies, weights=tests.weight[largest])
         usual = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
         priors = {name: usual[name] for name in laws.SIZES[size]}
     priors[shape] = PRIORS[shape] if several else _FLAT
@@ -284,7 +284,7 @@ def sample(
             break
     even = (np.arange(draws) + rng.random()) / draws * weight.sum()
     taken = np.minimum(np.searchsorted(np.cumsum(weight), even), len(points) - 1)
-    return points[rng.permutation(taken)], each, float(each(best.x).sum()), effective
+    return points[rng.permutation(taken)], each, each(best.x).sum(), effective
 
 
 # --- the fit --------------------------------------------------------------------------------------
@@ -333,7 +333,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         inverse = np.exp(np.minimum(-each(draws) / tests.weight, 600.0))
         about[model.law] = {
             "log_likelihood": log_likelihood,
-            "loo": float(-np.log(np.mean(inverse, axis=0)) @ tests.weight),
+            "loo": -np.log(np.mean(inverse, axis=0)) @ tests.weight,
             "effective": effective,
             "settled": effective > EFFECTIVE,
         }
@@ -362,7 +362,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     posterior = Posterior(
         models=models,
         law=law_of,
-        tested=(float(tests.diameter.min()), float(tests.diameter.max())),
+        tested=(tests.diameter.min(), tests.diameter.max()),
         parameters=parameters,
         tests=int(tests.weight.sum()),
     ).at(order)
@@ -390,7 +390,7 @@ def _described(
     parameters = {}
     for name, values in posterior.parameters.items():
         prior_sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
-        flat, sd = math.isinf(prior_sd), float(np.nanstd(np.log(values)))
+        flat, sd = math.isinf(prior_sd), np.nanstd(np.log(values))
         parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
         if name in priors and not flat and sd > 0.7 * prior_sd:
             warnings.append(f"the tests do not determine {name}: its posterior follows the prior")

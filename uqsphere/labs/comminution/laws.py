@@ -40,17 +40,16 @@ LAWS: Final = {"lognormal": "sigma", "weibull": "modulus"}
 
 def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Values:
     """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
-    e, top = np.asarray(energy, dtype=float), np.asarray(ratio) * median
+    top = ratio * median
     with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.where(e < top, 1.0 - np.where(np.isfinite(top), e / top, 0.0), 0.0)
-        return (np.log(e / median) - np.log(left)) / sigma
+        left = np.where(energy < top, 1.0 - np.where(np.isfinite(top), energy / top, 0.0), 0.0)
+        return (np.log(energy / median) - np.log(left)) / sigma
 
 
 def hazard(energy: Values, median: Values, modulus: Values) -> Values:
     """-ln(1 - P) of (L2)."""
     with np.errstate(over="ignore", divide="ignore"):
-        ratio = np.asarray(energy) / median
-        return math.log(2.0) * ratio ** (0.6 * np.asarray(modulus))
+        return math.log(2.0) * (energy / median) ** (0.6 * modulus)
 
 
 def broken_share(
@@ -72,10 +71,10 @@ def energy_at(
     if law == "lognormal":
         from scipy.special import ndtri
 
-        stretched = median * np.exp(np.asarray(shape) * ndtri(share))
-        return stretched / (1.0 + stretched / (np.asarray(ratio) * median))
-    hazards = -np.log1p(-np.asarray(share)) / math.log(2.0)
-    return median * hazards ** (1.0 / (0.6 * np.asarray(shape)))
+        stretched = median * np.exp(shape * ndtri(share))
+        return stretched / (1.0 + stretched / (ratio * median))
+    hazards = -np.log1p(-share) / math.log(2.0)
+    return median * hazards ** (1.0 / (0.6 * shape))
 
 
 def log_density(
@@ -115,13 +114,12 @@ def median_energy(
     size: str, diameter: Values, energy: Values, phi: Values, d0: Values = math.nan
 ) -> Values:
     """E50 [J/kg] at a diameter [m], (L3); `energy` is E_inf [J/kg], or C [J/kg m^phi]."""
-    d = np.asarray(diameter, dtype=float)
     with np.errstate(over="ignore"):
         if size == "tavares":
-            return energy * (1.0 + (d0 / d) ** phi)
+            return energy * (1.0 + (d0 / diameter) ** phi)
         if size == "king":
-            return energy * (1.0 + d0 / d) ** phi
-        return energy * d ** -np.asarray(phi)
+            return energy * (1.0 + d0 / diameter) ** phi
+        return energy * diameter**-phi
 
 
 def before_blow(left: Values, gamma: Values) -> Array:
@@ -133,7 +131,7 @@ def before_blow(left: Values, gamma: Values) -> Array:
     >>> round(float(before_blow(2.0 * (1.0 - 0.168913045), 4.0)), 7)
     2.0
     """
-    left, g = np.broadcast_arrays(np.asarray(left, dtype=float), np.asarray(gamma, dtype=float))
+    left, g = np.broadcast_arrays(left, gamma)
     low, high = np.full(left.shape, -150.0), np.full(left.shape, 700.0)
     with np.errstate(over="ignore", divide="ignore", under="ignore"):
         wanted = np.log(np.maximum(left, 1e-300))
@@ -184,8 +182,8 @@ def energy_of_force(force: Values, diameter: Values, modulus: Values, mass: Valu
     """W/m [J/kg] of both contacts at a force [N] by Hertz: two of (2/5) F alpha, alpha =
     (F/beta)^(2/3).
     """
-    beta = hertz_constant(modulus, 0.5 * np.asarray(diameter, dtype=float))
-    return 0.8 * np.asarray(force) ** (5.0 / 3.0) / np.asarray(beta) ** (2.0 / 3.0) / mass
+    beta = hertz_constant(modulus, 0.5 * diameter)
+    return 0.8 * force ** (5.0 / 3.0) / beta ** (2.0 / 3.0) / mass
 
 
 def particle_share(particle: float, partner: float) -> float:
@@ -200,12 +198,12 @@ def particle_share(particle: float, partner: float) -> float:
 
 def mass_of(diameter: Values, density: Values) -> Values:
     """pi/6 rho d³ [kg]."""
-    return sphere_mass(0.5 * np.asarray(diameter, dtype=float), density)
+    return sphere_mass(0.5 * diameter, density)
 
 
 def t10(energy: Values, A: Values, b: Values) -> Values:
     """Share finer than a tenth of the size, (L6); b [kg/J] of the energy offered."""
-    return A * -np.expm1(-np.asarray(b) * np.asarray(energy))
+    return A * -np.expm1(-b * energy)
 
 
 def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) -> Array:
@@ -214,9 +212,7 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
     >>> t_n([2.0, 10.0], 0.3, alpha=0.8).round(6).tolist()
     [0.873631, 0.3]
     """
-    n, fine, alpha = np.broadcast_arrays(
-        np.asarray(n, dtype=float), np.clip(fineness, 0.0, 1.0), alpha
-    )
+    n, fine, alpha = np.broadcast_arrays(n, np.clip(fineness, 0.0, 1.0), alpha)
     x = np.where(n > 1.0, n, 2.0)
     with np.errstate(divide="ignore", over="ignore"):
         if curve == "trr":

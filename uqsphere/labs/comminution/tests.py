@@ -65,7 +65,7 @@ class Specimens:
         """The tested sizes [m], rising."""
         logs = np.log(np.sort(self.diameter))
         parts = np.split(logs, np.flatnonzero(np.diff(logs) > _SAME) + 1)
-        return tuple(float(np.exp(part.mean())) for part in parts)
+        return tuple(np.exp(part.mean()) for part in parts)
 
     def bounds(self, gamma: Array) -> tuple[Array, Array]:
         """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
@@ -182,12 +182,12 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     if len(table) < 8:
         return []
     x, y = np.log(diameter), np.log(energy)
-    slope, middle = 0.0, float(np.median(y))
+    slope, middle = 0.0, np.median(y)
     if np.ptp(x) > 0.05:
         slope, middle = np.polyfit(x, y, 1)
     left = y - middle - slope * x
     away = np.abs(left - np.median(left))
-    odd = away > 5.0 * max(1.4826 * float(np.median(away)), 0.05)
+    odd = away > 5.0 * max(1.4826 * np.median(away), 0.05)
     if not odd.any():
         return []
     lines = ", ".join(map(str, np.array(table.lines)[odd][:8]))

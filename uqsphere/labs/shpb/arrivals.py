@@ -64,7 +64,7 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
     passage = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed
     predicted = (2.0 * bar.gauge / bar.wave_speed / step, passage / step)
     back, there = _delays(record, predicted, *_SURE)
-    steep = float(wave.rising)
+    steep = wave.rising
     if there.seen is not None and there.seen < -steep:
         raise UsageError(
             f"{receiving.name}: its wave comes {-there.seen * step * 1e6:.4g} us before the "
@@ -124,7 +124,7 @@ def _delays(
     if record.shared:
         # the first excursion of either sign behind the end of the incident wave
         low = np.flatnonzero(pressing[wave.falling :] < high)
-        begin = wave.falling + int(low.min(initial=len(size))) + 1
+        begin = wave.falling + low.min(initial=len(size)) + 1
     there = -smooth(receiving.strain, width)
     arrivals = (
         _crossing(size, high, begin, len(size)),
@@ -138,7 +138,7 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
     """First place in [begin, end) from which three values are above a level."""
     above = values[begin:end] > level
     first = np.flatnonzero(above[:-2] & above[1:-1] & above[2:])
-    return begin + int(first[0]) if len(first) else None
+    return begin + first[0] if len(first) else None
 
 
 def _doubt(

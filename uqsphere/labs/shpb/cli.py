@@ -31,7 +31,8 @@ def _records(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.waves import read_test
 
     several, refused = len(chosen.file) > 1, 0
-    lines, contents, texts, files = list[tuple[str, ...]](), [], [], dict[str, str]()
+    lines, texts, files = list[tuple[str, ...]](), [], dict[str, str]()
+    contents: list[dict[str, object]] = []
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
         try:

@@ -148,7 +148,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
         displacement, force = -displacement, -force
     if asked.machine_stiffness is not None:
         displacement = displacement - force / asked.machine_stiffness
-    top = int(np.argmax(force))
+    top = np.argmax(force)
     if not force[top] > 0.0:
         raise UsageError(
             "the force is never positive. Is compression negative in the file (compression = "
@@ -195,7 +195,7 @@ def face_approach(force: Array, largest: Array, face: Face) -> Array:
     deepest = face.depth_at(largest[below])
     share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
     depth[below] = deepest - face.recovery(deepest) * (1.0 - share)
-    return np.asarray(depth * face.onset_approach)
+    return depth * face.onset_approach
 
 
 def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
@@ -204,13 +204,13 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     Raises UsageError for a record that is elastic throughout, or that no law fits.
     """
     displacement, force, largest, _ = loading
-    scale, highest, radius = float(np.ptp(displacement)), float(force.max()), 0.5 * asked.diameter
+    scale, highest, radius = np.ptp(displacement), force.max(), 0.5 * asked.diameter
 
     def numbers(x: Array) -> tuple[float, float, float, float]:
         """E*, onset, hardness and pile-up of logarithms of E*, onset and H/p_y, of the touch, and
         of the pile-up if it is free."""
         modulus, onset, ratio = (math.exp(value) for value in x[:3])
-        pile_up = float(x[4]) if asked.pile_up is None else asked.pile_up
+        pile_up = x[4] if asked.pile_up is None else asked.pile_up
         return modulus, onset, onset * ratio, pile_up
 
     def residual(x: Array) -> Array:
@@ -224,9 +224,9 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
         if early.sum() > 3:
             slope, touch = np.polyfit(np.cbrt(np.square(force[early])), displacement[early], 1)
         if not slope > 0.0:
-            slope, touch = scale / float(np.cbrt(highest**2)), float(displacement.min())
-        modulus = (2.0 / slope) ** 1.5 / float(hertz_constant(1.0, radius))
-        onset = float(pressure_at_force(share * highest, modulus, radius))
+            slope, touch = scale / np.cbrt(highest**2), displacement.min()
+        modulus = (2.0 / slope) ** 1.5 / hertz_constant(1.0, radius)
+        onset = pressure_at_force(share * highest, modulus, radius)
         start, reach, ratio = np.log([modulus, onset]), np.array([3.0, 5.0]), np.log(_RATIO)
         low = [*(start - reach), ratio[0], -3.0, _PILE_UP[0]]
         high = [*(start + reach), ratio[1], 3.0, _PILE_UP[1]]
@@ -245,7 +245,8 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     if correlation <= 2.0 / math.sqrt(len(left)):
         correlation = 0.0
     spare = len(left) - len(best.x)
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * float(left @ left) / spare
+    jacobian = np.asarray(best.jac)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / spare
     covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
 
     def reach_of(*weights: float) -> float:
@@ -260,14 +261,14 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
 
     fitted_modulus, fitted_onset = interval(modulus, 1.0), interval(onset, 0.0, 1.0)
     fitted_hardness = interval(hardness, 0.0, 1.0, 1.0)
-    misfit = float(np.sqrt(np.mean(np.square(left))))
+    misfit = np.sqrt(np.mean(np.square(left)))
     undetermined = fitted_onset.high > _OPEN * fitted_onset.low
     if undetermined and misfit > 0.01:
         raise UsageError(
             "no contact law fits this record. Check the force for an offset, steps or clipping"
         )
     if undetermined or depth < 1.5:
-        reached = float(pressure_at_force(highest, modulus, radius))
+        reached = pressure_at_force(highest, modulus, radius)
         raise UsageError(
             f"the record is hardly beyond Hertz (pressure up to {reached / 1e9:.3g} GPa): press "
             "harder"

@@ -70,9 +70,9 @@ def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: flo
     spread (n,) : half their difference [N]; wave : force of the wave that they record [N].
     """
     peak = peaks[face]
-    at = int(np.searchsorted(time, peak.time))
+    at = np.searchsorted(time, peak.time)
     near = spread[max(at - 3, 0) : at + 4]
-    bending = float(near.mean()) if len(near) else 0.0
+    bending = near.mean() if len(near) else 0.0
     if 2.0 * bending > _GROSS * wave:
         bar = "incident" if face == "A" else "receiving"
         share = f"{2.0 * bending / wave:.0%}"
@@ -126,7 +126,7 @@ def check_impulse(
 
 def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float, float]:
     """Mass [kg], relative error of gain, and largest misfit over the largest integral of B."""
-    step = float(faces.time[1] - faces.time[0])
+    step = faces.time[1] - faces.time[0]
     force_a, force_b, velocity_a, velocity_b = (column[:last] for column in faces[1:])
     way = step * np.cumsum(0.5 * (velocity_a + velocity_b))
     approaches = np.cbrt(np.square(np.maximum(force_a, 0.0)))
@@ -136,7 +136,7 @@ def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float
     columns = np.stack([way, -approaches, impulses], axis=1)
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     fitted = np.linalg.lstsq(columns / scale, difference, rcond=None)[0] / scale
-    mass = min(max(float(fitted[0]), 0.0), heaviest)
+    mass = min(max(fitted[0], 0.0), heaviest)
     # the other two given this mass
     rest, others = difference - mass * way, columns[:, 1:] / scale[1:]
     stiffness, gain = np.linalg.lstsq(others, rest, rcond=None)[0] / scale[1:]
@@ -145,7 +145,7 @@ def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float
     momentum = np.abs(step * np.cumsum(force_a - (1.0 + gain) * force_b)).max()
     fastest = 2.0 * np.maximum(np.abs(velocity_a), np.abs(velocity_b)).max()
     beyond = (momentum - mass * fastest) / np.abs(step * np.cumsum(force_b)).max()
-    return mass, float(gain), float(max(misfit, beyond))
+    return mass, gain, max(misfit, beyond)
 
 
 def check_specimen(

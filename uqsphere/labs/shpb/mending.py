@@ -213,14 +213,14 @@ def _first_stay(values: Array, step: float, share: float, name: str) -> _Stay:
     width = max(1, round(2.0 * _SHORTEST / step))
     smoothed = smooth(median_filter(values, 2 * half + 1, mode="nearest"), width)
     size = np.abs(smoothed)
-    begins, lengths = _runs(size > share * float(size.max()))
+    begins, lengths = _runs(size > share * size.max())
     if lengths.max(initial=0) < 3:
         raise UsageError(f"{name}: no wave rises above the noise before it")
-    chosen = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
-    first, last = int(begins[chosen]), int(begins[chosen] + lengths[chosen]) - 1
+    chosen = np.argmax(lengths >= max(3.0, _LASTS * lengths.max()))
+    first, last = begins[chosen], int(begins[chosen] + lengths[chosen]) - 1
     upward = math.copysign(1.0, smoothed[first]) * smoothed
-    top = float(upward[first : last + 1].max())
-    foot = int(np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0))
+    top = upward[first : last + 1].max()
+    foot = np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0)
     return _Stay(smoothed, first, last, first - foot)
 
 
@@ -231,20 +231,20 @@ def _first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
     """
     smoothed, half, falling, rising = _first_stay(values, step, 0.5, name)
     width = max(1, round(2.0 * _SHORTEST / step))
-    if not float(np.abs(smoothed).max()) > 5.0 * noise / math.sqrt(width):
+    if not np.abs(smoothed).max() > 5.0 * noise / math.sqrt(width):
         raise UsageError(f"{name}: no wave rises above the noise before it")
     sign = math.copysign(1.0, smoothed[half])
-    top = float((sign * smoothed[half : falling + 1]).max())
+    top = (sign * smoothed[half : falling + 1]).max()
     width = max(width, rising // 5 + 1)
     upward = sign * smooth(values, width)
     level = max(0.01 * top, 4.0 * noise / math.sqrt(width))
     before = np.flatnonzero(upward[:half] < level)
     behind = falling + np.flatnonzero(upward[falling:] < max(0.02 * top, level))
     return Wave(
-        foot=int(before.max(initial=-1)) + 1,
+        foot=before.max(initial=-1) + 1,
         half=half,
         falling=falling,
-        end=int(behind.min(initial=len(values) - 1)),
+        end=behind.min(initial=len(values) - 1),
         rising=rising,
         peak=top,
         sign=sign,
@@ -280,17 +280,17 @@ def _without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
     known = trace.known.copy()
     head = values[: max(len(values) // 20, _FEWEST)]
     # a recorder writes the end of its range again and again; without noise a top may be flat
-    quiet = int(_runs(np.diff(head) == 0.0)[1].max(initial=0))
+    quiet = _runs(np.diff(head) == 0.0)[1].max(initial=0)
     for extreme in (values.max(), values.min()):
         same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
-        repeats = int(_runs(same)[1].max())
+        repeats = _runs(same)[1].max()
         if np.ptp(head) > 0.0 and repeats >= 8 and repeats > 2 * (quiet + 1):
             known &= ~same
             text = (
-                f"clipped at {extreme * 1e6:.5g} microstrain, {int(same.sum())} samples: its "
+                f"clipped at {extreme * 1e6:.5g} microstrain, {same.sum()} samples: its "
                 "peak is not known"
             )
-            changes.add("clipped", trace.name, text, float(extreme))
+            changes.add("clipped", trace.name, text, extreme)
     return Trace(trace.name, values, known)
 
 
@@ -309,7 +309,7 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
     away = np.abs(left)
     scatter = np.maximum(median_filter(away, 5 * width, mode="nearest"), np.median(away))
     rest = np.median(middle[: max(_FEWEST, len(middle) // 50)])
-    peak = float(np.abs(middle - rest).max())
+    peak = np.abs(middle - rest).max()
     bounds = np.maximum(_ODD * (_ROBUST * scatter), _SPIKE_SHARE * peak)
     near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
     spikes = []
@@ -318,7 +318,7 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
         if first < 1 or last > len(left) - 2:
             continue
         inner = left[first : last + 1]
-        size = float(inner[np.argmax(np.abs(inner))])
+        size = inner[np.argmax(np.abs(inner))]
         # a spike above any wave rings for longer
         allowed = 2 * longest if abs(size) > peak else longest
         if length > allowed or not (np.abs(inner) > bounds[first : last + 1]).any():
@@ -353,16 +353,16 @@ class _Line(NamedTuple):
 
 
 def _line(quiet: Array, place: Array) -> _Line:
-    mean, middle = float(quiet.mean()), float(place.mean())
+    mean, middle = quiet.mean(), place.mean()
     about = place - middle
-    squares = float(np.square(about).sum())
-    slope = float((about * (quiet - mean)).sum()) / squares
+    squares = np.square(about).sum()
+    slope = (about * (quiet - mean)).sum() / squares
     left = quiet - mean - slope * about
-    noise, memory = float(left.std(ddof=2)), 1.0
-    if noise <= 1e-12 * float(np.abs(quiet).max()):  # rounding is not noise
+    noise, memory = left.std(ddof=2), 1.0
+    if noise <= 1e-12 * np.abs(quiet).max():  # rounding is not noise
         return _Line(mean, slope, 0.0, memory, 1e-6 * abs(slope), middle)
     for lag in range(1, min(len(left) // 4, 200)):
-        correlation = float((left[lag:] * left[:-lag]).mean() / noise**2)
+        correlation = (left[lag:] * left[:-lag]).mean() / noise**2
         if correlation < 2.0 / math.sqrt(len(left)):
             break
         memory += 2.0 * correlation
@@ -402,20 +402,20 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
                 f"{name}: there is no rest before or after its wave. Was the wave cut out "
                 "(record.aligned = true)?"
             )
-        mean = float(values[rest].mean())
-        if abs(float(np.median(values[:5])) - mean) > 0.1 * wave.peak:
+        mean = values[rest].mean()
+        if abs(np.median(values[:5]) - mean) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         changes.add("baseline", name, "taken from the end of the record")
         wave = _first_wave(values - mean, step, 0.0, name)
     quiet, place = values[rest], places[rest]
     away = np.abs(quiet - np.median(quiet))
-    burst = away > max(_ODD * _ROBUST * float(np.median(away)), 0.02 * wave.peak)
+    burst = away > max(_ODD * _ROBUST * np.median(away), 0.02 * wave.peak)
     if 0 < burst.sum() < len(quiet) // 3:
         text = (
-            f"{int(burst.sum())} samples of trigger noise, up to {away.max() * 1e6:.4g} "
+            f"{burst.sum()} samples of trigger noise, up to {away.max() * 1e6:.4g} "
             "microstrain, are left out of the rest"
         )
-        changes.add("baseline", name, text, float(away.max()))
+        changes.add("baseline", name, text, away.max())
         quiet, place = quiet[~burst], place[~burst]
     line = _line(quiet, place)
     offset = line.noise * math.sqrt(min(1.0, line.memory / len(quiet)))
@@ -460,7 +460,7 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
     peaks = [gauge.wave.peak for gauge in gauges]
     for k, gauge in enumerate(gauges):
         if not gauge.known.all():
-            peaks[k] = float(np.abs(gauge.strain[gauge.known]).max(initial=0.0))
+            peaks[k] = np.abs(gauge.strain[gauge.known]).max(initial=0.0)
     alive = []
     for gauge, peak in zip(gauges, peaks, strict=True):
         share = peak / max(peaks)
@@ -478,12 +478,12 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
     # where a gauge is not known the others stand for the mean, with the largest difference so far
     mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     spread = 0.5 * np.ptp(strains, axis=1)
-    spread[~every] = float(spread[first:][every[first:]].max(initial=0.0))
+    spread[~every] = spread[first:][every[first:]].max(initial=0.0)
     count = max(first - 3, _BASELINE)
     line = _line(mean[:count], np.arange(count, dtype=float))
     name = " and ".join(gauge.name for gauge in alive)
     wave = _first_wave(mean[: int(min(limit, len(mean)))], step, line.noise, name)
-    bending = float(spread[wave.foot : wave.end + 1].max())
+    bending = spread[wave.foot : wave.end + 1].max()
     text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
     changes.add("gauges", name, text, bending)
     return Signal(

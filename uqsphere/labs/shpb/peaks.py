@@ -76,7 +76,7 @@ class Force(NamedTuple):
 
     def medians(self, samples: int) -> Array:
         """Running medians [N]."""
-        return np.asarray(median_filter(self.force, samples, mode="nearest"))
+        return median_filter(self.force, samples, mode="nearest")
 
     def means(self, samples: int) -> Array:
         """Running means [N] over an odd number of samples, of medians of three."""
@@ -109,7 +109,7 @@ def largest_force(course: Force) -> Peak:
     count = behind - first
     width = min(max(5, 2 * (count // 6) + 1), course.most)
     top = _flat_top(course, count, width) or _pointed_top(course, level, width)
-    systematic = max(float(course.sd[top.at]) ** 2 - course.noise**2, 0.0)
+    systematic = max(course.sd[top.at] ** 2 - course.noise**2, 0.0)
     half = NORMAL * math.sqrt(systematic + top.scatter**2)
     high, doubts = top.high + half, []
     if single > top.value + 5.0 * course.noise + 0.05 * top.value:
@@ -120,18 +120,18 @@ def largest_force(course: Force) -> Peak:
     if count < _FEW_ON_TOP:
         doubts.append(f"its top has only {count} samples: the sampling rate is too slow")
         high = max(high, single)
-    last = float(medians[-width:].mean())
+    last = medians[-width:].mean()
     if highest >= len(medians) - max(3, width // 2) or last > _FALLEN * top.value:
         doubts.append("the force is largest where the record ends: the true peak is at least this")
         high = math.inf
-    return Peak(top.value, top.low - half, high, float(course.time[top.at]), tuple(doubts))
+    return Peak(top.value, top.low - half, high, course.time[top.at], tuple(doubts))
 
 
 def stretch(values: Array, level: float, at: int) -> tuple[int, int]:
     """First sample, and the sample behind the last, of the stretch around `at` above a level."""
     low = np.flatnonzero(values < level)
     before, behind = low[low < at], low[low > at]
-    return int(before.max(initial=-1)) + 1, int(behind.min(initial=len(values)))
+    return before.max(initial=-1) + 1, behind.min(initial=len(values))
 
 
 def _pointed_top(course: Force, level: float, width: int) -> _Top:
@@ -184,5 +184,5 @@ def _flat_top(course: Force, count: int, width: int) -> _Top | None:
     bends = unlikely and abs(slope) + abs(bend) > _BEND * top
     if bends or math.sqrt(11.25) * scatter > _FLAT * top:
         return None
-    value = float(flat.mean())
+    value = flat.mean()
     return _Top(value, value, value, scatter, inner.start + number // 2)

@@ -202,7 +202,8 @@ class Traces(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """A column of a file as numbers (n,), NaN for a cell that is not a number."""
+    """A column of a file as numbers (n,), NaN for a cell that is not a number; the table has the
+    faults of this column."""
 
     table: Table
     heading: str
@@ -214,16 +215,10 @@ class Column:
         return tables.unit_in_heading(self.heading, self.unit()[0] or "number")[0]
 
     @property
-    def faults(self) -> dict[tuple[str, str], list[int]]:
-        """Lines of cells that are not numbers, by what is wrong with them."""
-        faults = self.table.faults.items()
-        return {fault: lines for fault, lines in faults if fault[0] == self.heading}
-
-    @property
     def rises(self) -> bool:
         """Whether it rises like a time."""
         steps = np.diff(self.values[np.isfinite(self.values)])
-        if self.faults or not len(steps):
+        if self.table.faults or not len(steps):
             return False
         return bool((steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
 
@@ -242,8 +237,8 @@ class Column:
 
     def checked(self) -> Array:
         """The numbers; TableError with the lines of cells that are not numbers."""
-        if self.faults:
-            replace(self.table, faults=self.faults).check()
+        if self.table.faults:
+            self.table.check()
         return self.values
 
     def in_seconds(self, unit: str) -> Array:
@@ -261,8 +256,11 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
         table, above = read_recorded(folder / file, _LARGEST)
         for note in table.notes:
             changes.add("read", "", note)
-        columns = [(h, table.numbers(h, key=h, blank=True)) for h in table.headings]
-        files.append([Column(table, *column) for column in columns])
+        files.append([])
+        for heading in table.headings:
+            table.faults = {}
+            values = table.numbers(heading, blank=True)
+            files[-1].append(Column(replace(table), heading, values))
         metadata.append(above)
     time, place = _clock(asked, files, metadata[0], changes)
     time = _common(time, place, files, asked.time_unit, changes)
@@ -326,7 +324,7 @@ def _clock(
         raise other_column()
     if falls.any():
         raise UsageError(
-            f"{name}: time falls at sample {int(np.argmax(falls)) + 2}. Does the file contain "
+            f"{name}: time falls at sample {np.argmax(falls) + 2}. Does the file contain "
             "several records?"
         )
     if lasts > _LONGEST:
@@ -407,7 +405,7 @@ def _by_role(
         for place, column in enumerate(file)
         if place != clock and not _repeats(column, time, asked.time_unit)
     ]
-    usable = [column for column in signals if not column.faults]
+    usable = [column for column in signals if not column.table.faults]
     if len(usable) not in (2, 4) or asked.reflected:
         names = ", ".join(repr(column.name) for column in signals)
         raise UsageError(
@@ -464,7 +462,7 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
     away = np.abs(good - np.median(good))
     if away.max() == 0.0:
         raise UsageError(f"{name}: all samples are equal; it contains no wave")
-    size = float(np.quantile(away, 0.98))
+    size = np.quantile(away, 0.98)
     if size > _MOST_STRAIN:
         raise UsageError(
             f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
@@ -482,12 +480,12 @@ def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) 
     raw = np.stack([values for _, _, values in strains])
     there = np.isfinite(time)
     if not there.all():
-        changes.add("read", "", f"{int((~there).sum())} rows without a time are ignored")
+        changes.add("read", "", f"{(~there).sum()} rows without a time are ignored")
         time, raw = time[there], raw[:, there]
     time, raw = _distinct(time, raw, changes)
     step, grid = _step(time), time
     if _is_even(time, _UNEVEN):
-        step = float((time[-1] - time[0]) / (len(time) - 1))
+        step = (time[-1] - time[0]) / (len(time) - 1)
     else:
         count = round((time[-1] - time[0]) / step) + 1
         if count > 4 * len(time) + 1000:
@@ -504,8 +502,8 @@ def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) 
         between = nearest > 1e-6 * step
         outside = (grid < seen[0]) | (grid > seen[-1])
         unknown = between & (outside | (wide > (_SHORT_GAP + 1.5) * step))
-        filled += int((between & (wide > 1.5 * step)).sum())
-        lost += int(unknown.sum())
+        filled += (between & (wide > 1.5 * step)).sum()
+        lost += unknown.sum()
         trace = Trace(name, np.interp(grid, seen, values[good]), ~unknown)
         by_role.setdefault(role, []).append(trace)
     if filled:
@@ -513,7 +511,7 @@ def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) 
     if lost:
         text = f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
         changes.add("read", "", text)
-    return Traces(float(grid[0]), step, by_role)
+    return Traces(grid[0], step, by_role)
 
 
 def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
@@ -526,20 +524,20 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     twice = same & equal.all(axis=0)
     kept = np.append(True, ~twice)
     if _is_even(time[kept], 0.5):
-        changes.add("read", "", f"{int(twice.sum())} repeated rows are ignored")
+        changes.add("read", "", f"{twice.sum()} repeated rows are ignored")
         return time[kept], raw[:, kept]
-    first, sample = np.append(True, ~same), int(np.argmax(same)) + 2
+    first, sample = np.append(True, ~same), np.argmax(same) + 2
     if same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
         places = np.flatnonzero(first)
         text = (
-            f"{int(same.sum())} samples have the time of the sample before, first sample "
+            f"{same.sum()} samples have the time of the sample before, first sample "
             f"{sample}: their mean is taken"
         )
         changes.add("read", "", text)
         counts = np.diff(np.append(places, len(time)))
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
     # a coarse clock takes steps of one digit, again and again
-    digit, even = float(steps.max()), np.linspace(time[0], time[-1], len(time))
+    digit, even = steps.max(), np.linspace(time[0], time[-1], len(time))
     again = (steps > 0.99 * digit).sum() > _FEW_TWICE
     if digit == 0.0 or not again or np.abs(even - time).max() > 1.01 * digit:
         raise UsageError(
@@ -549,7 +547,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     text = "the time has too few digits to distinguish its samples: even steps are assumed"
     changes.add("read", "", text)
     # the last time is rounded like the others: a line gives the mean step
-    slope = float(np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0])
+    slope = np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0]
     return time[0] + slope * np.arange(len(time)), raw
 
 

@@ -121,7 +121,15 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
 
     moved = changes if asked.dispersion else None
     transmitted = _at_face(receiving, behind, window.to_b, window.length, step, moved)
-    face_b, gain_b = _far_face(record, behind, transmitted)
+    gain_b = math.hypot(behind.gain_sd, _BENDING) if receiving.single else behind.gain_sd
+    random = behind.stiffness**2 * (receiving.noise**2 + receiving.offset**2)
+    face_b = Force(
+        time=step * np.arange(window.length, dtype=float),
+        force=-behind.stiffness * transmitted,
+        sd=np.sqrt(random + (gain_b * (-behind.stiffness * transmitted)) ** 2),
+        noise=behind.stiffness * receiving.noise,
+        memory=receiving.memory,
+    )
     peaks = Peaks(B=largest_force(face_b))
     independent = max(1.0, (receiving.wave.falling - receiving.wave.half) / receiving.memory)
     noise = face_b.noise / math.sqrt(independent)
@@ -134,12 +142,9 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         peaks.doubt("B", text, 0.98 * other, 1.02 * other)
     force_a, sd_a, energies, mass = None, np.full(window.length, np.inf), None, None
     if not window.withheld:
-        incident, reflected, doubt = _near_waves(record, document, window, changes)
-        face_a = _near_face(record, bar, window, incident, reflected)
+        face_a, incident, reflected = _near_face(record, document, window, (peaks, changes), face_b)
         force_a, sd_a = np.full(window.length, np.nan), face_a.sd
         force_a[window.apart] = face_a.force[window.apart]
-        _near_peaks(peaks, face_a, face_b, window, wave.lead)
-        peaks.doubt("A", doubt)
         peaks.doubt("A", arrivals.doubt_b)
         faces = Faces(
             time=face_b.time,
@@ -159,7 +164,7 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
                 ("reflected", reflected, bar),
                 ("transmitted", transmitted, behind),
             ):
-                squares = float(np.square(strain).sum())
+                squares = np.square(strain).sum()
                 energies[name] = carrier.stiffness * carrier.wave_speed * step * squares
             passed = energies["reflected"] + energies["transmitted"]
             energies["absorbed"] = energies["incident"] - passed
@@ -208,7 +213,7 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
     # first touch; a wave whose distance is wrong begins at its own foot
     to_a, to_b = wave.start + arrivals.reflected, wave.start + arrivals.transmitted
     if arrivals.doubt_b:
-        to_b = float(receiving.wave.foot - receiving.wave.lead)
+        to_b = receiving.wave.foot - receiving.wave.lead
     echoes = [bar.echo / step, behind.echo / step]
     if document.record.aligned:
         echoes = [math.inf, math.inf]
@@ -281,7 +286,7 @@ def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Arra
 
 def _samples(values: Array, first: float, count: int) -> Array:
     """Samples from a place between samples on, by cubic splines."""
-    return np.asarray(map_coordinates(values, [first + np.arange(count)], order=3, mode="nearest"))
+    return map_coordinates(values, [first + np.arange(count)], order=3, mode="nearest")
 
 
 def _at_face(
@@ -294,66 +299,53 @@ def _at_face(
     more = min(more, len(signal.strain) - 3 - int(first))
     wave = _samples(signal.strain, first, max(count, more))
     moved, wave = moved_wave(wave, -bar.gauge, bar, step)[:count], wave[:count]
-    largest = float(np.abs(moved - wave).max())
-    share = largest / max(float(np.abs(wave).max()), 1e-300)
+    largest = np.abs(moved - wave).max()
+    share = largest / max(np.abs(wave).max(), 1e-300)
     text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
     changes.add("dispersion", signal.name, text, largest)
     return moved
 
 
-def _far_face(record: Record, bar: BarTable, transmitted: Array) -> tuple[Force, float]:
-    """The force at B, and the relative standard deviation of its gain, bending included."""
-    signal, stiffness = record.receiving, bar.stiffness
-    gain = math.hypot(bar.gain_sd, _BENDING) if signal.single else bar.gain_sd
-    force = -stiffness * transmitted
-    random = stiffness**2 * (signal.noise**2 + signal.offset**2)
-    course = Force(
-        time=record.step * np.arange(len(force), dtype=float),
-        force=force,
-        sd=np.sqrt(random + (gain * force) ** 2),
-        noise=stiffness * signal.noise,
-        memory=signal.memory,
-    )
-    return course, gain
-
-
-def _near_waves(
-    record: Record, document: RecordDocument, window: _Window, changes: Changes
-) -> tuple[Array, Array, str]:
-    """Incident and reflected wave (n,) at face A, and why the sign of the latter is doubted.
+def _near_face(
+    record: Record,
+    document: RecordDocument,
+    window: _Window,
+    noted: tuple[Peaks, Changes],
+    face_b: Force,
+) -> tuple[Force, Array, Array]:
+    """The force at A by two waves, incident and reflected wave (n,) there; adds the peaks of A and
+    of the mean (in place).
 
     Where waves were cut out, a reflected wave in its own column that has the sign of compression is
     the size of one: a specimen softer than the bar reflects tension.
     """
-    bar, asked, count = document.incident_bar, document.record, window.length
-    incident, doubt, signal = np.zeros(count), "", record.reflected
-    incident[: window.alive] = record.incident.strain[window.start : window.start + window.alive]
+    bar, asked, count, (peaks, changes) = (
+        document.incident_bar,
+        document.record,
+        window.length,
+        noted,
+    )
+    before, after, stiffness = record.incident, record.reflected, bar.stiffness
+    incident, doubt = np.zeros(count), ""
+    incident[: window.alive] = before.strain[window.start : window.start + window.alive]
     # where the two waves overlap neither can be moved by itself
     moved = changes if asked.dispersion and window.whole else None
     if moved is not None:
         incident = moved_wave(incident, bar.gauge, bar, record.step)
-    reflected = _at_face(signal, bar, window.to_a, count, record.step, moved)
+    reflected = _at_face(after, bar, window.to_a, count, record.step, moved)
+    force = -stiffness * (incident + reflected)
     if asked.aligned and asked.polarity == "auto" and not record.shared:
-        body = np.abs(reflected) > 0.5 * float(np.abs(reflected).max())
-        if float(reflected[body].mean()) <= 0.0:
-            in_file = bar.stiffness * float(-(incident + reflected).min())
-            reflected = -reflected
+        body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
+        if reflected[body].mean() <= 0.0:
             text = "has the sign of the incident wave; it is taken as tension"
-            changes.add("sign", signal.name, text)
+            changes.add("sign", after.name, text)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
-                f"{in_file * 1e-3:.4g} kN"
+                f"{force.max() * 1e-3:.4g} kN"
             )
-    return incident, reflected, doubt
-
-
-def _near_face(
-    record: Record, bar: BarTable, window: _Window, incident: Array, reflected: Array
-) -> Force:
-    """The force at A by two waves."""
-    before, after, stiffness = record.incident, record.reflected, bar.stiffness
-    force = -stiffness * (incident + reflected)
-    alive: Flags = np.arange(window.length) < window.alive
+            reflected = -reflected
+            force = -stiffness * (incident + reflected)
+    alive: Flags = np.arange(count) < window.alive
     noise = after.noise**2 + np.where(alive, before.noise**2, 0.0)
     offset = np.where(alive, before.offset + after.offset, after.offset)
     both = stiffness**2 * (incident**2 + reflected**2)
@@ -362,27 +354,26 @@ def _near_face(
         gain = (bar.gain_sd * force) ** 2
     if before.single or after.single:
         gain = gain + _BENDING**2 * both
-    return Force(
-        time=record.step * np.arange(window.length, dtype=float),
+    face_a = Force(
+        time=face_b.time,
         force=force,
         sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
         noise=stiffness * math.hypot(before.noise, after.noise),
         memory=before.memory,
     )
-
-
-def _near_peaks(peaks: Peaks, face_a: Force, face_b: Force, window: _Window, lead: int) -> None:
-    """Add the peaks of A and of the mean (in place)."""
     mean = face_a._replace(
-        force=0.5 * (face_a.force + face_b.force),
+        force=0.5 * (force + face_b.force),
         sd=0.5 * np.hypot(face_a.sd, face_b.sd),
         noise=0.5 * face_a.noise,
     )
     peaks["A"] = largest_force(face_a.part(window.apart))
     peaks["mean"] = largest_force(mean.part(window.apart))
-    edge = min(window.apart.start + lead, window.length - 1)
-    if window.apart.start > 0 and peaks["A"].time < face_a.time[edge]:
+    begin = window.apart.start
+    edge = face_a.time[min(begin + before.wave.lead, count - 1)]
+    if begin > 0 and peaks["A"].time < edge:
         peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
+    peaks.doubt("A", doubt)
+    return face_a, incident, reflected
 
 
 # --- checks, equilibrium, pulse -------------------------------------------------------------------
@@ -399,7 +390,7 @@ def _check_gauges(
         peaks.doubt("B", "the force at A is not known: it does not check gauge and gain of B")
         return
     both = np.maximum(
-        _samples(record.incident.spread, float(window.start), count),
+        _samples(record.incident.spread, window.start, count),
         _samples(record.reflected.spread, window.to_a, count),
     )
     check_bending(peaks, "A", stiffness * both, time, stiffness * record.incident.wave.peak)
