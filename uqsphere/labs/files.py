@@ -20,12 +20,14 @@ def in_unit(dimension: str) -> BeforeValidator:
     return BeforeValidator(lambda text: parse_value(text, dimension))
 
 
-Length = Annotated[float, in_unit("length"), Field(gt=0.0)]
-Pressure = Annotated[float, in_unit("pressure"), Field(gt=0.0)]
-Density = Annotated[float, in_unit("density"), Field(gt=0.0)]
-Force = Annotated[float, in_unit("force"), Field(gt=0.0)]
-Mass = Annotated[float, in_unit("mass"), Field(gt=0.0)]
-Speed = Annotated[float, in_unit("speed"), Field(gt=0.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+PoissonRatio = Annotated[float, Field(ge=0.0, lt=0.5)]
+Length = Annotated[Positive, in_unit("length")]
+Pressure = Annotated[Positive, in_unit("pressure")]
+Density = Annotated[Positive, in_unit("density")]
+Force = Annotated[Positive, in_unit("force")]
+Mass = Annotated[Positive, in_unit("mass")]
+Speed = Annotated[Positive, in_unit("speed")]
 Time = Annotated[float, in_unit("time")]
 
 

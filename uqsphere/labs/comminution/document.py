@@ -10,6 +10,8 @@ from uqsphere.labs.files import (
     Density,
     Length,
     Mass,
+    PoissonRatio,
+    Positive,
     Pressure,
     Section,
     Speed,
@@ -17,8 +19,8 @@ from uqsphere.labs.files import (
     in_unit,
 )
 
-SpecificEnergy = Annotated[float, in_unit("specific_energy"), Field(gt=0.0)]
-Energy = Annotated[float, in_unit("energy"), Field(gt=0.0)]
+SpecificEnergy = Annotated[Positive, in_unit("specific_energy")]
+Energy = Annotated[Positive, in_unit("energy")]
 Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
 
 
@@ -39,7 +41,7 @@ class Elastic(Section):
 
     material: str | None = None
     E: Pressure | None = None
-    nu: float | None = Field(default=None, ge=0.0, lt=0.5)
+    nu: PoissonRatio | None = None
     density: Density | None = None
 
     @model_validator(mode="before")
@@ -52,7 +54,7 @@ class Lognormal(Section):
     """A lognormal prior or scatter: logarithm of the median, and sd of the logarithm."""
 
     log_mean: float
-    log_sd: float = Field(gt=0.0)
+    log_sd: Positive
 
 
 class TestsTable(Section):
@@ -135,8 +137,8 @@ class SizesTable(Section):
     law: Literal["rosin_rammler", "gaudin_schuhmann", "lognormal", "table"]
     d63: Length | None = None
     d50: Length | None = None
-    n: float | None = Field(default=None, gt=0.0)
-    sd: float | None = Field(default=None, gt=0.0)
+    n: Positive | None = None
+    sd: Positive | None = None
     top: Length | None = None
     ratio: float = Field(default=2.0**0.5, gt=1.0)
     classes: int = Field(default=14, ge=1, le=200)
@@ -191,7 +193,7 @@ class ProductTable(Section):
     """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha is a number or scatters."""
 
     A: Share
-    b: Annotated[float, in_unit("mass_per_energy"), Field(gt=0.0)]
+    b: Annotated[Positive, in_unit("mass_per_energy")]
     curve: Literal["trr", "milin"] = "trr"
     alpha: float | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)
 

@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import Length, Section, in_unit
+from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
 from uqsphere.labs.shpb.recorder import read_recorded
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
@@ -36,7 +36,7 @@ _RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
 #: ratio of the ends of an interval beyond which a number is not determined
 _OPEN: Final = 30.0
 
-Stiffness = Annotated[float, in_unit("stiffness"), Field(gt=0.0)]
+Stiffness = Annotated[Positive, in_unit("stiffness")]
 
 
 class ContactDocument(Section):
@@ -58,7 +58,7 @@ class ContactDocument(Section):
     force_unit: str = ""
     machine_stiffness: Stiffness | None = None
     platens: str = "rigid"
-    nu: float = Field(default=0.25, ge=0.0, lt=0.5)
+    nu: PoissonRatio = 0.25
     pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
     compression: Literal["positive", "negative"] = "positive"
 

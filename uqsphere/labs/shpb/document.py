@@ -12,6 +12,8 @@ from uqsphere.labs.files import (
     Force,
     Length,
     Mass,
+    PoissonRatio,
+    Positive,
     Pressure,
     Section,
     Speed,
@@ -29,8 +31,7 @@ Columns = Annotated[
 
 
 Volts = Annotated[
-    float,
-    Field(gt=0.0),
+    Positive,
     BeforeValidator(lambda raw: parse_value(raw, "voltage") if isinstance(raw, str) else raw),
 ]
 
@@ -51,15 +52,15 @@ class BarTable(Section):
     material: str | None = None
     E: Pressure
     density: Density
-    nu: float = Field(default=0.3, ge=0.0, lt=0.5)
+    nu: PoissonRatio = 0.3
     diameter: Length
     length: Length | None = None
     end: Literal["free", "absorbing"] = "free"
     unit: str = ""
-    gauge_factor: float = Field(default=2.0, gt=0.0)
+    gauge_factor: Positive = 2.0
     excitation: Volts | None = None
-    amplification: float = Field(default=1.0, gt=0.0)
-    active_arms: float = Field(default=1.0, gt=0.0)
+    amplification: Positive = 1.0
+    active_arms: Positive = 1.0
     gain_sd: float = Field(default=0.01, ge=0.0, lt=1.0)
 
     @property

@@ -226,9 +226,11 @@ class Column:
         """Dimension and unit of a key or of the heading; the dimension is empty if not known."""
         text = f"x [{key}]" if key else self.heading
         for dimension in ("time", "strain", "voltage", *UNITS):
-            if unit := tables.unit_in_heading(text, dimension)[1]:
+            unit = tables.unit_in_heading(text, dimension)[1]
+            if unit:
                 return dimension, unit
-        if factor := tables.factor_in_heading(text):
+        factor = tables.factor_in_heading(text)
+        if factor:
             raise UsageError(
                 f"the heading {text!r} has the factor {factor!r}. Multiply the values by it and "
                 "write only the unit"
