@@ -27,8 +27,8 @@ from uqsphere.arrays import Array
 from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.expansion import law_points
-from uqsphere.uq.chaos.fit import constant_fit, mean_and_sd
-from uqsphere.uq.chaos.select import Order, folds_of
+from uqsphere.uq.chaos.fit import constant_fit
+from uqsphere.uq.chaos.select import Order, folds_of, mean_and_sd
 from uqsphere.uq.estimate import distances
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"

@@ -85,6 +85,8 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
     Raises UsageError for missing, unknown and repeated columns, and for what is no finite number.
     """
     rows = as_table(rows, names)
+    if hasattr(rows, "to_frame") and hasattr(rows, "index"):
+        rows = rows.to_frame().T  # a Series: one row, its index the names
     if hasattr(rows, "columns") or isinstance(rows, Mapping):
         labels = list(map(str, getattr(rows, "columns", rows)))
         for what, wrong in (
@@ -103,17 +105,10 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
             if index is not None and hasattr(column, "reindex") and not column.index.equals(index):
                 columns[k] = in_order_of(column, index, f"the column {names[k]!r}")
         try:
-            rows = np.stack(
-                np.broadcast_arrays(*(np.atleast_1d(np.asarray(c)) for c in columns)), axis=-1
-            )
+            rows = np.stack(np.broadcast_arrays(*map(np.atleast_1d, columns)), axis=-1)
         except ValueError as error:
-            raise UsageError(
-                f"the columns differ in length: {', '.join(str(np.size(c)) for c in columns)}"
-            ) from error
-    elif hasattr(rows, "index") and hasattr(
-        rows, "to_frame"
-    ):  # a Series: one row, its index the names
-        return columns_of(rows.to_frame().T, names)
+            sizes = ", ".join(str(np.size(column)) for column in columns)
+            raise UsageError(f"the columns differ in length: {sizes}") from error
     try:
         if np.iscomplexobj(x := np.asarray(rows)):
             raise TypeError("complex numbers")
@@ -257,15 +252,9 @@ class Expansion:
     def inside(self, rows: Any) -> Flags:
         """Which rows (n,) lie where the laws of the inputs do."""
         x = columns_of(rows, self.names)
-        return np.asarray(
-            np.all(
-                [
-                    (law.cdf(c) > 0.0) & (law.sf(c) > 0.0)
-                    for law, c in zip(self.joint.laws, x.T, strict=True)
-                ],
-                axis=0,
-            )
-        )
+        pairs = zip(self.joint.laws, x.T, strict=True)
+        within = [(law.cdf(c) > 0.0) & (law.sf(c) > 0.0) for law, c in pairs]
+        return np.asarray(np.all(within, axis=0))
 
     def germs_at(self, rows: Any) -> Array:
         """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output
@@ -307,7 +296,8 @@ class Expansion:
             scores = np.sort(self._scores)
             rank = math.ceil(level * (scores.size + 1))
             if rank <= scores.size:
-                half = scores[rank - 1] * self._std_error(points, value)
+                error = self._slope(value) * np.sqrt(1.0 + self._leverage(points))
+                half = scores[rank - 1] * error
         value = np.where(inside, value, np.nan)
         return Prediction(
             value=value, low=value - half, high=value + half, index=index_of(rows, self.names)
@@ -322,9 +312,6 @@ class Expansion:
     def _leverage(self, points: Array) -> Array:
         rows = rows_of(self.fit.germs, points, self.fit.multi_indices)
         return np.asarray(np.einsum("pn,pq,qn->n", rows, self._inverse, rows))
-
-    def _std_error(self, points: Array, value: Array) -> Array:
-        return np.asarray(self._slope(value) * np.sqrt(1.0 + self._leverage(points)))
 
     def _slope(self, value: Array) -> Array:
         """What the output moves by where the fitted polynomial moves by one."""
@@ -353,10 +340,8 @@ class Expansion:
         """
         from pandas import DataFrame
 
-        draws = random_generator(seed=seed, task="expansion").standard_normal(
-            (count, len(self.names))
-        )
-        x = self.joint.physical(draws)
+        rng = random_generator(seed=seed, task="expansion")
+        x = self.joint.physical(rng.standard_normal((count, len(self.names))))
         value = predict(self.fit, _points(self.joint, self.fit.germs, x))
         return DataFrame(x, columns=list(self.names)).assign(output=value)
 

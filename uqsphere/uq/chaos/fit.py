@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -31,7 +29,15 @@ from uqsphere.uq.chaos.basis import (
     skipping,
 )
 from uqsphere.uq.chaos.expansion import Chaos
-from uqsphere.uq.chaos.select import Order, Path, folds_of, forward_selection, solve_rows, whole_set
+from uqsphere.uq.chaos.select import (
+    Basis,
+    Choice,
+    Target,
+    folds_of,
+    forward_selection,
+    mean_and_sd,
+    whole_set,
+)
 
 #: hyperbolic norms of the sets that are tried
 NORMS: Final = (0.75, 1.0, 0.5)
@@ -44,122 +50,6 @@ MOST_TERMS, MOST_CANDIDATES = 256, 800
 HOPELESS: Final = 10.0
 #: terms of the second degree of many inputs: those of a hundred inputs
 MOST_SECOND: Final = 5151
-
-
-class Basis(NamedTuple):
-    """Products with degrees `terms` (P, d), their `rows` (P, n) at the samples, and the sizes of
-    nested sets within.
-    """
-
-    terms: Indices
-    rows: Array
-    sizes: tuple[int, ...] = ()
-
-
-def mean_and_sd(values: Array) -> tuple[float, float]:
-    """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
-    unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
-    return unit * float((values / unit).mean()), unit * float((values / unit).std())
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Target:
-    """What is expanded: w, the outputs (n,) or ln(sign · outputs), less its centre, over its
-    spread.
-
-    The exponential of a polynomial has no bounds of its own: ln(sign · y) is held to `bounds`, and
-    may leave the samples by as much as these range.
-    """
-
-    outputs: Array
-    folds: Order
-    log: bool = False
-
-    @cached_property
-    def sign(self) -> float:
-        return math.copysign(1.0, self.outputs[0])
-
-    @cached_property
-    def w(self) -> Array:
-        if self.log:
-            return np.log(self.sign * self.outputs)
-        return self.outputs
-
-    @cached_property
-    def scale(self) -> tuple[float, float]:
-        """Centre and spread of w."""
-        return mean_and_sd(self.w)
-
-    @cached_property
-    def deviation(self) -> float:
-        """Standard deviation of the outputs."""
-        return mean_and_sd(self.outputs)[1]
-
-    @cached_property
-    def values(self) -> Array:
-        """What the polynomial is fitted to (n,)."""
-        return (self.w - self.scale[0]) / self.scale[1]
-
-    @cached_property
-    def bounds(self) -> tuple[float, float]:
-        if not self.log:
-            return -math.inf, math.inf
-        low, high = float(self.w.min()), float(self.w.max())
-        return 2.0 * low - high, 2.0 * high - low
-
-    def squares(self, values: Array) -> Array:
-        """Square errors (n,) of predictions, over the variance of the outputs."""
-        if not self.log:
-            return np.asarray((values - self.values) ** 2)
-        w = self.scale[0] + self.scale[1] * values
-        w = np.minimum(np.maximum(w, self.bounds[0]), self.bounds[1])
-        return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
-
-    def error(self, values: Array) -> float:
-        error = float(np.add.reduce(self.squares(values))) / len(values)
-        if math.isfinite(error):
-            return error
-        return math.inf
-
-    def forward(self, basis: Basis, most: int) -> Choice:
-        """The terms of a basis that forward selection keeps."""
-        return self._choice(
-            basis, forward_selection(basis.rows, self.values, self.folds, self.error, most)
-        )
-
-    def whole(self, basis: Basis, most: int) -> Choice:
-        """The whole of those nested sets of a basis that do best."""
-        return self._choice(
-            basis, whole_set(basis.rows, self.values, self.folds, self.error, most, basis.sizes)
-        )
-
-    def _choice(self, basis: Basis, path: Path) -> Choice:
-        deviation = float(np.std(self.squares(path.held_out)))
-        return Choice(
-            target=self,
-            terms=basis.terms[path.rows],
-            rows=basis.rows[path.rows],
-            error=path.error,
-            std_error=deviation / math.sqrt(self.outputs.size),
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
-    """Terms (k, d) with their rows (k, n), their K-fold error and its standard error, over the
-    outputs' variance.
-    """
-
-    target: Target
-    terms: Indices
-    rows: Array
-    error: float
-    std_error: float
-
-    @cached_property
-    def coefficients(self) -> Array:
-        """Least-squares coefficients (k,) of the target, of all samples."""
-        return solve_rows(self.rows, self.target.values)
 
 
 def _candidates(n: int) -> int:
@@ -213,24 +103,22 @@ def fit_chaos(
     logs = [False]
     if one_sign and not plain:
         logs = [True, False]
-    targets = [Target(outputs=outputs, folds=folds, log=log) for log in logs]
+    targets = [Target(outputs, folds, log=log) for log in logs]
     if not bases:
         return constant
     best = _grow(_best(targets, bases), tables, highest)
     if best.error >= 1.0:
         return constant
-    target, order = (
-        best.target,
-        np.argsort(best.terms.any(axis=1), kind="stable"),
-    )  # the constant first
-    coefficients = best.coefficients[order] * target.scale[1]
-    coefficients[0] += target.scale[0]
+    target = best.target
+    order = np.argsort(best.terms.any(axis=1), kind="stable")  # the constant first
+    coefficients = best.coefficients[order] * target.spread
+    coefficients[0] += target.centre
     return Chaos(
         coefficients=coefficients,
         multi_indices=best.terms[order],
         germs=germs,
         log=target.log,
-        sign=target.sign if target.log else 1.0,
+        sign=target.sign,
         bounds=target.bounds,
         samples=n,
         cross_validation_error=min(best.error + best.std_error, 1.0),
@@ -293,7 +181,7 @@ def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
     else:
         # a whole set is no choice that few samples could mislead
         most = max(most, min(2 * n // 3, MOST_TERMS))
-        tried += [target.whole(basis, most) for target, basis in product(targets, bases)]
+        tried += [whole_set(target, basis, most) for target, basis in product(targets, bases)]
     return min(tried, key=lambda choice: choice.error)
 
 
@@ -303,7 +191,7 @@ def _search(target: Target, basis: Basis, most: int) -> Choice:
     for size in basis.sizes:
         if size < 1.4 * last and size != basis.sizes[-1]:
             continue
-        choice = target.forward(Basis(basis.terms[:size], basis.rows[:size]), most)
+        choice = forward_selection(target, Basis(basis.terms[:size], basis.rows[:size]), most)
         worse += 1
         if choice.error < 0.99 * min((other.error for other in choices), default=math.inf):
             worse = 0
@@ -330,9 +218,8 @@ def _grow(best: Choice, tables: Sequence[Array], highest: Indices) -> Choice:
         for terms in (near, both):
             terms = terms[(terms <= highest).all(axis=1)]
             terms = terms[np.argsort(terms.any(axis=1), kind="stable")]  # the constant first
-            trial = best.target.forward(
-                Basis(terms, products(tables, terms)), max(min(n // 2, MOST_TERMS), 1)
-            )
+            near_basis = Basis(terms, products(tables, terms))
+            trial = forward_selection(best.target, near_basis, max(min(n // 2, MOST_TERMS), 1))
             if trial.error < best.error:
                 best = trial
                 break

@@ -3,19 +3,20 @@
 A solver runs on all samples and on all samples but one fold, K times, next to each other ("lanes",
 the first of which has all samples): the fold left out is predicted by terms that were chosen
 without it.  The leave-one-out error of terms chosen on all samples is ten to a hundred times too
-small where candidates outnumber samples.
+small where candidates outnumber samples.  Errors are counted in the units of the output.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
+from uqsphere.uq.chaos.basis import Indices
 
 Order: TypeAlias = npt.NDArray[np.intp]
 
@@ -24,14 +25,88 @@ Order: TypeAlias = npt.NDArray[np.intp]
 ROUNDING, DEPENDENT = 1e-30, 1e-8
 
 
-class Path(NamedTuple):
-    """Rows chosen (k,), their K-fold error, and the predictions (n,) of every sample without its
-    fold.
+class Basis(NamedTuple):
+    """Products with degrees `terms` (P, d), their `rows` (P, n) at the samples, row 0 constant, and
+    the sizes of nested sets within.
     """
 
-    rows: Order
+    terms: Indices
+    rows: Array
+    sizes: tuple[int, ...] = ()
+
+
+class Target:
+    """What is expanded: w, the outputs (n,) or ln(sign · outputs), less its centre, over its
+    spread, at samples with a fold (n,) each.
+
+    The exponential of a polynomial has no bounds of its own: ln(sign · y) is held to `bounds`, and
+    may leave the samples by as much as these range.
+    """
+
+    def __init__(self, outputs: Array, folds: Order, *, log: bool = False) -> None:
+        self.outputs, self.folds, self.log = outputs, folds, log
+        self.deviation = mean_and_sd(outputs)[1]
+        self.sign, self.bounds, w = 1.0, (-math.inf, math.inf), outputs
+        if log:
+            self.sign = math.copysign(1.0, outputs[0])
+            w = np.log(self.sign * outputs)
+            low, high = float(w.min()), float(w.max())
+            self.bounds = 2.0 * low - high, 2.0 * high - low
+        self.centre, self.spread = mean_and_sd(w)
+        self.values = (w - self.centre) / self.spread
+
+    def squares(self, values: Array) -> Array:
+        """Square errors (n,) of predictions, over the variance of the outputs."""
+        if not self.log:
+            return np.asarray((values - self.values) ** 2)
+        w = self.centre + self.spread * values
+        w = np.minimum(np.maximum(w, self.bounds[0]), self.bounds[1])
+        return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
+
+    def error(self, values: Array) -> float:
+        """Mean square error of predictions (n,); infinite where one is not finite."""
+        error = float(np.add.reduce(self.squares(values))) / len(values)
+        if math.isfinite(error):
+            return error
+        return math.inf
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Choice:
+    """Terms (k, d) with their rows (k, n), their K-fold error and its standard error, over the
+    outputs' variance.
+    """
+
+    target: Target
+    terms: Indices
+    rows: Array
     error: float
-    held_out: Array
+    std_error: float
+
+    @property
+    def coefficients(self) -> Array:
+        """Least-squares coefficients (k,) of the target, of all samples."""
+        q, r = np.linalg.qr(self.rows.T)
+        return np.asarray(np.linalg.solve(r, q.T @ self.target.values))
+
+
+def _chosen(target: Target, basis: Basis, kept: Order, error: float, held_out: Array) -> Choice:
+    """The choice of some rows of a basis, from the predictions (n,) of every sample without its
+    fold.
+    """
+    return Choice(
+        target=target,
+        terms=basis.terms[kept],
+        rows=basis.rows[kept],
+        error=error,
+        std_error=float(np.std(target.squares(held_out))) / math.sqrt(held_out.size),
+    )
+
+
+def mean_and_sd(values: Array) -> tuple[float, float]:
+    """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
+    unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
+    return unit * float((values / unit).mean()), unit * float((values / unit).std())
 
 
 def folds_of(n: int, folds: int) -> Order:
@@ -44,33 +119,30 @@ def folds_of(n: int, folds: int) -> Order:
     return np.concatenate(runs)[:n].astype(np.intp)
 
 
-def forward_selection(
-    basis: Array, target: Array, folds: Order, error_of: Callable[[Array], float], most: int
-) -> Path:
+def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
     """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo
-    1989), in every lane.
+    1989), in every lane, at most so many.
 
-    `basis` (P, n) at the samples, row 0 constant; `target` (n,); the fold (n,) of every sample;
-    `error_of` the error of predictions (n,) of the target; at most so many rows.  Directions are
-    orthonormal over the samples that a lane sees and go on over the fold left out, so that the fit
-    is a prediction there.  Correlations follow from those before by one product of the basis with
-    the new directions.
+    Directions are orthonormal over the samples that a lane sees and go on over the fold left out,
+    so that the fit is a prediction there.  Correlations follow from those before by one product of
+    the basis with the new directions.
     """
+    candidates, folds = basis.rows, target.folds
     seen = folds != np.arange(folds.max() + 1)[:, None]
     masks = np.concatenate([np.ones((1, folds.size)), seen.astype(float)])
     (lanes, n), every = masks.shape, np.arange(masks.shape[0])
-    most = max(min(most, len(basis)), 1)
+    most = max(min(most, len(candidates)), 1)
     directions = np.empty((lanes, most, n))
     # products of every direction with every row of the basis
-    along = np.empty((most, lanes, len(basis)))
-    norms = masks @ (basis**2).T
+    along = np.empty((most, lanes, len(candidates)))
+    norms = masks @ (candidates**2).T
     least = np.maximum(DEPENDENT * norms, 1e-300)
     # square norms of the rows beyond the span of those taken; infinite for those that are closed
     left = norms.copy()
-    residuals = masks * target
+    residuals = masks * target.values
     squares_left = np.vecdot(residuals, residuals)
     floors = ROUNDING * squares_left
-    correlations = residuals @ basis.T
+    correlations = residuals @ candidates.T
     rows = np.zeros(lanes, dtype=np.intp)
     lane, sample = 1 + folds, np.arange(n)
     predicted = held_out = np.zeros(n)
@@ -83,7 +155,7 @@ def forward_selection(
         wanted = left[every, rows] < math.inf
         if not wanted.any():
             break
-        fresh, before = basis[rows], norms[every, rows]
+        fresh, before = candidates[rows], norms[every, rows]
         masked = masks * fresh
         squares, part = before, along[:k, every, rows].T
         for _ in range(2 if k else 0):
@@ -104,53 +176,42 @@ def forward_selection(
         squares_left = np.vecdot(residuals, residuals)
         predicted = predicted + (steps[:, None] * fresh)[lane, sample]
         order.append(int(rows[0]) if sound[0] else -1)
-        error = error_of(predicted)
+        error = target.error(predicted)
         if error < best:
             best, size, held_out = error, k + 1, predicted
         since = 0 if error < 0.99 * looked else since + 1
         looked = min(looked, error)
         if (squares_left <= floors).all() or since > max(10, k // 4):
             break
-        np.matmul(masked, basis.T, out=along[k])
+        np.matmul(masked, candidates.T, out=along[k])
         left[every, rows] = math.inf
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
     kept = np.array(order[:size], dtype=np.intp)
-    return Path(kept[kept >= 0], best, held_out)
+    return _chosen(target, basis, kept[kept >= 0], best, held_out)
 
 
-def whole_set(
-    basis: Array,
-    target: Array,
-    folds: Order,
-    error_of: Callable[[Array], float],
-    most: int,
-    sizes: tuple[int, ...],
-) -> Path:
-    """All rows of a set, of the nested sets of these sizes that with the least K-fold error.
+def whole_set(target: Target, basis: Basis, most: int) -> Choice:
+    """All rows of a set, of the nested sets of a basis that with the least K-fold error.
 
     Least squares without a fold miss its samples by (I - H_kk)⁻¹ r_k, with H_kk the block of the
     projection on the rows and r_k the residuals of all samples.
     """
-    n, count = target.size, int(folds.max()) + 1
-    sizes = tuple(size for size in sizes if size <= min(most, n - -(-n // count) - 1))
-    best = Path(np.zeros(1, dtype=np.intp), math.inf, np.zeros(n))
-    q = np.linalg.qr(basis[: max(sizes, default=0)].T)[0]
+    values, count = target.values, int(target.folds.max()) + 1
+    most = min(most, values.size - -(-values.size // count) - 1)
+    sizes = [size for size in basis.sizes if size <= most]
+    best = 0, math.inf, np.zeros(values.size)
+    q = np.linalg.qr(basis.rows[: max(sizes, default=0)].T)[0]
     for size in sizes:
-        held_out, part = target.copy(), q[:, :size]
-        left = target - part @ (part.T @ target)
-        for at in (np.flatnonzero(folds == k) for k in range(count)):
+        held_out, part = values.copy(), q[:, :size]
+        left = values - part @ (part.T @ values)
+        for at in (np.flatnonzero(target.folds == k) for k in range(count)):
             # 1e-12: where the other folds leave a sample open, its prediction is far off and not an
             # error
             held_out[at] -= np.linalg.solve(
                 (1.0 + 1e-12) * np.eye(at.size) - part[at] @ part[at].T, left[at]
             )
-        if (error := error_of(held_out)) < best.error:
-            best = Path(np.arange(size, dtype=np.intp), error, held_out)
-    return best
-
-
-def solve_rows(rows: Array, values: Array) -> Array:
-    """Least-squares coefficients (k,) of values (n,) in rows (k, n)."""
-    q, r = np.linalg.qr(rows.T)
-    return np.asarray(np.linalg.solve(r, q.T @ values))
+        error = target.error(held_out)
+        if error < best[1]:
+            best = size, error, held_out
+    return _chosen(target, basis, np.arange(max(best[0], 1)), *best[1:])
