@@ -8,7 +8,8 @@ shapes conserve the striker's impulse where theory (20) says so.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -43,17 +44,17 @@ class Pulse:
         return self.breaks[:, -1]
 
 
-def _hermite(length: Array, left: Array, right: Array) -> Array:
+def _hermite(length: Array, left: Values, right: Values) -> Array:
     """Cubic from `left` to `right` with zero slope at both ends, (n, 4) ascending."""
-    rise = right - left
-    zero = np.zeros_like(length)
+    rise, zero = right - left, np.zeros_like(length)
     return np.stack([left + zero, zero, 3.0 * rise / length**2, -2.0 * rise / length**3], axis=1)
 
 
-def _line(length: Array, left: Array, right: Array) -> Array:
-    safe = np.where(length > 0.0, length, 1.0)
+def _line(length: Array, left: Values, right: Values) -> Array:
+    """Straight line from `left` to `right`, (n, 4) ascending; `left` over no length."""
     zero = np.zeros_like(length)
-    return np.stack([left + zero, (right - left) / safe, zero, zero], axis=1)
+    slope = (right - left) / np.where(length > 0.0, length, 1.0)
+    return np.stack([left + zero, slope, zero, zero], axis=1)
 
 
 def _pieces(breaks: list[Array], cubics: list[Array], valid: Flags) -> Pulse:
@@ -92,19 +93,14 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
 def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
     """Steps of equal width; the first rises over `rise`, later changes are centred over `fall`."""
     levels, complete = striker_steps(ratio)
-    count = (levels > 0.0).sum(axis=1)
     middle = 0.5 * rise
-    end = middle + count * duration + 0.5 * fall
-    breaks = [np.zeros_like(duration), rise]
-    pieces = [_line(rise, np.zeros_like(duration), levels[:, 0])]
-    following = np.concatenate([levels[:, 1:], np.zeros_like(levels[:, :1])], axis=1)
-    for k in range(levels.shape[1]):
-        change = middle + (k + 1) * duration
+    end = middle + (levels > 0.0).sum(axis=1) * duration + 0.5 * fall
+    breaks, pieces = [np.zeros_like(duration), rise], [_line(rise, 0.0, levels[:, 0])]
+    steps = [*levels.T, np.zeros_like(duration)]
+    for k, (level, following) in enumerate(pairwise(steps), start=1):
+        change = middle + k * duration
         breaks += [np.minimum(change - 0.5 * fall, end), np.minimum(change + 0.5 * fall, end)]
-        pieces += [
-            _line(duration, levels[:, k], levels[:, k]),
-            _line(fall, levels[:, k], following[:, k]),
-        ]
+        pieces += [_line(duration, level, level), _line(fall, level, following)]
     plateau = duration - 0.5 * (rise + fall)
     roomy = (plateau >= -1e-12 * duration) & (duration - fall >= -1e-12 * duration)
     valid = complete & roomy & (rise >= 0.0) & (fall >= 0.0) & (duration > 0.0)
@@ -112,11 +108,10 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
 
 
 def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+    abrupt = np.zeros_like(duration)
     if "striker_ratio" in numbers:
-        abrupt = np.zeros_like(duration)
         return _stepped(duration, abrupt, abrupt, numbers["striker_ratio"])
-    zero, one = np.zeros_like(duration), np.ones_like(duration)
-    return _pieces([zero, duration], [_line(duration, one, one)], duration > 0.0)
+    return _pieces([abrupt, duration], [_line(duration, 1.0, 1.0)], duration > 0.0)
 
 
 def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -128,9 +123,8 @@ def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     if "striker_ratio" in numbers:
         return _stepped(duration, rise, fall, numbers["striker_ratio"])
     plateau = duration - 0.5 * (rise + fall)
-    zero, one = np.zeros_like(duration), np.ones_like(duration)
-    breaks = [zero, rise, rise + plateau, rise + plateau + fall]
-    pieces = [_line(rise, zero, one), _line(plateau, one, one), _line(fall, one, zero)]
+    breaks = [np.zeros_like(duration), rise, rise + plateau, rise + plateau + fall]
+    pieces = [_line(rise, 0.0, 1.0), _line(plateau, 1.0, 1.0), _line(fall, 1.0, 0.0)]
     valid = (rise >= 0.0) & (fall >= 0.0) & (plateau >= -1e-12 * duration) & (duration > 0.0)
     return _pieces(breaks, pieces, valid)
 
@@ -140,13 +134,9 @@ def _ramp(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 
 def _half_sine(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
-    zero = np.zeros_like(duration)
-    return Pulse(
-        breaks=np.stack([zero, duration], axis=1),
-        coefficients=np.zeros((len(duration), 1, 4)),
-        frequency=np.pi / duration,
-        valid=duration > 0.0,
-    )
+    flat = _line(duration, 0.0, 0.0)
+    pulse = _pieces([np.zeros_like(duration), duration], [flat], duration > 0.0)
+    return replace(pulse, frequency=np.pi / duration)
 
 
 def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -292,12 +282,10 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
             f"the strain reaches {-strain.min() / peak:.0%} of its peak in tension; cut off the "
             "reflected wave, or smooth a noisy record"
         )
-    if abs(strain[first]) > limit:
-        level = abs(strain[first]) / peak
-        raise ValueError(f"the record starts at {level:.0%} of its peak; start it at rest")
-    if abs(strain[last]) > limit:
-        level = abs(strain[last]) / peak
-        raise ValueError(f"the record ends at {level:.0%} of its peak; end it at rest")
+    for place, verb in ((first, "start"), (last, "end")):
+        if abs(strain[place]) > limit:
+            level = abs(strain[place]) / peak
+            raise ValueError(f"the record {verb}s at {level:.0%} of its peak; {verb} it at rest")
     time, curve = time[first : last + 1] - time[first], strain[first : last + 1] / peak
     # from 0 to 0
     curve[[0, -1]], weight = 0.0, np.ones(len(curve))
