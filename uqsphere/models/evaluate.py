@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.models.black_box import BlackBox
 from uqsphere.models.model import Model
@@ -92,9 +91,9 @@ def evaluate(
         if not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
             raise UsageError(f"tolerance must be between 1e-12 and 1e-2, not {tolerance!r}")
         study = replace(study, model=study.model.model_copy(update={"tolerance": tolerance}))
-    names = list(frame)
-    columns = [quantities] if isinstance(quantities, str) else list(quantities or ())
-    columns = columns or list(study.analysis.quantities)
+    names, columns = list(frame), list(quantities or study.analysis.quantities)
+    if isinstance(quantities, str):
+        columns = [quantities]
     with Model(study, model, threads=threads) as opened:
         opened.check_names(names, columns)
         missing = [name for name in study.random if name not in names]
@@ -104,37 +103,26 @@ def evaluate(
                 f"the study ({', '.join(study.random)}); a dict takes the others at their means"
             )
         rows = columns_of(frame, names) if names else np.zeros((1, 0))
-        if not study.black_box:
-            _warn_of_unusual(names, rows)
+        for name, column in zip(names, rows.T, strict=True):
+            low, high = (-np.inf, np.inf) if study.black_box else INPUTS[name].plausible
+            far = column[(column < low / _FAR) | (column > high * _FAR)]
+            if far.size:
+                usual = f"{format_value(low, name)} to {format_value(high, name)}"
+                warnings.warn(
+                    f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}). Values "
+                    "are in SI; is the unit right?",
+                    stacklevel=2,
+                )
         answers = opened.evaluate(names, rows, columns)
     if not answers.good.all():
         count = int((~answers.good).sum())
         warnings.warn(
             f"{count} of {len(rows)} rows have no answer; the first: {answers.note}", stacklevel=2
         )
-    if not study.black_box:
-        _warn_of_range(study, names, rows, columns)
+    checks = [] if study.black_box else checked_rows(study, names, rows[:_CHECKED], columns)
+    for check in checks:
+        if check.grade == _FAILURE:
+            warnings.warn(f"outside the validity range of the model: {check.text}", stacklevel=2)
     table = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
     table["censored"] = np.asarray(answers.censored.any(axis=1))
     return table
-
-
-def _warn_of_unusual(names: Sequence[str], rows: Array) -> None:
-    """Warn of numbers that are outside the usual range by more than a factor of ten."""
-    for name, column in zip(names, rows.T, strict=True):
-        low, high = INPUTS[name].plausible
-        far = column[(column < low / _FAR) | (column > high * _FAR)]
-        if far.size:
-            usual = f"{format_value(low, name)} to {format_value(high, name)}"
-            warnings.warn(
-                f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}). Values are "
-                "in SI; is the unit right?",
-                stacklevel=3,
-            )
-
-
-def _warn_of_range(study: Study, names: Sequence[str], rows: Array, columns: Sequence[str]) -> None:
-    """Warn of samples that lie outside the range in which the impact model is valid."""
-    for result in checked_rows(study, names, rows[:_CHECKED], columns):
-        if result.grade == _FAILURE:
-            warnings.warn(f"outside the validity range of the model: {result.text}", stacklevel=3)

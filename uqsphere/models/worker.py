@@ -33,18 +33,15 @@ def answer(task: Task | bytes, rows: Array) -> Timed:
     Raises ModelRaised where the model raises, ModelError where it returns something of the wrong
     form or cannot be loaded, UsageError where the task cannot be used in this process.
     """
-    if not isinstance(task, bytes):
-        return _timed(task, rows)
     try:
-        return _timed(unpack(task), rows)
-    except KeyboardInterrupt as error:  # nobody presses keys here: it is the model's
+        box, inputs, outputs = unpack(task) if isinstance(task, bytes) else task
+        began = time.perf_counter()
+        return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
+    except KeyboardInterrupt as error:
+        if not isinstance(task, bytes):
+            raise
+        # nobody presses keys in a process of the model
         raise ModelRaised("the model raised KeyboardInterrupt") from error
-
-
-def _timed(task: Task, rows: Array) -> Timed:
-    box, inputs, outputs = task
-    began = time.perf_counter()
-    return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
 
 
 @lru_cache(maxsize=4)

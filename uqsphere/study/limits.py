@@ -373,20 +373,22 @@ def _warn_of_slips(
         typical = np.median(0.9 * force / np.square(diameter))
         return bool(low <= typical <= high and 1 / 3 <= np.median(diameter) / across <= 3.0)
 
-    factors = {}
-    for key, dimension in (("force", "force"), ("diameter", "length")):
+    def unit_of(key: str, dimension: str) -> float:
         column, unit = getattr(table, key), getattr(table, f"{key}_unit")
         if unit is None and not column[:1].isdigit():
             unit = cells.unit_of(column, dimension)
-        factors[key] = UNITS[dimension].get(unit or "", math.nan)
-    in_units = columns["force"] / factors["force"], columns["diameter"] / factors["diameter"]
+        return UNITS[dimension].get(unit or "", math.nan)
+
+    newton, metre = unit_of("force", "force"), unit_of("diameter", "length")
     tension: Array = 0.9 * force / np.square(diameter)
     typical, far = np.median(tension), np.abs(np.log(diameter / across)) > math.log(3.0)
     slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
     key, text, likely = "force", "", list[str]()
     if slips.any():
         first = int(np.argmax(slips))
-        ratios = {key: columns[key][first] / np.median(columns[key]) for key in factors}
+        ratios = {
+            key: columns[key][first] / np.median(columns[key]) for key in ("force", "diameter")
+        }
         key = max(ratios, key=lambda key: abs(math.log(ratios[key])))
         text = f"line {cells.lines[rows[first]]}: the {key} is {ratios[key]:,.4g} times the median"
         tension[slips] = typical
@@ -396,17 +398,19 @@ def _warn_of_slips(
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
             f"of three, the first is {1e3 * diameter[first]:.4g} mm"
         )
-        likely = [u for u in _LENGTHS if is_usual(force, in_units[1] * UNITS["length"][u])]
+        units = UNITS["length"]
+        likely = [u for u in _LENGTHS if is_usual(force, diameter / metre * units[u])]
     elif not low <= typical <= high:
         text = (
             f"0.9 P/D² is {1e-6 * typical:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
             "MPa"
         )
-        likely = [u for u in _FORCES if is_usual(in_units[0] * UNITS["force"][u], diameter)]
+        units = UNITS["force"]
+        likely = [u for u in _FORCES if is_usual(force / newton * units[u], diameter)]
     if not text:
         return tension
     hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
-    if is_usual(in_units[1] * factors["force"], in_units[0] * factors["diameter"]):
+    if is_usual(diameter / metre * newton, force / newton * metre):
         hint = "are the columns of force and diameter swapped?"
     draft.warn((*place, key), f"{table.file}: {text}: {hint}", holds="unit")
     return tension
