@@ -84,6 +84,11 @@ def main(argv: Sequence[str]) -> int:
 
             argcomplete.autocomplete(parser)
     options, unknown = parser.parse_known_args(argv)
+    if options.version:
+        from uqsphere.propagation.write import versions
+
+        print("\n".join(f"{name} {number}" for name, number in versions().items()))
+        return 0
     if not getattr(options, "command", None):
         parser.print_help()
         return 2
@@ -154,7 +159,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--version", action=_Version, nargs=0, help="versions of uqsphere and its dependencies"
+        "--version", action="store_true", help="versions of uqsphere and its dependencies"
     )
     commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
 
@@ -235,14 +240,6 @@ def _parser() -> argparse.ArgumentParser:
         for name, text in LABS.items():
             commands.add_parser(name, help=text)
     return parser
-
-
-class _Version(argparse.Action):
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from uqsphere.propagation.write import _versions
-
-        print("\n".join(f"{name} {number}" for name, number in _versions().items()))
-        parser.exit()
 
 
 def _with_study(parser: argparse.ArgumentParser) -> None:

@@ -121,7 +121,7 @@ def results_of(
             reused=cost.reused,
             seconds=round(cost.seconds, 2),
         ),
-        versions=_versions(),
+        versions=versions(),
     )
 
 
@@ -355,19 +355,20 @@ def _distribution_text(law: Law, name: str) -> str:
     return ", ".join(parts)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of Python, of this package and of those that it computes with."""
     from uqsphere import __version__
 
-    versions = {
+    numbers = {
         "python": ".".join(str(part) for part in sys.version_info[:3]),
         "uqsphere": __version__,
     }
     for name in PACKAGES:
         try:
-            versions[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:
             continue
-    return versions
+    return numbers
 
 
 def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
