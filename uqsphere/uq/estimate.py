@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -18,16 +17,16 @@ from uqsphere.arrays import Array, Flags
 
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
-REPLICATES: Final = 16
+REPLICATES = 16
 #: level of every interval, and the two ends that it leaves out
-LEVEL: Final = 0.95
-ENDS: Final = (0.025, 0.975)
+LEVEL = 0.95
+ENDS = (0.025, 0.975)
 #: two-sided 95 % point of the normal law
-NORMAL: Final = 1.959963984540054
+NORMAL = 1.959963984540054
 #: standard deviation of what may lie anywhere in a cell of length one
-CELL: Final = 12.0**-0.5
+CELL = 12.0**-0.5
 #: standard errors after which a difference is taken for one
-SURE: Final = 4.0
+SURE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import chain
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,18 +23,18 @@ from uqsphere.uq.forms import Form, LawError
 if TYPE_CHECKING:
     from uqsphere.uq.law import Law
 
-Keys: TypeAlias = dict[str, float]
+Keys = dict[str, float]
 
 
 # --- what a family is -----------------------------------------------------------------------------
 
 #: keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the
 #: SI value, rate is per SI unit)
-DIMENSIONAL: Final = frozenset(
+DIMENSIONAL = frozenset(
     {"mean", "sd", "scale", "location", "threshold", "mode", "loc", "lower", "upper"}
 )
 #: keys that must be above zero in every family that has them
-_POSITIVE: Final = (
+_POSITIVE = (
     "sd",
     "cov",
     "log_sd",
@@ -201,9 +201,9 @@ def _loguniform(lower: float, upper: float) -> tuple[float, float, Form]:
 
 # --- the families ---------------------------------------------------------------------------------
 
-_MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
+_MOMENTS = (("mean", "sd"), ("mean", "cov"))
 
-FAMILIES: Final = {
+FAMILIES = {
     family.name: family
     for family in (
         Family(name="normal", alternatives=_MOMENTS, form=lambda mean, sd: (mean, sd, forms.GAUSS)),
@@ -293,16 +293,16 @@ FAMILIES: Final = {
 }
 
 #: draws of a fit, which a study reads from a file
-DRAWN: Final = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)
+DRAWN = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)
 #: a law by the functions of a distribution of another package
-BY_FUNCTIONS: Final = Family(name="functions", observed=lambda law: forms.by_functions(law.source))
+BY_FUNCTIONS = Family(name="functions", observed=lambda law: forms.by_functions(law.source))
 #: the families that a study has no keys for
-_UNLISTED: Final = {family.name: family for family in (DRAWN, BY_FUNCTIONS)}
+_UNLISTED = {family.name: family for family in (DRAWN, BY_FUNCTIONS)}
 
 
 # --- laws of others: every continuous law of SciPy by its name, such as `scipy.johnsonsu` ---------
 
-PREFIX: Final = "scipy."
+PREFIX = "scipy."
 
 
 @lru_cache(maxsize=64)

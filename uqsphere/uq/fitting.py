@@ -17,7 +17,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 #: simulated test series behind bias and intervals, whose tails of 2.5 % are then known to 0.2 %,
 #: and behind the probability of a fit, known to 0.003 where it is 0.01
-DRAWS: Final = 8000
-_OTHERS: Final = 999
+DRAWS = 8000
+_OTHERS = 999
 #: robust deviations from the rest beyond which a test is worth a second look
-APART: Final = 5.0
-_SERIES_SEED: Final = 20261121
+APART = 5.0
+_SERIES_SEED = 20261121
 #: simulated test series for each that is chosen by its rank
-FINER: Final = 10
+FINER = 10
 #: beyond so many failures the pivots follow the law of large samples, whose 95 % ranges are then
 #: right to a tenth of a standard deviation (tests/uq/test_fitting.py)
-MANY: Final = 300
+MANY = 300
 
 # --- laws with a location and a scale -------------------------------------------------------------
 
@@ -161,7 +161,7 @@ class LocationScale:
 
 
 #: laws that can be fitted with stopped tests among them
-STRENGTHS: Final = {
+STRENGTHS = {
     "lognormal": LocationScale(
         form=GAUSS, u=np.log, parameters=lambda m, s: {"log_mean": m, "log_sd": s}
     ),
@@ -169,7 +169,7 @@ STRENGTHS: Final = {
         u=np.log, parameters=lambda m, s: {"modulus": 1.0 / s, "scale": np.exp(m)}
     ),
 }
-LOCATION_SCALE: Final = {
+LOCATION_SCALE = {
     **STRENGTHS,
     "normal": LocationScale(form=GAUSS, u=np.asarray, parameters=lambda m, s: {"mean": m, "sd": s}),
     # 1/x is Weibull with the same shape
@@ -406,7 +406,7 @@ def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) ->
 
 #: parameters of the largest likelihood of observations (n,), and of bounds, of laws without
 #: location and scale
-OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
+OTHERS: Mapping[str, Callable[[Array, float, float], Keys]] = {
     "exponential": lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
     "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
     "beta": lambda data, a, b: _scipy_fit("beta", data, ("alpha", "beta"), floc=a, fscale=b - a),
@@ -414,10 +414,10 @@ OTHERS: Final[Mapping[str, Callable[[Array, float, float], Keys]]] = {
 }
 #: what a column of observations can become: a kernel density, a step function, or a member of a
 #: family
-FITS: Final = ("kde", "steps", *LOCATION_SCALE, *OTHERS)
+FITS = ("kde", "steps", *LOCATION_SCALE, *OTHERS)
 #: two observations always lie on a law of two parameters: the third is the first that tells of the
 #: fit
-LEAST_TESTS: Final = 3
+LEAST_TESTS = 3
 
 
 def fitted_law(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +22,11 @@ from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import Law, checked, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
-LawLike: TypeAlias = Any
+LawLike = Any
 
 #: families of this package by SciPy's names, and the keys of its shapes, loc and scale; "-": none,
 #: so that a loc must be 0
-DIRECT: Final = {
+DIRECT = {
     "norm": ("normal", "mean sd"),
     "gumbel_r": ("gumbel", "location scale"),
     "weibull_min": ("weibull", "modulus threshold scale"),
@@ -38,7 +38,7 @@ DIRECT: Final = {
     "expon": ("exponential", "- rate"),
 }
 #: bounded families by SciPy's names: its shapes, loc and scale -> family, bounds and parameters
-BOUNDED: Final[Mapping[str, Callable[..., tuple[Any, ...]]]] = {
+BOUNDED: Mapping[str, Callable[..., tuple[Any, ...]]] = {
     "uniform": lambda loc, scale: ("uniform", loc, loc + scale),
     "loguniform": lambda a, b, loc, scale: ("loguniform", loc + scale * a, loc + scale * b),
     "triang": lambda c, loc, scale: ("triangular", loc, loc + scale, loc + c * scale),
@@ -48,7 +48,7 @@ BOUNDED: Final[Mapping[str, Callable[..., tuple[Any, ...]]]] = {
 
 #: SciPy's names of the distributions of chaospy that are laws of this package, by their standard
 #: form there
-CHAOSPY: Final = {
+CHAOSPY = {
     "normal": "norm",
     "log_normal": "lognorm",
     "uniform": "uniform",
@@ -62,13 +62,13 @@ CHAOSPY: Final = {
 }
 
 #: the way out for laws of several numbers
-EACH: Final = (
+EACH = (
     "give each number its own law by name, and their rank correlations by uqsphere.analysis.joint"
 )
 
 #: families and keys of SALib's distributions, in the order of the two to four numbers that it calls
 #: bounds; its mode is a share of the way from one bound to the other
-SALIB: Final = {
+SALIB = {
     "unif": ("uniform", "lower upper"),
     "logunif": ("loguniform", "lower upper"),
     "norm": ("normal", "mean sd"),
@@ -289,23 +289,18 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
             "groups of SALib have no place here: leave them out, and read the indices by input",
             "groups",
         )
-    kinds = problem.get("dists") or ["unif"] * count
+    kinds, laws = problem.get("dists") or ["unif"] * count, {}
     try:
-        return {
-            str(name): _salib_table(kind, row)
-            for name, kind, row in zip(names, kinds, bounds, strict=True)
-        }
+        for name, kind, numbers in zip(names, kinds, bounds, strict=True):
+            family, keys = SALIB[kind]
+            table = dict(zip(keys.split(), map(float, numbers), strict=True))
+            if "mode" in table:
+                table["mode"] = table["lower"] + table["mode"] * (table["upper"] - table["lower"])
+            laws[str(name)] = {"dist": family} | table
     except (KeyError, TypeError, ValueError) as error:
         raise LawError(
             f"found dists {kinds} with bounds {list(bounds)}; known: {', '.join(SALIB)}, each with "
             "its two to four numbers",
             "bounds",
         ) from error
-
-
-def _salib_table(kind: str, numbers: Sequence[float]) -> dict[str, Any]:
-    family, keys = SALIB[kind]
-    table = dict(zip(keys.split(), map(float, numbers), strict=True))
-    if "mode" in table:
-        table["mode"] = table["lower"] + table["mode"] * (table["upper"] - table["lower"])
-    return {"dist": family} | table
+    return laws

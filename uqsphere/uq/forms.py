@@ -10,24 +10,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
 
-Function: TypeAlias = Callable[[Array], Array]
-Quantile: TypeAlias = Callable[[Array, Array], Array]
+Function = Callable[[Array], Array]
+Quantile = Callable[[Array, Array], Array]
 
-ROOT: Final = math.sqrt(2.0 * math.pi)
+ROOT = math.sqrt(2.0 * math.pi)
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
-CERTAIN: Final = 37.0
+CERTAIN = 37.0
 #: tail probabilities at which quantiles and probabilities are held against each other: a sample of
-#: 1e6 points reaches 1e-7, and what is rarer is looked for by importance sampling
-_TAILS: Final = np.array([0.3, 1e-3, 1e-6, 1e-9])
+#: 1e6 points reaches 1e-7, and what is rarer is looked for by importance sampling; the last only
+#: tells how heavy a tail is
+_TAILS = np.array([0.3, 1e-3, 1e-6, 1e-9, 1e-12])
 #: quantiles at 1e-6 and 1e-12 of a tail without variance lie at least this factor apart, 1e6^(1/2),
 #: less its start
-_HEAVY: Final = 100.0
+_HEAVY = 100.0
 
 
 class LawError(ValueError):
@@ -160,18 +161,16 @@ def between(
 
 # --- the forms that families are made of ----------------------------------------------------------
 
-GAUSS: Final = replace(
+GAUSS = replace(
     symmetric(
         lambda y: special.ndtr(y), lambda p: special.ndtri(p), lambda y: np.exp(-0.5 * y * y) / ROOT
     ),
     moments=(0.0, 1.0),
 )
 #: of the logarithm of an exponential variable, and the largest extreme value
-SMALLEST: Final = by_hazard(
-    lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np.log(h), lambda y: y
-)
-GUMBEL: Final = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
-UNIFORM: Final = Form(
+SMALLEST = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np.log(h), lambda y: y)
+GUMBEL = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
+UNIFORM = Form(
     tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)),
     quantile=lambda p, q: p,
     pdf=np.ones_like,
@@ -271,19 +270,14 @@ def form_of(name: str, law: Any, key: str) -> Form:
         other.
     """
     mean, variance = map(float, law.stats(moments="mv"))
-    missing = math.inf
-    if not math.isfinite(mean):
-        missing = 1.0
-    elif not math.isfinite(variance):
-        missing = 2.0
     form = Form(
         tails=lambda y: (law.cdf(y), law.sf(y)),
         quantile=either(law.ppf, law.isf),
         pdf=law.pdf,
         moments=(mean, math.sqrt(variance)),
     )
-    check_tails(form, name, key)
-    return _with_orders(form, lambda growth: missing)
+    order = math.inf if math.isfinite(variance) else 2.0
+    return _examined(form, name, key, order if math.isfinite(mean) else 1.0)
 
 
 def by_functions(distribution: Any) -> Form:
@@ -293,45 +287,39 @@ def by_functions(distribution: Any) -> Form:
     Raises LawError where `inv` and `cdf` do not belong to each other.
     """
 
-    def function(name: str) -> Function:
-        return lambda y: np.asarray(getattr(distribution, name)(y), dtype=float)
+    def numbers(function: Callable[[Array], Any]) -> Function:
+        return lambda y: np.asarray(function(y), dtype=float)
 
-    cdf, inverse = function("cdf"), function("inv")
+    cdf, inverse = numbers(distribution.cdf), numbers(distribution.inv)
     form = Form(
         tails=lambda y: (cdf(y), 1.0 - cdf(y)),
         quantile=lambda p, q: inverse(p),
-        pdf=function("pdf"),
+        pdf=numbers(distribution.pdf),
     )
-    check_tails(form, f"{type(distribution).__name__} of chaospy", "")
-    # p^(-1/order): of a tail that falls faster the quantiles grow little
-    return _with_orders(form, lambda growth: round(6.0 / math.log10(growth), 3))
+    return _examined(form, f"{type(distribution).__name__} of chaospy", "")
 
 
-def _with_orders(form: Form, order: Callable[[float], float]) -> Form:
-    """The form with the orders of its tails: of a heavy one by how much its quantile grows from
-    1e-6 to 1e-12.
+def _examined(form: Form, name: str, key: str, order: float | None = None) -> Form:
+    """The form with the order of its heavy tails, whose quantiles grow as p^(-1/order) where it is
+    not known.
+
+    Raises LawError, for a key, where a quantile in a tail has another probability.
     """
-    near, orders = np.array([1e-6, 1e-12]), [math.inf, math.inf]
-    for tail, probabilities in enumerate(((near, 1.0 - near), (1.0 - near, near))):
-        start, end = np.abs(form.quantile(*probabilities))
-        if end > _HEAVY * start:
-            orders[tail] = order(end / start)
-    return replace(form, orders=(orders[0], orders[1]))
-
-
-def check_tails(form: Form, name: str, key: str) -> None:
-    """Raise LawError, for a key, where a quantile in a tail has another probability."""
-    for tail, called in enumerate(("lower", "upper")):
-        probabilities = (_TAILS, 1.0 - _TAILS)
+    orders = [math.inf, math.inf]
+    for tail, side in enumerate(("lower", "upper")):
         with np.errstate(all="ignore"):
-            places = form.quantile(probabilities[tail], probabilities[1 - tail])
+            places = form.quantile(*(_TAILS, 1.0 - _TAILS)[:: 1 - 2 * tail])
             # what both may differ by, as a share: a tenth of the smallest error that a run can ask
             # of a probability
-            wrong = ~(np.abs(form.tails(places)[tail] / _TAILS - 1.0) < 1e-4)
+            right = np.abs(form.tails(places)[tail] / _TAILS - 1.0) < 1e-4
         if np.isnan(places).all():
             raise LawError(f"{name} has no law with these shapes", key)
-        if wrong.any():
+        if not right[:-1].all():
             raise LawError(
-                f"the {called} tail of {name} is wrong from the probability {_TAILS[wrong][0]:g} "
+                f"the {side} tail of {name} is wrong from the probability {_TAILS[~right][0]:g} "
                 "on: its quantile there has another probability"
             )
+        _, _, start, _, end = np.abs(places)
+        if end > _HEAVY * start:
+            orders[tail] = order or round(6.0 / math.log10(end / start), 3)
+    return replace(form, orders=(orders[0], orders[1]))

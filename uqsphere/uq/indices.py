@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -25,16 +24,16 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, around, freedom, ratio_of_means, spread, student
 from uqsphere.uq.points import sobol_points
 
-METHOD: Final = "pick and freeze"
-NO_SCATTER: Final = "the output does not vary"
+METHOD = "pick and freeze"
+NO_SCATTER = "the output does not vary"
 #: inputs whose total index is above this have their indices read off the correlation of pairs,
 #: whose error is the smaller one from there on
-LARGE: Final = 0.5
+LARGE = 0.5
 #: what is left of a difference of two sums that cancel, over V
-ROUNDING: Final = 1e-15
+ROUNDING = 1e-15
 
 #: numerators and denominators of replicates, (R, m) each, of m indices that are their ratios
-Ratio: TypeAlias = tuple[Array, Array]
+Ratio = tuple[Array, Array]
 
 
 @dataclass(frozen=True, kw_only=True)

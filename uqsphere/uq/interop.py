@@ -8,7 +8,7 @@ import logging
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def load_chaospy() -> Any:
 
 #: laws that chaospy has exactly, for its own three-term recurrences: they take the parameters, then
 #: bounds of their own
-CHAOSPY: Final = {
+CHAOSPY = {
     "normal": "Normal",
     "uniform": "Uniform",
     "lognormal": "LogNormal",
@@ -116,25 +116,22 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
-    laws = [_law_to_salib(law) for law in inputs.laws]
-    return {
-        "num_vars": len(inputs.names),
-        "names": list(inputs.names),
-        "bounds": [bounds for _, bounds in laws],
-        "dists": [dist for dist, _ in laws],
-    }
-
-
-def _law_to_salib(law: Law) -> tuple[str, list[float]]:
-    """SALib's name of a law, and the numbers that it calls bounds."""
-    ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
-    numbers = [*ends, *law.parameters.values()]
-    for kind, (family, keys) in SALIB.items():
-        if family == law.family.name and len(keys.split()) == len(numbers):
-            if family == "triangular":
-                numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)
-            return kind, numbers
-    return "unif", _ends(law)
+    dists, bounds = [], []
+    for law in inputs.laws:
+        ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
+        numbers, dist = [*ends, *law.parameters.values()], "unif"
+        for name, (family, keys) in SALIB.items():
+            if family == law.family.name and len(keys.split()) == len(numbers):
+                dist = name
+                break
+        else:
+            numbers = _ends(law)
+        if dist == "triang":
+            numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)
+        dists.append(dist)
+        bounds.append(numbers)
+    names = list(inputs.names)
+    return {"num_vars": len(names), "names": names, "bounds": bounds, "dists": dists}
 
 
 def to_salib(
@@ -151,7 +148,7 @@ def to_salib(
 
 
 #: methods of SALib that a study may name
-SALIB_METHODS: Final = ("morris", "delta", "pawn", "hdmr")
+SALIB_METHODS = ("morris", "delta", "pawn", "hdmr")
 
 
 def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Array]:

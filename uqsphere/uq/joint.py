@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
-from typing import Final
 
 import numpy as np
 
@@ -25,10 +24,10 @@ from uqsphere.uq.forms import CERTAIN, GAUSS, LawError, student_t
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import sobol_points
 
-COPULAS: Final = ("gaussian", "student_t")
+COPULAS = ("gaussian", "student_t")
 #: least eigenvalue of a correlation matrix that is taken for positive definite: the inverse then
 #: keeps six digits
-_SMALLEST: Final = 1e-10
+_SMALLEST = 1e-10
 
 
 # --- one copula -----------------------------------------------------------------------------------
@@ -70,12 +69,12 @@ class Copula:
         centre, scale = self._centre_and_scale(before)
         return _score(centre + scale * _variate(normal, self.dof + before.shape[1]), self.dof)
 
-    def dependent(self, scores: Array, known: int = 0) -> Array:
-        """Scores (n, size): the first ones are known, and the others made from independent
+    def dependent(self, scores: Array, fixed: int = 0) -> Array:
+        """Scores (n, size): the first ones are fixed, and the others made from independent
         standard normals.
         """
         scores = scores.copy()
-        for k in range(known, scores.shape[1]):
+        for k in range(fixed, scores.shape[1]):
             scores[:, k] = self.score_at(scores[:, :k], scores[:, k])
         return scores
 
@@ -305,8 +304,8 @@ class Joint:
             # those of the given columns come first
             members = sorted(range(len(block)), key=lambda k: block[k] not in columns)
             at = [block[k] for k in members]
-            known = len(set(block) & set(columns))
-            drawn[:, at] = copula.among(members).dependent(drawn[:, at], known)
+            fixed = len(set(block) & set(columns))
+            drawn[:, at] = copula.among(members).dependent(drawn[:, at], fixed)
         return drawn
 
     def score_gradients(self, scores: Array) -> Array:

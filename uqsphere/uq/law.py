@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from uqsphere.uq.families import FAMILIES, Family, family_named
 from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, no_density, truncated
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
-_MOST_STEPS: Final = 10_000
+_MOST_STEPS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)

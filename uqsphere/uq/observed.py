@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import CERTAIN, GAUSS, Form, either, weibull
+from uqsphere.arrays import Array
+from uqsphere.uq.forms import CERTAIN, GAUSS, Form, weibull
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 #: a kernel density of so many is tabulated in two seconds, and its kernels add 1.3 % to the
 #: standard deviation: beyond, the step function says as much
-MOST_KERNELS: Final = 5000
+MOST_KERNELS = 5000
 #: the kinds of a draw
 LOGNORMAL, WEIBULL = 0.0, 1.0
 #: values times laws up to which a mean is taken of the laws themselves, at once: 8 MB for each
 #: array on the way
-_FEW: Final = 1_000_000
+_FEW = 1_000_000
 
 
 def empirical(law: Law) -> Form:
@@ -74,7 +74,7 @@ def bandwidth(data: Array) -> float:
 # --- means of many laws ---------------------------------------------------------------------------
 
 #: laws of a mean by their standard form, and y (..., 1) -> its argument (..., laws)
-Part: TypeAlias = tuple[Form, Callable[[Array], Array]]
+Part = tuple[Form, Callable[[Array], Array]]
 
 
 def _mean_of(
@@ -116,10 +116,9 @@ def _mean_of(
         scores = cubics()[0]
         return np.asarray(scores(y, 1, extrapolate=False) * GAUSS.pdf(scores(y)))
 
-    quantile = either(
-        lambda p: inside(cubics()[1], special.ndtri(p)),
-        lambda q: inside(cubics()[1], -special.ndtri(q)),
-    )
+    def quantile(p: Array, q: Array) -> Array:
+        return inside(cubics()[1], GAUSS.quantile(p, q))
+
     return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
 
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +17,11 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 
 #: chance at which rows of the right distribution are rejected, by input and by pair of inputs
-CHANCE: Final = 1e-6
+CHANCE = 1e-6
 #: rows below which a distribution cannot be told from another one
-LEAST_ROWS: Final = 16
+LEAST_ROWS = 16
 #: factors between units that are mistaken for each other, by name
-UNITS: Final = {
+UNITS = {
     1e-9: "1e9 times too large",
     1e-6: "a million times too large",
     1e-3: "a thousand times too large (mm for m, MPa for GPa)",
@@ -42,22 +43,23 @@ def as_table(rows: Any, names: Sequence[str]) -> Any:
 
     Raises UsageError for a labelled array without these labels, masked arrays and complex numbers.
     """
-    if isinstance(rows, np.ma.MaskedArray):
-        raise UsageError("masked arrays are not taken: leave out the rows that are masked")
+    _refuse_masked(rows)
     if hasattr(rows, "data_vars"):
         return rows.to_dataframe()[[*rows.data_vars]]
     if not is_labelled(rows) or len(rows.dims) != 2:
         return rows
-    for dimension in rows.dims:
-        if dimension in rows.coords:
-            labels = [str(label) for label in rows.coords[dimension].values]
-            if set(labels) == set(names):
-                other = next(name for name in rows.dims if name != dimension)
-                return rows.transpose(other, dimension).to_pandas()
+    for dimension, other in (rows.dims, rows.dims[::-1]):
+        if dimension in rows.coords and set(map(str, rows.coords[dimension].values)) == set(names):
+            return rows.transpose(other, dimension).to_pandas()
     raise UsageError(
         f"a labelled array needs a coordinate that names its columns: {', '.join(names)}; found "
         f"dimensions {', '.join(map(str, rows.dims))}"
     )
+
+
+def _refuse_masked(cells: Any) -> None:
+    if isinstance(cells, np.ma.MaskedArray):
+        raise UsageError("masked arrays are not taken: leave out the rows that are masked")
 
 
 def as_answers(y: Any) -> Any:
@@ -65,8 +67,7 @@ def as_answers(y: Any) -> Any:
 
     Raises UsageError for several columns, masked arrays and complex numbers.
     """
-    if isinstance(y, np.ma.MaskedArray):
-        raise UsageError("masked arrays are not taken: leave out the rows that are masked")
+    _refuse_masked(y)
     if hasattr(y, "data_vars"):
         y = y.to_dataframe()[[*y.data_vars]]
     if is_labelled(y):
@@ -99,7 +100,23 @@ def check_rows(x: Array, joint: Joint) -> None:
             raise UsageError(
                 f"column {name!r} does not follow its distribution, {law!r}{_cause(x, joint, k)}"
             )
-    _check_dependence(x, joint)
+    (n, d), names = x.shape, joint.names
+    if n < LEAST_ROWS or d < 2 or any(law.is_steps for law in joint.laws):
+        return
+    # independent normals, once what ties the inputs is taken out of them
+    normals = joint.normals(x)
+    varies = np.flatnonzero(np.ptp(normals, axis=0) > 0.0).tolist()
+    for j, i in sorted(combinations(varies, 2), key=lambda pair: pair[1]):
+        r = float(np.corrcoef(normals[:, i], normals[:, j])[0, 1])
+        # Fisher's transformation
+        score = math.atanh(min(abs(r), 1.0 - 1e-12)) * math.sqrt(n - 3)
+        if math.erfc(score / math.sqrt(2.0)) < CHANCE:
+            declared = "beyond their declared dependence" if joint.dependent else "undeclared"
+            raise UsageError(
+                f"the columns {names[j]!r} and {names[i]!r} depend on each other: "
+                f"correlation {r:.2f} of {n} rows, {declared}; declare it in [[dependence]] "
+                "(or `joint`), or draw rows as declared"
+            )
 
 
 def _beyond(column: Array, law: Law) -> Flags:
@@ -130,27 +147,3 @@ def _cause(x: Array, joint: Joint, place: int) -> str:
         if _follows(scaled, law) and len(x) >= LEAST_ROWS:
             return f"; its values seem to be {text}: give them in the unit of the distribution"
     return "; rows are drawn from the distributions of the inputs, as `design` and `sample` do"
-
-
-def _check_dependence(x: Array, joint: Joint) -> None:
-    """Refuse rows whose inputs depend on each other otherwise than declared."""
-    n, d = x.shape
-    if n < LEAST_ROWS or d < 2 or any(law.is_steps for law in joint.laws):
-        return
-    # independent normals, once what ties the inputs is taken out of them
-    normals = joint.normals(x)
-    varies = np.ptp(normals, axis=0) > 0.0
-    for i in range(d):
-        for j in range(i):
-            if not (varies[i] and varies[j]):
-                continue
-            r = float(np.corrcoef(normals[:, i], normals[:, j])[0, 1])
-            # Fisher's transformation
-            score = math.atanh(min(abs(r), 1.0 - 1e-12)) * math.sqrt(n - 3)
-            if math.erfc(score / math.sqrt(2.0)) < CHANCE:
-                declared = "beyond their declared dependence" if joint.dependent else "undeclared"
-                raise UsageError(
-                    f"the columns {joint.names[j]!r} and {joint.names[i]!r} depend on each other: "
-                    f"correlation {r:.2f} of {n} rows, {declared}; declare it in [[dependence]] "
-                    "(or `joint`), or draw rows as declared"
-                )

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Cells, Flags
 
-_ROWS: Final = ("scores", "inputs", "answers", "censored", "status", "failed")
+_ROWS = ("scores", "inputs", "answers", "censored", "status", "failed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ class Sample:
 
     def in_blocks(self, count: int) -> Sample:
         """The rows of one replicate as those of `count` replicates."""
-        return self._each(lambda own: own.reshape(count, -1, *own.shape[2:]))
+        return self._each(lambda cells: cells.reshape(count, -1, *cells.shape[2:]))
 
     def where(self, which: Flags) -> Sample:
         """Some rows (n,) of every replicate."""

@@ -48,14 +48,16 @@ def closed_effects(
     """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a
     set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
     d, designs = len(joint.names), []
-    for r in range(REPLICATES):
+    for replicate in range(REPLICATES):
         normals = special.ndtri(
-            sobol_points(dimension=3 * d, count=points, seed=seed, task="shapley", replicate=r)
+            sobol_points(
+                dimension=3 * d, count=points, seed=seed, task="shapley", replicate=replicate
+            )
         )
         base = joint.scores(normals[:, :d])
-        y, apart = function(base, r), function(joint.scores(normals[:, 2 * d :]), r)
-        designs.append((base, normals[:, d : 2 * d], y, apart))
-    every = np.array([y for _, _, y, _ in designs])
+        y = function(base, replicate), function(joint.scores(normals[:, 2 * d :]), replicate)
+        designs.append((base, normals[:, d : 2 * d], y))
+    every = np.array([y for _, _, (y, _) in designs])
     centre, unit = float(every.mean()), float(every.std())
 
     @cache
@@ -63,10 +65,10 @@ def closed_effects(
         if len(subset) in (0, d):
             return np.append(float(len(subset) > 0), np.zeros(REPLICATES))
         rows = []
-        for r, (base, fresh, y, apart) in enumerate(designs):
-            z = function(joint.redrawn(subset, base, fresh), r)
-            y, z, none = (y - centre) / unit, (z - centre) / unit, (apart - centre) / unit
-            rows.append([(y * z).mean(), (y * (z - none)).mean(), 0.5 * (y * y + z * z).mean()])
+        for replicate, (base, fresh, answers) in enumerate(designs):
+            redrawn = function(joint.redrawn(subset, base, fresh), replicate)
+            y, apart, z = ((values - centre) / unit for values in (*answers, redrawn))
+            rows.append([(y * z).mean(), (y * (z - apart)).mean(), 0.5 * (y * y + z * z).mean()])
         plain, small, square = np.array(rows).T
         # a small effect by differences, whose noise is small with it
         shared = plain if plain.mean() > LARGE * square.mean() else small
@@ -75,9 +77,7 @@ def closed_effects(
     return closed
 
 
-def dependent_shares(
-    response: Response, joint: Joint, *, points: int = 512, seed: int = 0
-) -> dict[str, list[Estimate]]:
+def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimate]]:
     """{"shapley", "first", "total"} of every input of a response whose germs are those of the
     inputs' own laws.
 
@@ -85,32 +85,28 @@ def dependent_shares(
     an effect I by no more than noise of that size on the n rows does, 2 sqrt(I (1 - I) e/n), and by
     e itself.
     """
-    d, n = len(joint.names), response.count
+    d, n, e = len(joint.names), response.count, response.error
+    if response.constant:
+        nothing = absent("the output does not vary", METHOD, n)
+        return {effect: [nothing] * d for effect in ("shapley", "first", "total")}
 
     def function(scores: Array, replicate: int) -> Array:
-        return predict(
-            response.fits[replicate % len(response.fits)], germ_points(scores, response.germs)
-        )
-
-    if response.constant:
-        nothing = [absent("the output does not vary", METHOD, n)] * d
-        return {"shapley": nothing, "first": list(nothing), "total": list(nothing)}
-    closed = closed_effects(function, joint, points=points, seed=seed)
-    orders, effects = _orders(d, seed), np.zeros((d, 1 + REPLICATES))
-    for order in orders:
-        held: tuple[int, ...] = ()
-        for i in order:
-            more = tuple(sorted((*held, i)))
-            effects[i] += (closed(more) - closed(held)) / len(orders)
-            held = more
+        fit = response.fits[replicate % len(response.fits)]
+        return predict(fit, germ_points(scores, response.germs))
 
     def answer(effect: Array) -> Estimate:
-        value, e = float(effect[0]), response.error
+        value = float(effect[0])
         estimate = from_replicates(value + effect[1:], METHOD, n, value)
         noise = student(n) * 2.0 * math.sqrt(max(value * (1.0 - value), e) * e / n)
         half = math.hypot(estimate.half_width, noise) + e + 1e-15
         return estimate.spanning(value - half, value + half)
 
+    closed = closed_effects(function, joint)
+    orders, effects = _orders(d), np.zeros((d, 1 + REPLICATES))
+    for order in orders:
+        for place, i in enumerate(order):
+            held, more = (tuple(sorted(order[:k])) for k in (place, place + 1))
+            effects[i] += (closed(more) - closed(held)) / len(orders)
     every = tuple(range(d))
     rest = [closed(every[:i] + every[i + 1 :]) for i in every]
     return {
@@ -120,11 +116,11 @@ def dependent_shares(
     }
 
 
-def _orders(d: int, seed: int) -> list[tuple[int, ...]]:
+def _orders(d: int) -> list[tuple[int, ...]]:
     """All orders of few inputs; of more random ones, each with its reverse."""
     if d <= MOST_EXACT:
         return list(permutations(range(d)))
-    generator = random_generator(seed=seed, task="shapley orders")
+    generator = random_generator(seed=0, task="shapley orders")
     orders = list[tuple[int, ...]]()
     for _ in range(ORDERS):
         order = tuple(generator.permutation(d).tolist())

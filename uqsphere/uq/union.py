@@ -14,15 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags, Places, special
 from uqsphere.uq.estimate import Estimate, quantile, sample_reader, spread
 from uqsphere.uq.forms import CERTAIN, GAUSS
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, score_of, tails
-
-Index = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +133,7 @@ class Breaking:
     `weights` (R,): what a replicate's samples stand for, mean 1.
     """
 
-    rows: Index
+    rows: Places
     shares: Array
     weights: Array
 
@@ -163,7 +160,12 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     scores = np.tensordot(union.factor, normals, axes=1)
     shares = np.empty_like(scores)
     for j, state in enumerate(union.states):
-        strengths, demands = _strengths(state, scores[j], pick), state.demands[pick]
+        strengths, demands = np.full(rows.shape, state.strength), state.demands[pick]
+        if isinstance(state.strength, Law):
+            score = scores[j]
+            if state.tie is not None:
+                score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
+            strengths = state.strength.from_normal(score)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(
                 demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf)
@@ -171,15 +173,6 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
         # rounding must not let the limit that has been drawn as exceeded hold
         shares[j] = np.where(first == j, np.minimum(share, 1.0 - 1e-12), share)
     return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
-
-
-def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Array:
-    """Strengths (R, m) at normal scores given the inputs of the picked samples."""
-    if not isinstance(state.strength, Law):
-        return np.full(score.shape, float(state.strength))
-    if state.tie is not None:
-        score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
-    return state.strength.from_normal(score)
 
 
 def weighted_quantile(
