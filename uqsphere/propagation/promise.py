@@ -27,7 +27,7 @@ from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
 from uqsphere.uq.estimate import ENDS
-from uqsphere.uq.fitting import FINER, STRENGTHS, LocationScale, count_tests, distance, is_fitted
+from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
 
 #: numbers of tests that are told
 SIZES: Final = (10, 25, 50, 100, 200)
@@ -119,8 +119,7 @@ class _Promise:
         """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
         settled, line = self.settled, self.settled.line
         logs, leaving = self._series(uniforms)
-        ones, places = np.ones(leaving.size), []
-        added = None
+        added, places = None, []
         if self.added is not None:
             stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
             added = partial(self.added, stronger)
@@ -129,9 +128,8 @@ class _Promise:
             places.append(_places(settled, score(added(along)), target)[:, 0])
         for name, tables in self.tables.items():
             kind = STRENGTHS[name]
-            location, scale = (part[:, None] for part in kind.maximum(logs, ones, leaving - 1.0))
-            pivots = _pivots(kind, tuple(leaving.tolist()))
-            centre, inverse = kind.ranked(*pivots, self.limit.allowable)
+            location, scale = (part[:, None] for part in kind.fit(logs, leaving))
+            centre, inverse = _pivots(kind, tuple(leaving.tolist()), self.limit.allowable)
             end = ENDS[int(settled.least)]
             strengths = location - scale * centre, scale * inverse
             at = np.array([np.quantile(table(*strengths), end, axis=1) for table in tables]).T
@@ -213,21 +211,16 @@ def _place_of(law: Law) -> tuple[LocationScale, float, float]:
 
 
 @lru_cache(maxsize=16)
-def _pivots(kind: LocationScale, leaving: tuple[float, ...]) -> tuple[Array, Array]:
+def _pivots(kind: LocationScale, leaving: tuple[float, ...], at: float) -> tuple[Array, Array]:
     generator = np.random.default_rng(len(leaving))
-    return kind.pivots(np.array(leaving), FINER * LAWS, generator)
+    return kind.ranked_pivots(np.array(leaving), LAWS, generator, at)
 
 
 def _refuted(kind: LocationScale, logs: Array, leaving: Array) -> Flags:
     """Whether each of some series of tests (J, r) refutes a distribution that is fitted to it."""
-
-    def away(values: Array) -> Array:
-        ones = np.ones(leaving.size)
-        location, scale = (part[:, None] for part in kind.maximum(values, ones, leaving - 1.0))
-        return distance(kind.form.tails((values - location) / scale)[0], leaving)
-
-    usual = away(kind.series(leaving, 1000, np.random.default_rng(leaving.size + 1)))
-    return np.asarray(away(logs) > np.quantile(usual, 1.0 - REFUTED))
+    usual = kind.series(leaving, 1000, np.random.default_rng(leaving.size + 1))
+    most = np.quantile(kind.misfit(usual, leaving), 1.0 - REFUTED)
+    return np.asarray(kind.misfit(logs, leaving) > most)
 
 
 def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> list[Tabulated]:

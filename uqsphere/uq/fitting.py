@@ -127,35 +127,46 @@ class LocationScale:
     def _of_hazard(self, hazards: Array) -> Array:
         return self.form.quantile(-np.expm1(-hazards), np.exp(-hazards))
 
+    def fit(self, series: Array, leaving: Array) -> tuple[Array, Array]:
+        """Location and scale (rows,) of the largest likelihood of such series (rows, r)."""
+        return self.maximum(series, np.ones(leaving.size), leaving - 1.0)
+
+    def misfit(self, series: Array, leaving: Array) -> Array:
+        """Distance (rows,) of the law fitted to each of such series from its Kaplan-Meier
+        estimate.
+        """
+        location, scale = self.fit(series, leaving)
+        below, _ = self.form.tails((series - location[:, None]) / scale[:, None])
+        return distance(below, leaving)
+
     def pivots(
         self, leaving: Array, count: int, generator: np.random.Generator
     ) -> tuple[Array, Array]:
         """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY`
         failures.
         """
-        ones, stopped = np.ones(leaving.size), leaving - 1.0
         if leaving.size > MANY:
             z = self._of_hazard(np.cumsum(1.0 / _at_risk(leaving)))
-            second = self.terms(z, ones, stopped)[2]
+            second = self.terms(z, np.ones(z.size), leaving - 1.0)[2]
             mixed = (second * z).sum()
-            information = [[ones.sum() - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
+            information = [[z.size - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
             covariance = np.linalg.inv(information)
             logs, places = generator.multivariate_normal([0.0, 0.0], covariance, count).T
             return places, np.exp(logs)
         series = self.series(leaving, count, generator)
         # a thousand series at a time
-        fits = [
-            self.maximum(series[start : start + 1000], ones, stopped)
-            for start in range(0, count, 1000)
-        ]
+        fits = [self.fit(series[start : start + 1000], leaving) for start in range(0, count, 1000)]
         location, scale = np.concatenate(fits, axis=1)
         return location / scale, 1.0 / scale
 
-    def ranked(self, centre: Array, inverse: Array, at: float) -> tuple[Array, Array]:
-        """Every `FINER`-th of some pivots in the order of the strengths' quantile at a probability:
-        they stand for all of them.
+    def ranked_pivots(
+        self, leaving: Array, count: int, generator: np.random.Generator, at: float
+    ) -> tuple[Array, Array]:
+        """Pivots (count,) that stand for `FINER` times as many: every so-many-th in the order of
+        the strengths' quantile at a probability.
         """
-        z = float(self.form.quantile(np.array([at]), np.array([1.0 - at]))[0])
+        centre, inverse = self.pivots(leaving, FINER * count, generator)
+        z = self.form.quantile(np.array([at]), np.array([1.0 - at]))
         order = np.argsort(z * inverse - centre)[FINER // 2 :: FINER]
         return centre[order], inverse[order]
 
@@ -384,9 +395,7 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     firsts = np.arange(0, z.size, -(-z.size // MANY))
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     series = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
-    centres, scales = np.array(law.maximum(series, np.ones(few.size), few - 1.0))[:, :, None]
-    others = distance(law.form.tails((series - centres) / scales)[0], few)
-    farther = others * math.sqrt(few.size / z.size) >= apart
+    farther = law.misfit(series, few) * math.sqrt(few.size / z.size) >= apart
     return float((1 + farther.sum()) / (_OTHERS + 1))
 
 
@@ -591,7 +600,7 @@ def possible_laws(
     if at is None:
         centre, inverse = kind.pivots(tests.leaving, count, generator)
     else:
-        centre, inverse = kind.ranked(*kind.pivots(tests.leaving, FINER * count, generator), at)
+        centre, inverse = kind.ranked_pivots(tests.leaving, count, generator, at)
     columns = kind.parameters(location - scale * centre, scale * inverse)
     rows = np.column_stack(list(columns.values())).tolist()
     return (
