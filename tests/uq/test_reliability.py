@@ -17,20 +17,18 @@ from uqsphere.uq.joint import Copula, Tie
 from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import (
     LimitState,
+    draw_breaking,
     exceedance,
     failure_of_aim,
+    make_union,
     reliability_index,
+    residual_correlation,
     safety_factor,
     target_met,
-)
-from uqsphere.uq.points import sobol_points
-from uqsphere.uq.union import (
-    draw_breaking,
-    make_union,
-    residual_correlation,
     union_state,
     weighted_quantile,
 )
+from uqsphere.uq.points import sobol_points
 
 SCATTER = 0.1
 

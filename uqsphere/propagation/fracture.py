@@ -20,9 +20,9 @@ from uqsphere.results import Answers
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import random_generator
 from uqsphere.uq.estimate import share as share_of
-from uqsphere.uq.limit_state import exceedance
-from uqsphere.uq.union import (
+from uqsphere.uq.limit_state import (
     draw_breaking,
+    exceedance,
     make_union,
     residual_correlation,
     union_state,

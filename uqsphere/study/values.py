@@ -47,7 +47,7 @@ from uqsphere.uq.fitting import (
     outliers,
     probability_of,
 )
-from uqsphere.uq.observed import LOGNORMAL, WEIBULL
+from uqsphere.uq.forms import LOGNORMAL, WEIBULL
 
 if TYPE_CHECKING:
     from uqsphere.study.document import Draft, PulseTable

@@ -2,14 +2,13 @@
 
 Knows only arrays and callables rows -> rows; the physics is somewhere else.
 
-    inputs        law · families (the table of distributions) · forms (their functions) · joint
-    (dependence)
-                  fitting (tests) · observed (columns, draws) · foreign (SciPy, chaospy, SALib)
+    inputs        law · families (the table of distributions) · forms (their functions)
+                  joint (dependence) · fitting (tests) · foreign (SciPy, chaospy, SALib)
     designs       points · sample
     answers       estimate · describe
     expansions    chaos · response · surrogate
     sensitivity   indices · shapley · interop (SALib's methods, chaospy's objects)
-    limits        limit_state · curve · union · rare
+    limits        limit_state · curve · rare
 
 To add a distribution, write its standard form in `forms` (both tails, quantiles, density), its row
 in `families.FAMILIES` (keys of a study, location and scale) and its fit in `fitting`.  Truncation,

@@ -53,19 +53,22 @@ def fragility(
     more than once.  `folds` (K, F) are probabilities of expansions at the same points: what their
     values differ by is the error of one expansion more.
     """
-    grid, replicates = np.asarray(grid, dtype=float), probabilities.shape[1]
+    replicates = probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
         raise ValueError("the grid must hold at least two increasing values")
-    curve, values = [], dict[float, Estimate]()
+    curve = []
+    values = dict[float, Estimate]()
     for level, row in zip(grid.tolist(), probabilities, strict=True):
-        p, q = float(row.mean()), float((1.0 - row).mean())
+        p = float(row.mean())
+        q = float((1.0 - row).mean())
         # counts that agree in all replicates are still known to one sample only
         error = spread(row) or spread(row, 1.0 / samples)
         low, high, _ = probability_ends(p, q, error, replicates, samples * replicates)
         curve.append([level, p, min(low, p), max(high, p)])
     # where a curve that has surely risen surely falls, or has fallen and rises
     steps = np.diff(probabilities, axis=0)
-    sure, rises = np.flatnonzero(_surely_not_zero(steps)), steps.mean(axis=1) > 0.0
+    sure = np.flatnonzero(_surely_not_zero(steps))
+    rises = steps.mean(axis=1) > 0.0
     turns = grid[sure[rises[sure] != rises[sure[:1]]]]
     for target in targets:
         above = probabilities - target
@@ -118,7 +121,8 @@ def _value(
     """
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
-    places, pooled = forward(grid), probabilities.mean(axis=1)[:, None]
+    places = forward(grid)
+    pooled = probabilities.mean(axis=1)[:, None]
 
     def crossings(curves: Array, every: Any = slice(None)) -> Array:
         return _crossings(places[every], curves[every], target, least)

@@ -80,7 +80,8 @@ class Estimate:
         inside.
         """
         if self.value is not None:
-            low, high = min(low, self.value), max(high, self.value)
+            low = min(low, self.value)
+            high = max(high, self.value)
         return replace(self, low=low, high=high, std_error=0.5 * (high - low) / NORMAL)
 
     def holding(self, other: Estimate) -> Estimate:
@@ -108,7 +109,8 @@ def bounded(
     """A value between ends, which hold it; absent where one of them is beyond floating point."""
     if not np.isfinite([value, low, high, error]).all():
         return absent("the answer is beyond floating point", method, evaluations)
-    low, high = min(low, value), max(high, value)
+    low = min(low, value)
+    high = max(high, value)
     return Estimate(
         value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations
     )
@@ -192,7 +194,6 @@ def from_replicates(
     >>> estimate.value, round(estimate.std_error, 12)
     (2.0, 0.57735026919)
     """
-    values = np.asarray(values, dtype=float)
     if values.ndim != 1 or values.size < 2:
         return absent("an interval needs at least two independent replicates", method, evaluations)
     if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
@@ -245,7 +246,7 @@ def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = denominators.mean(axis=0)
         value = numerators.mean(axis=0) / scale
-        return np.asarray(value), np.asarray((numerators - value * denominators) / scale)
+        return value, (numerators - value * denominators) / scale
 
 
 # --- probabilities --------------------------------------------------------------------------------
@@ -281,7 +282,8 @@ def share(
     None or all True gets the one-sided 95 % bound on the count.
     """
     (replicates, n), rows = flags.shape, flags.mean(axis=1)
-    p, error = float(flags.all()), 0.0
+    p = float(flags.all())
+    error = 0.0
     if p or not flags.any():
         method += ", one-sided 95 % bound"
     elif replicates < 2:
@@ -314,9 +316,13 @@ def quantile(
     between bounds only, the first function has them at their least and a second one at their
     largest: each reads the end on its side, and the value lies between the two.
     """
-    half, least, most = student(replicates) * error, reads[0], reads[-1]
-    value, highest = least(p), most(p)
-    low, high = least(max(p - half, 0.0)), most(min(p + half, 1.0))
+    half = student(replicates) * error
+    least = reads[0]
+    most = reads[-1]
+    value = least(p)
+    highest = most(p)
+    low = least(max(p - half, 0.0))
+    high = most(min(p + half, 1.0))
     if highest != value:
         value = 0.5 * (value + highest)
     return between(value, low, high, replicates, method, evaluations)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.uq import forms, observed
+from uqsphere.uq import forms
 from uqsphere.uq.forms import Form, LawError
 
 if TYPE_CHECKING:
@@ -285,15 +285,15 @@ FAMILIES = {
             alternatives=(("dof", "location", "scale"),),
             form=lambda dof, location, scale: (location, scale, forms.student_t(dof)),
         ),
-        Family(name="empirical", observed=observed.empirical),
+        Family(name="empirical", observed=forms.empirical),
         # numbers that are given, each with a whole number as its weight: a step function that no
         # test is behind
-        Family(name="discrete", observed=observed.empirical),
+        Family(name="discrete", observed=forms.empirical),
     )
 }
 
 #: draws of a fit, which a study reads from a file
-DRAWN = Family(name="draws", logarithmic=True, positive=True, observed=observed.drawn)
+DRAWN = Family(name="draws", logarithmic=True, positive=True, observed=forms.drawn)
 #: a law by the functions of a distribution of another package
 BY_FUNCTIONS = Family(name="functions", observed=lambda law: forms.by_functions(law.source))
 #: the families that a study has no keys for

@@ -24,9 +24,8 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.families import DRAWN, FAMILIES, Keys
-from uqsphere.uq.forms import GAUSS, SMALLEST, Form, LawError
+from uqsphere.uq.forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, LawError, bandwidth
 from uqsphere.uq.law import Law, bounds_of, checked
-from uqsphere.uq.observed import MOST_KERNELS, WEIBULL, bandwidth
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -93,16 +92,20 @@ class LocationScale:
         centre = (u @ failures / count)[:, None]
         spread = np.sqrt(np.square(u - centre) @ failures / count)[:, None]
         y = (u - centre) / spread
-        at, step = np.outer([1.0, 0.0], np.ones(len(y))), np.zeros((2, len(y)))
+        at = np.outer([1.0, 0.0], np.ones(len(y)))
+        step = np.zeros((2, len(y)))
         best = np.full(len(y), -math.inf)
         for _ in range(200):
             h, g = at + step
             value, first, second = self.terms(h[:, None] * y - g[:, None], failures, stopped)
             level = value.sum(axis=1) + count * np.log(h)
             climbs = level >= best - 1e-12 * np.abs(best)
-            at, best = np.where(climbs, at + step, at), np.where(climbs, level, best)
-            slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
-            hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
+            at = np.where(climbs, at + step, at)
+            best = np.where(climbs, level, best)
+            slope_h = (first * y).sum(axis=1) + count / h
+            slope_g = -first.sum(axis=1)
+            hh = (second * y * y).sum(axis=1) - count / h**2
+            hg = -(second * y).sum(axis=1)
             gg = second.sum(axis=1)
             newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g])
             newton /= hh * gg - hg * hg
@@ -257,7 +260,8 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     if x.min() <= 0.0:
         raise ValueError(f"a strength must be positive, the smallest found is {x.min():g}")
     tests = _gathered(x, flags.astype(bool), many)
-    broke, total = tests.values[tests.failures > 0.0], tests.failures.sum()
+    broke = tests.values[tests.failures > 0.0]
+    total = tests.failures.sum()
     if total == 0.0:
         raise ValueError(
             f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength"
@@ -272,7 +276,8 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
 
 def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
     different, at = np.unique(values, return_inverse=True)
-    failures, ended = np.zeros(different.size), np.zeros(different.size)
+    failures = np.zeros(different.size)
+    ended = np.zeros(different.size)
     np.add.at(failures, at, counts * ~stopped)
     np.add.at(ended, at, counts * stopped)
     return StrengthTests(values=different, failures=failures, stopped=ended)
@@ -487,7 +492,8 @@ def fitted_law(
     if family.observed is not None:
         width = bandwidth(values) if how == "kde" else 0.0
         return checked(replace(law, parameters={"bandwidth": width}))
-    least, largest = observed[0], observed[-1]
+    least = observed[0]
+    largest = observed[-1]
     if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if family.bounded and not a < least <= largest < b:
@@ -507,11 +513,13 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     """The law with the parameters of the largest likelihood of its observations; raises
     ValueError.
     """
-    name, ends = law.family.name, (law.lower, law.upper)
+    name = law.family.name
+    ends = (law.lower, law.upper)
     if name in OTHERS:
         keys = OTHERS[name](np.array(law.data), *ends)
     else:
-        kind, tests = LOCATION_SCALE[name], series_behind(law)
+        kind = LOCATION_SCALE[name]
+        tests = series_behind(law)
         location, spread = _best(tests, kind)
         shape = kind.shape(spread)
         if unbiased:
@@ -581,7 +589,8 @@ def possible_laws(
     if law.draws:
         rows = generator.choice(len(law.draws), count, replace=count > len(law.draws))
         return (replace(law, draws=(law.draws[row],)) for row in rows.tolist())
-    n, family = len(law.data), law.family
+    n = len(law.data)
+    family = law.family
     if n < LEAST_TESTS:
         raise LawError(
             f"{n} observations are too few to say what they leave open: at least {LEAST_TESTS} "
@@ -618,7 +627,8 @@ def _made_again(law: Law, generator: np.random.Generator) -> Law:
     95 % from 6 to 30 tests then hold the probability of 5 % in 92 to 97 of 100 gamma and beta
     laws).
     """
-    family, n = law.family, len(law.data)
+    family = law.family
+    n = len(law.data)
     for _ in range(20):
         if family.observed is not None:
             sample = np.sort(generator.choice(law.data, n))
@@ -637,7 +647,7 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     """The law that is the mean of the laws of draws (n, 5) of a posterior that rests on so many
     tests, in SI.
 
-    A draw is (kind, least, scale, shape, bound), as `observed` has it.  `possible_laws` gives
+    A draw is (kind, least, scale, shape, bound), as `forms` has it.  `possible_laws` gives
     single draws.
 
     >>> law = law_of_draws([(0.0, 0.0, 2.0, 0.1, 0.0), (0.0, 0.0, 2.0, 0.2, 0.0)], 12)

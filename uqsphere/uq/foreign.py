@@ -151,7 +151,8 @@ def _of_table(table: Mapping[str, Any]) -> Law:
                 f"{key} of a law must be a number; observations are given as an array in its place",
                 key,
             )
-    lower, upper = numbers.pop("lower", None), numbers.pop("upper", None)
+    lower = numbers.pop("lower", None)
+    upper = numbers.pop("upper", None)
     return make_law(str(table.get("dist")), numbers, lower, upper)
 
 
@@ -188,7 +189,8 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
         bounds = distribution.lower, distribution.upper
         return _steps(f"{kind} of chaospy", bounds, distribution.pdf)
     if kind == "Trunc":
-        inner, parameters = distribution._dist, distribution._parameters
+        inner = distribution._dist
+        parameters = distribution._parameters
         law = as_law(inner)
         if law.family.bounded or law.family.observed is not None:
             # chaospy's own functions of a law with two new ends are wrong
@@ -198,14 +200,17 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
         # chaospy's own end of the law, some 8 standard deviations out, truncates nothing
         ends = {key: _number(end) for key, end in parameters.items() if end != getattr(inner, key)}
         return as_law(law_table(law) | ends)
-    shift, scale, standard = 0.0, 1.0, distribution
+    shift = 0.0
+    scale = 1.0
+    standard = distribution
     while hasattr(standard, "_dist"):
         # lower and upper, or shift and scale
         first, second = map(_number, standard._parameters.values())
         shift += scale * first
         scale *= second - first if "lower" in standard._parameters else second
         standard = standard._dist
-    name, shapes = type(standard).__name__, standard._parameters.values()
+    name = type(standard).__name__
+    shapes = standard._parameters.values()
     if name == "trunc_normal" and (shift, scale) == (0.0, 1.0):
         return _bounded("normal", *map(_number, shapes))
     if name not in CHAOSPY:
@@ -277,7 +282,8 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
     """The inputs that a problem dict of SALib is about, by name; any other mapping as it is."""
     if not {"num_vars", "bounds"} <= set(problem):
         return problem
-    count, bounds = int(problem["num_vars"]), problem["bounds"]
+    count = int(problem["num_vars"])
+    bounds = problem["bounds"]
     names = list(problem.get("names") or [f"x{k + 1}" for k in range(count)])
     if not count == len(set(names)) == len(names) == len(bounds):
         raise LawError(
@@ -289,7 +295,8 @@ def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:
             "groups of SALib have no place here: leave them out, and read the indices by input",
             "groups",
         )
-    kinds, laws = problem.get("dists") or ["unif"] * count, {}
+    kinds = problem.get("dists") or ["unif"] * count
+    laws = {}
     try:
         for name, kind, numbers in zip(names, kinds, bounds, strict=True):
             family, keys = SALIB[kind]

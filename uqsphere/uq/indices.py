@@ -116,7 +116,8 @@ def _pairs(y: Array, z: Array) -> Ratio:
     and denominator share their noise: little of it is left where the index is near 1.
     """
     mean = 0.5 * (y.mean(axis=(0, 1)) + z.mean(axis=(0, 1)))
-    y, z = y - mean, z - mean
+    y = y - mean
+    z = z - mean
     return _mean(y * z), 0.5 * _mean(y * y + z * z)
 
 
@@ -175,7 +176,8 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
 
     Nothing is clipped.
     """
-    d, evaluations = blocks.inputs_count, outputs.size
+    d = blocks.inputs_count
+    evaluations = outputs.size
     pairs = list(combinations(range(d), 2)) if blocks.second else []
     base = outputs[:, :, [0, -1]]
     centre = float(base.mean())
@@ -184,7 +186,9 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
         return SampledIndices(first=[none] * d, total=[none] * d, second=dict.fromkeys(pairs, none))
     # a power of two is exact, and outputs of 1e300 have squares
     y = (outputs - centre) * 2.0 ** -np.frexp(np.abs(base - centre).max())[1]
-    a, ab, b = y[:, :, :1], y[:, :, 1 : d + 1], y[:, :, -1:]
+    a = y[:, :, :1]
+    ab = y[:, :, 1 : d + 1]
+    b = y[:, :, -1:]
     second: list[Estimate] = []
     if blocks.second:
         ba = y[:, :, d + 1 : -1]
@@ -220,7 +224,8 @@ def _estimates(
     fourth = (squares**2).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         carriers = np.where(fourth > 0.0, squares.sum(axis=0) ** 2 / fourth, np.inf)
-    estimates, method = [], f"{METHOD}, {name}"
+    estimates = []
+    method = f"{METHOD}, {name}"
     for index, deviations, count in zip(value.tolist(), off.T, carriers.tolist(), strict=True):
         if not np.isfinite(index):
             estimates.append(absent(NO_SCATTER, method, evaluations))

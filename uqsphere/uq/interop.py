@@ -33,7 +33,8 @@ def load_chaospy() -> Any:
     are undone.
     """
     root = logging.getLogger()
-    level, handlers = root.level, list(root.handlers)
+    level = root.level
+    handlers = list(root.handlers)
     with warnings.catch_warnings(action="ignore"):
         import chaospy
     root.setLevel(level)
@@ -116,10 +117,12 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
-    dists, bounds = [], []
+    dists = []
+    bounds = []
     for law in inputs.laws:
         ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
-        numbers, dist = [*ends, *law.parameters.values()], "unif"
+        numbers = [*ends, *law.parameters.values()]
+        dist = "unif"
         for name, (family, keys) in SALIB.items():
             if family == law.family.name and len(keys.split()) == len(numbers):
                 dist = name
@@ -143,7 +146,7 @@ def to_salib(
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
     halves = base_points(blocks, count=count, seed=seed, task="sensitivity", replicate=0)
-    mixed = blocks.mix(*(inputs.physical(np.asarray(special.ndtri(half))) for half in halves))
+    mixed = blocks.mix(*(inputs.physical(special.ndtri(half)) for half in halves))
     return SalibDesign(problem=problem, rows=mixed.reshape(-1, blocks.inputs_count), second=second)
 
 
@@ -159,8 +162,8 @@ def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Arr
 
     problem = _unit_problem(salib_problem(inputs)["names"])
     # the levels 0 and 1 are the ends of a law that may have none
-    uniforms = 0.125 + 0.75 * np.asarray(morris.sample(problem, count, num_levels=4, seed=seed))
-    return uniforms, inputs.physical(np.asarray(special.ndtri(uniforms)))
+    uniforms = 0.125 + 0.75 * morris.sample(problem, count, num_levels=4, seed=seed)
+    return uniforms, inputs.physical(special.ndtri(uniforms))
 
 
 def _unit_problem(names: Any) -> dict[str, Any]:
@@ -191,7 +194,8 @@ def salib_measures(
         return [from_replicates(column, f"{shown}, mu*", outputs.size) for column in effects.T]
     from SALib.analyze import delta, enhanced_hdmr, pawn
 
-    problem, y = _unit_problem(names), (outputs - outputs.mean()) / (float(outputs.std()) or 1.0)
+    problem = _unit_problem(names)
+    y = (outputs - outputs.mean()) / (float(outputs.std()) or 1.0)
     if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
         measures = answers["delta"] if "delta" in answers else answers["delta_balanced"]
@@ -204,4 +208,4 @@ def salib_measures(
         )["ST"][:d]
     # the measure alone: no interval is known
     nothing = absent("no measure", shown, outputs.size)
-    return [replace(nothing, value=float(value), reason=None) for value in np.asarray(measures)]
+    return [replace(nothing, value=float(value), reason=None) for value in measures]

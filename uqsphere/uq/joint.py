@@ -49,8 +49,10 @@ class Copula:
     def _centre_and_scale(self, before: Array) -> tuple[Array, Array]:
         """Those (n,) of the (t) variate of a member, given the scores (n, j) of the j before it."""
         j = before.shape[1]
-        inverse, across = np.linalg.inv(self.correlation[:j, :j]), self.correlation[j, :j]
-        weights, x = inverse @ across, _variate(before, self.dof)
+        inverse = np.linalg.inv(self.correlation[:j, :j])
+        across = self.correlation[j, :j]
+        weights = inverse @ across
+        x = _variate(before, self.dof)
         scale = np.full(len(x), math.sqrt(max(0.0, 1.0 - float(across @ weights))))
         if math.isfinite(self.dof):
             distance = self.dof + np.einsum("ni,ij,nj->n", x, inverse, x)
@@ -80,9 +82,10 @@ class Copula:
 
     def score_gradient(self, scores: Array) -> Array:
         """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
-        inverse, nu = np.linalg.inv(self.correlation), self.dof
+        inverse = np.linalg.inv(self.correlation)
+        nu = self.dof
         if math.isinf(nu):
-            return np.asarray(scores @ inverse)
+            return scores @ inverse
         x = _variate(scores, nu)
         distance = np.einsum("ni,ij,nj->n", x, inverse, x)
         # ln f = ln c(x) + Σ ln phi(s), c the density of x over its marginals t(x); dx/ds =
@@ -128,7 +131,8 @@ class Dependence:
         >>> Dependence(of=("a", "b"), kendall=0.5).make_copula().correlation.round(6).tolist()
         [[1.0, 0.707107], [0.707107, 1.0]]
         """
-        size, dof = len(self.of), self.dof
+        size = len(self.of)
+        dof = self.dof
         if self.copula not in COPULAS:
             raise LawError(f"unknown copula {self.copula!r}; known: {', '.join(COPULAS)}", "copula")
         if size < 2 or len(set(self.of)) != size:
@@ -284,7 +288,8 @@ class Joint:
 
     def only(self, names: Sequence[str]) -> Joint:
         """Some of the inputs, with what ties them to each other."""
-        at, blocks = [self.names.index(name) for name in names], []
+        at = [self.names.index(name) for name in names]
+        blocks = []
         for columns, copula in self.blocks:
             kept = [columns.index(k) for k in at if k in columns]
             copula = copula.among(kept)
@@ -346,14 +351,16 @@ def make_joint(
     >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)])
     <Joint of a, b, c, dependent>
     """
-    pairs, blocks = set[tuple[int, ...]](), list[tuple[tuple[int, ...], Copula]]()
+    pairs = set[tuple[int, ...]]()
+    blocks = list[tuple[tuple[int, ...], Copula]]()
     correlation = np.eye(len(names))
     for tie in dependences:
         for name in tie.of:
             if name not in names:
                 random = ", ".join(names) or "none"
                 raise LawError(f"{name!r} is not a random input; random are: {random}", "of")
-        copula, columns = tie.make_copula(), tuple(list(names).index(name) for name in tie.of)
+        copula = tie.make_copula()
+        columns = tuple(list(names).index(name) for name in tie.of)
         if math.isfinite(copula.dof):
             blocks.append((columns, copula))
             continue

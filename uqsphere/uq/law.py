@@ -146,21 +146,17 @@ class Law:
         """x with the same probability below it as the standard normal z has, exact in both tails;
         any shape.
         """
-        z = np.asarray(z, dtype=float)
         if self._form is GAUSS:
             return self._physical(z)
         return self._inverse(*GAUSS.tails(z))
 
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
-        values = np.asarray(x, dtype=float)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            density = self._form.pdf(self._standard(values)) / self._whole[1]
+            density = self._form.pdf(self._standard(x)) / self._whole[1]
             if self.family.logarithmic:
-                density = density / values
-        return np.where(
-            (values >= self.lower) & (values <= self.upper) & (density > 0.0), density, 0.0
-        )
+                density = density / x
+        return np.where((x >= self.lower) & (x <= self.upper) & (density > 0.0), density, 0.0)
 
     # --- moments ----------------------------------------------------------------------------------
 
@@ -196,7 +192,8 @@ class Law:
         x = self.from_normal(z)
         # Far out a tail probability times a small mass can underflow; those nodes weigh nothing
         # anyway.
-        weights, x = weights[np.isfinite(x)], x[np.isfinite(x)]
+        weights = weights[np.isfinite(x)]
+        x = x[np.isfinite(x)]
         if not x.size:
             return math.inf, math.inf
         middle = float(x[len(x) // 2])
@@ -289,7 +286,8 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     """
     if weights is None:
         weights = [1] * len(values)
-    numbers, counts = np.asarray(values, dtype=float), np.asarray(weights)
+    numbers = np.asarray(values, dtype=float)
+    counts = np.asarray(weights)
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise LawError("values of a discrete distribution are finite numbers in a list", "values")
     if counts.shape != numbers.shape or not (np.mod(counts, 1) == 0).all() or (counts < 0).any():

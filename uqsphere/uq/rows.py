@@ -121,7 +121,7 @@ def check_rows(x: Array, joint: Joint) -> None:
 
 def _beyond(column: Array, law: Law) -> Flags:
     """Which values cannot come from a distribution."""
-    return np.asarray((law.cdf(column) <= 0.0) | (law.sf(column) <= 0.0))
+    return (law.cdf(column) <= 0.0) | (law.sf(column) <= 0.0)
 
 
 def _follows(column: Array, law: Law) -> bool:
@@ -137,7 +137,8 @@ def _follows(column: Array, law: Law) -> bool:
 
 def _cause(x: Array, joint: Joint, place: int) -> str:
     """Why a column may not follow its distribution; empty where nothing explains it."""
-    column, law = x[:, place], joint.laws[place]
+    column = x[:, place]
+    law = joint.laws[place]
     for other, name in enumerate(joint.names):
         swapped = other != place and _follows(column, joint.laws[other])
         if swapped and _follows(x[:, other], law) and len(x) >= LEAST_ROWS:

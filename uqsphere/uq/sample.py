@@ -124,7 +124,8 @@ class Sample:
 
     def join(self, *others: Sample) -> Sample:
         """This sample and the rows that continue every replicate."""
-        start, joined = self.count, self.with_room(sum(part.count for part in (self, *others)))
+        start = self.count
+        joined = self.with_room(sum(part.count for part in (self, *others)))
         for part in others:
             joined.fill(start, part)
             start += part.count

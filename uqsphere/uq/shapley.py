@@ -47,7 +47,8 @@ def closed_effects(
 ) -> Callable[[tuple[int, ...]], Array]:
     """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a
     set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
-    d, designs = len(joint.names), []
+    d = len(joint.names)
+    designs = []
     for replicate in range(REPLICATES):
         normals = special.ndtri(
             sobol_points(
@@ -58,7 +59,8 @@ def closed_effects(
         y = function(base, replicate), function(joint.scores(normals[:, 2 * d :]), replicate)
         designs.append((base, normals[:, d : 2 * d], y))
     every = np.array([y for _, _, (y, _) in designs])
-    centre, unit = float(every.mean()), float(every.std())
+    centre = float(every.mean())
+    unit = float(every.std())
 
     @cache
     def closed(subset: tuple[int, ...]) -> Array:
@@ -85,7 +87,9 @@ def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimat
     an effect I by no more than noise of that size on the n rows does, 2 sqrt(I (1 - I) e/n), and by
     e itself.
     """
-    d, n, e = len(joint.names), response.count, response.error
+    d = len(joint.names)
+    n = response.count
+    e = response.error
     if response.constant:
         nothing = absent("the output does not vary", METHOD, n)
         return {effect: [nothing] * d for effect in ("shapley", "first", "total")}
@@ -102,7 +106,8 @@ def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimat
         return estimate.spanning(value - half, value + half)
 
     closed = closed_effects(function, joint)
-    orders, effects = _orders(d), np.zeros((d, 1 + REPLICATES))
+    orders = _orders(d)
+    effects = np.zeros((d, 1 + REPLICATES))
     for order in orders:
         for place, i in enumerate(order):
             held, more = (tuple(sorted(order[:k])) for k in (place, place + 1))
