@@ -330,6 +330,19 @@ def test_an_expansion_that_runs_away_does_not_take_the_variance(seed: int) -> No
     assert max(sds) < 1.5 * response.outputs.std()
 
 
+def test_an_index_is_not_the_noise_of_its_correction() -> None:
+    # largest errors of total indices had the median 0.11: half of what was left went to each of
+    # them, and the correction was taken whole
+    truths, errors = all_truths()["Morokoff"], []
+    for seed in (100, 101, 102):
+        totals = indices_of(zoo_response("Morokoff", 64, seed))["total"]
+        places = zip(ZOO["Morokoff"].inputs, totals, strict=True)
+        errors.append(
+            max(abs(index.value - truths[f"total {name}"].value) for name, index in places)
+        )
+    assert np.median(errors) < 0.07
+
+
 @pytest.mark.slow
 def test_a_plateau_keeps_its_quantiles() -> None:
     # the median was read off residuals that were spread over the whole table

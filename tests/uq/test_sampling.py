@@ -46,7 +46,9 @@ def test_replicates_are_unbiased_and_independent() -> None:
     assert abs(neighbours) < 4.0 / np.sqrt(63)
 
 
-@pytest.mark.parametrize(("dimension", "count"), [(1, 16), (3, 1024), (40, 256), (1200, 64)])
+@pytest.mark.parametrize(
+    ("dimension", "count"), [(1, 16), (3, 1024), (160, 256), (161, 8), (1200, 64)]
+)
 def test_points_are_those_of_scipy(dimension: int, count: int) -> None:
     bits = 52 if dimension < 1000 else 30
     key = {"seed": 5, "task": "scipy", "replicate": 3}

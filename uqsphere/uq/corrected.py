@@ -204,11 +204,9 @@ class Corrected:
         counted = influence.var(axis=0, ddof=1)
         noise = np.maximum(counted, expected) / n
         half = np.hypot(student(n) * np.sqrt(noise), sampling)
-        square = correction**2
-        shrunk = correction * square / np.maximum(square + noise, 1e-300)
         low = np.clip(table + correction - half, 0.0, 1.0)
         high = np.clip(table + correction + half, 0.0, 1.0)
-        return np.clip(table + shrunk, low, high), low, high
+        return np.clip(table + _shrunk(correction, noise), low, high), low, high
 
     @cached_property
     def _distribution(self) -> tuple[Array, Array, Array, Array]:
@@ -272,6 +270,12 @@ class Corrected:
         )
 
 
+def _shrunk(correction: Array, noise: Array) -> Array:
+    """A correction, less where its noise, a variance, could make it by itself."""
+    square = correction**2
+    return np.asarray(correction * square / np.maximum(square + noise, 1e-300))
+
+
 # --- Sobol' indices -------------------------------------------------------------------------------
 
 
@@ -284,9 +288,10 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
     of all rows, each with its own fold.  The last part of the first indices is that of `explained`;
-    of the total ones it lies between that of the first index and all of r^2.  Values are the middle
-    of what it may be.  Without expansions that can be trusted f is the mean.  Where the variance of
-    the rows may be infinite, every interval is from 0 to 1.
+    of the total ones it lies between that of the first index and all of r^2.  The value takes the
+    middle of the former, and as much of r^2 as S_f is of the expansion; its correction 2 r P_j is
+    shrunk by its noise, as that of a probability is.  Without expansions that can be trusted f is
+    the mean.  Where the variance of the rows may be infinite, every interval is from 0 to 1.
     """
     y, n, d = response.outputs, response.count, len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
@@ -314,21 +319,27 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     whole = float(bottom.mean())
     left = float(np.mean(residual**2)) / whole
     most_left = min(left + distances(residual**2)[1] / whole, 1.0)
-    spread = fold_spread(shares)
+    spread, expanded = fold_spread(shares), shares.mean(axis=0)
     rounding = integration + 1e-15
+    values = top.mean(axis=2) / whole
+    influences = (top - values[:, :, None] * bottom) / whole
+    noise = influences.var(axis=2, ddof=1) / len(bottom)
+    shrunk = expanded / whole + _shrunk(values - expanded / whole, noise)
     orders: dict[str, list[Estimate]] = {"first": [], "total": []}
     for j in range(d):
         by_blocks = explained(response.points[used, j], residual)
         least, most, error = (part / whole for part in by_blocks)
         for row, order in enumerate(orders):
-            value = float(top[row, j].mean()) / whole
-            down, up = distances((top[row, j] - value * bottom) / whole)
+            value, share = float(values[row, j]), float(expanded[row, j])
+            down, up = distances(influences[row, j])
             rest = (least, most, error)
             if order == "total":
                 rest = 0.0, most_left, 0.0
             low = value + rest[0] - math.hypot(down, spread[row, j], rest[2]) - rounding
             high = value + rest[1] + math.hypot(up, spread[row, j], rest[2]) + rounding
-            best = value + 0.5 * (least + (most if order == "first" else left))
+            best = float(shrunk[row, j]) + 0.5 * (least + most)
+            if order == "total":
+                best = float(shrunk[row, j]) + share * left
             low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
             if unbounded:
                 low, high = 0.0, 1.0

@@ -87,23 +87,19 @@ def sobol_points(
     # from 1000 dimensions on the scrambling matrices of 52-bit points would fill the memory
     bits = 52 if dimension < 1000 else 30
     if dimension > len(_direction_numbers()):
+        from scipy.stats.qmc import Sobol
+
         rng = random_generator(seed=seed, task=task, replicate=replicate)
-        return _by_scipy(dimension, bits, rng, start, count)
-    directions, points = _scrambled(dimension, bits, seed, task, replicate)
-    # points 2^k to 2^(k + 1) are those before, mirrored, with one more direction (Gray code)
-    for direction in directions[: (start + count - 1).bit_length()]:
-        points = np.concatenate([points, points[::-1] ^ direction])
-    return np.asarray(points[start : start + count] * 0.5**bits + 0.5 ** (bits + 1))
-
-
-def _by_scipy(dimension: int, bits: int, rng: np.random.Generator, start: int, count: int) -> Array:
-    """The points of a sequence beyond our table, from SciPy's class."""
-    from scipy.stats.qmc import Sobol
-
-    sequence = Sobol(dimension, bits=bits, rng=rng)
-    # SciPy warns of a first draw of other than a power of two
-    points = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
-    return points[start:] + 0.5 ** (bits + 1)
+        sequence = Sobol(dimension, bits=bits, rng=rng)
+        # SciPy warns of a first draw of other than a power of two
+        corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
+    else:
+        directions, points = _scrambled(dimension, bits, seed, task, replicate)
+        # points 2^k to 2^(k + 1) are those before, mirrored, with one more direction (Gray code)
+        for direction in directions[: (start + count - 1).bit_length()]:
+            points = np.concatenate([points, points[::-1] ^ direction])
+        corners = points[: start + count] * 0.5**bits
+    return np.asarray(corners[start:] + 0.5 ** (bits + 1))
 
 
 @lru_cache(maxsize=64)
