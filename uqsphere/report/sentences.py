@@ -266,8 +266,8 @@ class _Writer:
         return "probability of exceedance"
 
     def at_the_plan(self) -> str:
-        """The probability at the plan: by what governs where that is another one, by all modes and
-        by the study's limits; and the target.
+        """The probability at the plan: by what governs where that is worse, by all modes and by
+        the study's limits; and the target.
         """
         decision = self.decision
         text = capital(self.event_name())
@@ -277,10 +277,12 @@ class _Writer:
         together = plain_probability(joint_event(decision))
         alone = plain_probability(by_study)
         text += ": "
+        computed = (decision.all_modes or decision.probability).value or 0.0
         for doubt in decision.doubts:
             governing = plain_probability(as_event(decision, doubt.at_plan))
+            worse = (doubt.at_plan.value or 0.0) > computed
             open_ends = doubt.code not in ("computation", "assumed strength")
-            if doubt.governs and open_ends and governing not in (together, DASH):
+            if doubt.governs and open_ends and worse and governing != together:
                 text += f"{governing} by what governs; as computed, "
         if decision.all_modes is None:
             text += probability(by_study)
