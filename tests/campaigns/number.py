@@ -25,7 +25,7 @@ from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import demands_of, strength_of
 from uqsphere.propagation.design import Design, at_normals
-from uqsphere.propagation.doubts import CONTACT, DISTRIBUTION, LAWS, TESTS, Doubt
+from uqsphere.propagation.doubts import LAWS, Doubt
 from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.free_number import moved
 from uqsphere.propagation.grow import grow
@@ -133,7 +133,7 @@ def _rows_at(
         moving = points.input(margins.solve)
     sample = evaluate(design, model, points, {margins.solve: moving})
     yielding = judged.settling.yielding
-    if settled.governing.code != CONTACT or yielding is None:
+    if settled.governing.code != "contact law" or yielding is None:
         return sample
     fresh = YieldingRows(design=yielding.design, evaluated={})
     along = fresh.along(Line(design=design, values=(number,), samples=(sample,)))
@@ -168,9 +168,9 @@ def _exceeded(
 ) -> tuple[float, float, float]:
     """Probability of exceedance, its standard error, and that of the run by its few strengths."""
     law = strength_of(doubt.limit)
-    if doubt.code == TESTS and isinstance(law, Law):
+    if doubt.code == "tests" and isinstance(law, Law):
         return _by_tests(doubt, law, demands, others, rng, series)
-    if doubt.code == DISTRIBUTION and isinstance(law, Law):
+    if doubt.code == "distribution" and isinstance(law, Law):
         strengths = _same_moments(law, doubt.detail, demands.size, rng)
     elif isinstance(law, Law):
         strengths = law.ppf(rng.random(demands.size))

@@ -8,11 +8,12 @@ import pytest
 from scipy import stats
 from tables_of import tables_of
 
-from uqsphere.propagation.write import Cost, cells_of, results_of, samples_of
+from uqsphere.propagation.design import Design
+from uqsphere.propagation.write import Cost, cells_of, free_number_of, results_of, samples_of
 from uqsphere.results import Answers
 from uqsphere.results.answers import answers_csv, csv_text, frame_of
 from uqsphere.results.types import Answer, Kind
-from uqsphere.study import Study
+from uqsphere.study import Study, load_study
 
 INPUTS = {
     "a": {"dist": "normal", "mean": 2.0, "sd": 0.5, "lower": 1.0},
@@ -94,3 +95,20 @@ def test_tables_are_written_as_pandas_reads_and_writes_them():
         Answer(subject="p_max", answer=Kind.QUANTILE, at=0.05, value=None, unit="Pa"),
     ]
     assert answers_csv(rows) == frame_of(rows).to_csv(index=False)
+
+
+def test_the_free_number_is_called_by_its_name_without_the_definition(tmp_path):
+    rows = [f"{time},{1e-4 * (10 <= time <= 60)}" for time in range(100)]
+    (tmp_path / "pulse.csv").write_text("\n".join(["t [us],e [1]", *rows]))
+    text = """
+        sphere = { material = "basalt", radius = "7.5 mm" }
+        bars = { material = "steel", diameter = "25 mm", infinite = true }
+        pulse = { shape = "measured", file = "pulse.csv", gain = 1.0 }
+        margins = { solve = "pulse.gain", between = [0.1, 5.0] }
+        [limits.a]
+        quantity = "p_max"
+        strength = "3 GPa"
+        strength_is = "hertz"
+        """
+    design = Design.of(load_study(tmp_path / "study.toml", text=text))
+    assert free_number_of(design).meaning == "gain of a measured pulse"

@@ -12,7 +12,6 @@ import numpy as np
 from uqsphere.propagation.checks import Check, range_checks
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.doubts import ASSUMED
 from uqsphere.results.types import Caveat, CaveatCode
 from uqsphere.study import strength_name
 
@@ -26,7 +25,7 @@ def caveats_of(
     """Why the verdict of an aim is not established; empty where nothing holds it."""
     caveats: list[Caveat] = []
     design, governing = settled.aim.design, settled.governing
-    if governing.code == ASSUMED:
+    if governing.code == "assumed strength":
         caveats.append(Caveat(code="assumed strength", subject=design.subject(governing.limit)))
     caveats += _model_range(settled, yielding, checks)
     caveats += _sizes(settled)

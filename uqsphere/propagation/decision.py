@@ -21,7 +21,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.doubts import ASSUMED, Aim, Alternative, Curves, Doubt, doubts_of
+from uqsphere.propagation.doubts import Aim, Alternative, Curves, Doubt, doubts_of
 from uqsphere.propagation.line import Line, refined
 from uqsphere.uq import student
 
@@ -182,7 +182,7 @@ class Settling:
         """
         governing, aim = settled.governing, settled.aim
         alone = len(aim.limits) == 1 and governing.limit is aim.limits[0]
-        if governing.code == ASSUMED or (settled.number is None and not alone):
+        if governing.code == "assumed strength" or (settled.number is None and not alone):
             return self.once(aim.without(governing.limit.name), settled.line).number
         gone = governing.key[:2]
         rest = [doubt.margin for doubt in settled.doubts if doubt.key[:2] != gone]

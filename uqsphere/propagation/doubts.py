@@ -38,14 +38,6 @@ from uqsphere.uq.fitting import (
     series_behind,
 )
 
-COMPUTATION: Final[DoubtCode] = "computation"
-CARRIER: Final[DoubtCode] = "carrier"
-TESTS: Final[DoubtCode] = "tests"
-DISTRIBUTION: Final[DoubtCode] = "distribution"
-CONTACT: Final[DoubtCode] = "contact law"
-TIE: Final[DoubtCode] = "tie"
-ASSUMED: Final[DoubtCode] = "assumed strength"
-
 #: strengths that tests allow
 LAWS: Final = 400
 
@@ -176,16 +168,17 @@ def alternatives(aim: Aim) -> list[Alternative]:
         law = strength_of(limit)
         if not isinstance(law, Law):
             continue
-        code, strengths = DISTRIBUTION, other_distributions(law)
+        code: DoubtCode = "distribution"
+        strengths = other_distributions(law)
         if is_fitted(law):
-            code, strengths = TESTS, strengths_allowed(aim.design, limit)
+            code, strengths = "tests", strengths_allowed(aim.design, limit)
         options += [
             Alternative(code=code, limit=limit, detail=name, laws=laws)
             for name, laws in strengths.items()
         ]
         tied = strength_name(limit.name)
         if any(tied in tie.of for tie in aim.design.study.dependence):
-            options.append(Alternative(code=TIE, limit=limit, tied=False))
+            options.append(Alternative(code="tie", limit=limit, tied=False))
     return options
 
 
@@ -339,7 +332,7 @@ class Curves:
         """The limit as the study has it, at the unsafe end of the numerical interval."""
         base = self.base(limit)
         ends = [self._ends(means) for means in base]
-        return self._doubt(Alternative(code=COMPUTATION, limit=limit), ends, base[1])
+        return self._doubt(Alternative(code="computation", limit=limit), ends, base[1])
 
     def _ends(self, means: Array) -> Array:
         """The unsafe ends (K,) of the numerical intervals of probabilities (K, R)."""
@@ -360,7 +353,7 @@ class Curves:
     def assumed(self, mode: AssumedMode) -> Doubt:
         """A failure mode by itself, its strength at the middle of the library's range."""
         alone = self.base(mode.limit)[0]
-        by_library = Alternative(code=ASSUMED, limit=mode.limit)
+        by_library = Alternative(code="assumed strength", limit=mode.limit)
         return self._doubt(by_library, [alone.mean(axis=1)] * 2, alone)
 
     def otherwise(self, alternative: Alternative) -> Doubt:
@@ -396,10 +389,10 @@ class Curves:
         )
         curves, few = Curves(aim=aim, line=self.yielding), self.few.base(limit)
         strengths = [other for other in others if other.laws]
-        for other in (Alternative(code=CONTACT, limit=limit), *strengths):
+        for other in (Alternative(code="contact law", limit=limit), *strengths):
             rows = curves.by_strengths(limits[limit.name], other.laws)
             unsafe = self._shifted(limit, rows, few, self.base(limit), self._unsafe)
-            yield self._doubt(replace(other, code=CONTACT), *unsafe)
+            yield self._doubt(replace(other, code="contact law"), *unsafe)
 
     @property
     def _unsafe(self) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.doubts import COMPUTATION, LAWS, others_survive, tests_behind
+from uqsphere.propagation.doubts import LAWS, others_survive, tests_behind
 from uqsphere.propagation.evidence import REFUTED, demands_in_tests, least_factor, median
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, scaled_strength
 from uqsphere.propagation.line import score
@@ -70,7 +70,7 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     line, pick = settled.line, np.maximum if settled.least else np.minimum
     margins = [settled.ends[1]]
     for doubt in settled.doubts:
-        by_tests = doubt.limit in limits and (doubt.code == COMPUTATION or doubt.detail)
+        by_tests = doubt.limit in limits and (doubt.code == "computation" or doubt.detail)
         if not by_tests and doubt.margin is not None and math.isfinite(doubt.margin):
             margins.append(doubt.margin)
     places = [np.full(_SERIES, line.place_of(margin)) for margin in margins]

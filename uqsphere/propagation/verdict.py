@@ -5,7 +5,7 @@ it, the certificate of what the number rests on, and what to do next.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,19 +21,7 @@ from uqsphere.propagation.contact_law import YieldingRows, yielding_design
 from uqsphere.propagation.decision import Settled, Settling
 from uqsphere.propagation.demands import number_of_tests, strength_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.doubts import (
-    ASSUMED,
-    CARRIER,
-    COMPUTATION,
-    CONTACT,
-    DISTRIBUTION,
-    TESTS,
-    TIE,
-    Aim,
-    Curves,
-    Doubt,
-    alternatives,
-)
+from uqsphere.propagation.doubts import Aim, Curves, Doubt, alternatives
 from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import failure
@@ -87,7 +75,7 @@ class Judged:
         target, or a failure mode governs, one that means fracture before others.
         """
         limits, governing = self.aim.limits, self.settled.governing
-        if governing.code != ASSUMED and any(limit.has_target for limit in limits):
+        if governing.code != "assumed strength" and any(limit.has_target for limit in limits):
             return self.settled.setting.limit
         return next((limit for limit in limits if means_fracture(limit)), limits[0])
 
@@ -231,7 +219,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     target = all_modes = None
     if any(limit.has_target for limit in aim.limits):
         target = settled.setting.limit.target
-        if governing.code == ASSUMED:
+        if governing.code == "assumed strength":
             target = governing.limit.target
     else:
         subject = aim.design.subject(lead)
@@ -249,8 +237,8 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         own=alone.number,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
-        curve=_points(settled, [settled.curves.middle(lead)]),
-        band=_points(settled, _band(settled)),
+        curve=_curve(settled, settled.curves.middle(lead)),
+        band=_band(settled),
         doubts=_certificate(judged),
         caveats=caveats,
         library=library,
@@ -291,35 +279,32 @@ def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None
     )
 
 
-def _band(settled: Settled) -> list[Array]:
-    """What the tests leave open of the exceedance along the line: of the doubt that governs, else
-    of the first one by tests.
-    """
-    key = settled.governing.key
-    for doubt in sorted(settled.doubts, key=lambda doubt: doubt.key != key):
-        if doubt.opposite is not None:
-            return [doubt.curve, doubt.opposite]
-    return []
-
-
-def _points(settled: Settled, curves: Sequence[Array]) -> list[types.CurvePoint]:
-    """The failure probability along the line, from curves of exceedance: one of values, or both
-    ends.
-    """
-    if len(settled.line.values) < 2 or not curves:
+def _curve(settled: Settled, curve: Array) -> list[types.CurvePoint]:
+    """The failure probability along the line, from a curve of exceedance."""
+    if len(settled.line.values) < 2:
         return []
-    names = ("value",) if len(curves) == 1 else ("low", "high")
-    rows = np.sort([settled.aim.failure(curve) for curve in curves], axis=0).T.tolist()
-    return [
-        types.CurvePoint(at=at, **{"value": None, **dict(zip(names, row, strict=True))})
-        for at, row in zip(settled.line.values, rows, strict=True)
-    ]
+    points = zip(settled.line.values, settled.aim.failure(curve).tolist(), strict=True)
+    return [types.CurvePoint(at=at, value=p) for at, p in points]
+
+
+def _band(settled: Settled) -> list[types.CurvePoint]:
+    """What the tests leave open of the failure probability along the line: of the doubt that
+    governs, else of the first one by tests.
+    """
+    values, key = settled.line.values, settled.governing.key
+    for doubt in sorted(settled.doubts, key=lambda doubt: doubt.key != key):
+        if doubt.opposite is not None and len(values) > 1:
+            curves = np.array([doubt.curve, doubt.opposite])
+            low, high = np.sort(settled.aim.failure(curves), axis=0).tolist()
+            points = zip(values, low, high, strict=True)
+            return [types.CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
+    return []
 
 
 def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
     """What the library's range of a failure mode that governs would make of the number."""
     settled, aim = judged.settled, judged.aim
-    if judged.line is None or settled.governing.code != ASSUMED:
+    if judged.line is None or settled.governing.code != "assumed strength":
         return None
     name = settled.governing.limit.name
     mode = next(mode for mode in aim.modes if mode.limit.name == name)
@@ -337,38 +322,36 @@ def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
 
 def _certificate(judged: Judged) -> list[types.Doubt]:
     """What the number rests on: a row for each limit and doubt."""
-    at_plan = {doubt.key: doubt for doubt in _rows(judged.plan)}
-    return [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in _rows(judged.settled)]
+    at_plan = {doubt.key: float(doubt.curve[0]) for doubt in judged.plan.doubts}
+    rows = [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in judged.settled.doubts]
+    if judged.aim.survive:
+        for mode in judged.aim.design.modes:
+            assumed = judged.settled.curves.assumed(mode)
+            row = _row(judged, assumed, judged.probability[mode.limit.name].value)
+            counts = any(mode is counted for counted in judged.aim.modes)
+            rows.append(row.model_copy(update={"counts": counts}))
+    return rows
 
 
-def _rows(settled: Settled) -> Iterator[Doubt]:
-    yield from settled.doubts
-    for mode in settled.aim.design.modes:
-        if settled.aim.survive:
-            yield settled.curves.assumed(mode)
-
-
-def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
+def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
+    """A row, from the probability of exceedance at the plan."""
     settled, aim, limit = judged.settled, judged.aim, doubt.limit
-    assumed = doubt.code == ASSUMED
     note: types.MarginNote = ""
     if judged.line is not None and doubt.margin is None:
         note = "nowhere"
     elif doubt.margin == math.inf:
         note = "everywhere"
-    at_number = at_plan_range = types.Range()
+    at_number = at_plan = None
     if settled.use is not None:
-        at_number = _failure(aim, settled.line.at(doubt.curve, settled.use))
-    if assumed:
-        at_plan_range = types.Range(value=judged.probability[limit.name].value)
-    elif at_plan is not None:
-        at_plan_range = _failure(aim, at_plan.curve[0])
-        if doubt.code == COMPUTATION and judged.at_plan(limit).high is not None:
-            at_plan_range = types.Range(value=judged.at_plan(limit).high)
+        at_number = float(aim.failure(settled.line.at(doubt.curve, settled.use)))
+    if exceeded is not None:
+        at_plan = float(aim.failure(exceeded))
     code, option = doubt.code, doubt.detail
-    # tests that are carried over in another way than by the limit that counts as fracture
-    if code == COMPUTATION and any(limit in group[1:] for group in aim.groups):
-        code, option = CARRIER, option or limit.quantity
+    if code == "computation":
+        at_plan = judged.at_plan(limit).high or at_plan
+        # tests that are carried over in another way than by the limit that counts as fracture
+        if any(limit in group[1:] for group in aim.groups):
+            code, option = "carrier", option or limit.quantity
     return types.Doubt(
         code=code,
         subject=aim.design.subject(limit),
@@ -376,17 +359,12 @@ def _row(judged: Judged, doubt: Doubt, at_plan: Doubt | None) -> types.Doubt:
         target=limit.target,
         margin=doubt.margin,
         margin_note=note,
-        at_number=at_number,
-        at_plan=at_plan_range,
+        at_number=types.Range(value=at_number),
+        at_plan=types.Range(value=at_plan),
         governs=doubt.key == settled.governing.key,
-        counts=not assumed or any(limit is mode.limit for mode in aim.modes),
-        joint=not assumed and settled.curves.adds_up(limit),
+        joint=code != "assumed strength" and settled.curves.adds_up(limit),
         tests=number_of_tests(strength_of(limit)),
     )
-
-
-def _failure(aim: Aim, exceedance: float) -> types.Range:
-    return types.Range(value=float(aim.failure(exceedance)))
 
 
 # --- verdict and remedy ---------------------------------------------------------------------------
@@ -417,18 +395,18 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
         if judged.settled.least and margin != math.inf:
             return planned >= margin
         return planned <= margin
-    if doubt.code == COMPUTATION:
+    if doubt.code == "computation":
         return target_met(judged.at_plan(limit), limit.target) is True
     return bool(judged.aim.keeps(doubt.curve[0], limit))
 
 
 #: the remedy of each doubt
 _REMEDIES: Final[dict[types.DoubtCode, types.RemedyCode]] = {
-    ASSUMED: "measure the strength",
-    TESTS: "test more",
-    DISTRIBUTION: "test the lower tail",
-    CONTACT: "yielding contacts",
-    TIE: "check the input",
+    "assumed strength": "measure the strength",
+    "tests": "test more",
+    "distribution": "test the lower tail",
+    "contact law": "yielding contacts",
+    "tie": "check the input",
 }
 #: the remedy of each caveat, the most urgent first
 _CURES: Final[dict[types.CaveatCode, types.RemedyCode]] = {
@@ -454,7 +432,7 @@ def _remedy(
             if caveat.code == code:
                 return types.Remedy(code=cure, subject=caveat.subject)
     at_best = None
-    if line is not None and governing.code != ASSUMED and line.use is None:
+    if line is not None and governing.code != "assumed strength" and line.use is None:
         if line.number is None and len(judged.aim.limits) > 1:
             at_best = best(line)
         return types.Remedy(code="widen the range", subject="margins.between", at_best=at_best)
@@ -477,9 +455,9 @@ def _remedy(
 # --- rows of answers ------------------------------------------------------------------------------
 
 _TEXTS: Final = {
-    DISTRIBUTION: "{} strength",
-    CONTACT: "contacts yield",
-    TIE: "strength independent of the inputs",
+    "distribution": "{} strength",
+    "contact law": "contacts yield",
+    "tie": "strength independent of the inputs",
 }
 
 
@@ -498,12 +476,14 @@ def assumed_answers(judged: Sequence[Judged]) -> Answers:
 def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
     aim, limit, law = judged.aim, doubt.limit, strength_of(doubt.limit)
     subject, margins = aim.design.subject(limit), aim.design.study.margins
+    low = high = None
+    note = ""
     if doubt.opposite is None:
         name = doubt.detail.replace("weibull", "Weibull")
         at = "assumed: " + _TEXTS[doubt.code].format(name)
-        if doubt.code == CONTACT and name:
+        if doubt.code == "contact law" and name:
             at += f", {name} strength"
-        value, low, high, note = float(aim.failure(doubt.single)[0]), None, None, ""
+        value = float(aim.failure(doubt.single)[0])
     else:
         at = f"tests: {doubt.detail}"
         if isinstance(law, Law) and law.family.name == doubt.detail:
@@ -511,6 +491,7 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         low, high = sorted(float(aim.failure(end)[0]) for end in (doubt.curve, doubt.opposite))
         value = float(np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high))
         note = "95 % range over the strengths that the tests allow, with the other failure modes"
+    method, runs = "epistemic", judged.plan.line.rows.size
     answers.row(
         subject,
         "failure_probability",
@@ -519,19 +500,12 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         low,
         high,
         unit="1",
-        runs=judged.plan.line.rows.size,
-        method="epistemic",
+        runs=runs,
+        method=method,
         note=note,
     )
     margin = judged.along(doubt)
     if margins is not None and margin is not None and math.isfinite(margin):
-        answers.row(
-            subject,
-            "margin",
-            at,
-            margin,
-            unit=lookup(margins.solve).unit,
-            runs=judged.settled.line.rows.size,
-            method="epistemic",
-            note="conservative end, with the other failure modes",
-        )
+        unit, runs = lookup(margins.solve).unit, judged.settled.line.rows.size
+        note = "conservative end, with the other failure modes"
+        answers.row(subject, "margin", at, margin, unit=unit, runs=runs, method=method, note=note)

@@ -96,7 +96,7 @@ def results_of(
             kind="black box" if study.black_box else study.rig,
             seed=study.seed,
             description=_description(design),
-            free=_free(design),
+            free=free_number_of(design),
             overrides=list(study.overrides),
             warnings=list(study.warnings),
             quantities={name: _quantity(design, tables, name) for name in design.described},
@@ -151,14 +151,15 @@ def _description(design: Design) -> list[str]:
     return [first, "Strength " + "; ".join(strengths)]
 
 
-def _free(design: Design) -> FreeNumber | None:
+def free_number_of(design: Design) -> FreeNumber | None:
+    """The free number of a study's margins, as the results have it."""
     margins = design.study.margins
     if margins is None:
         return None
     low, high = margins.between
     return FreeNumber(
         path=margins.solve,
-        meaning=lookup(margins.solve).meaning,
+        meaning=lookup(margins.solve).meaning.partition(":")[0],
         planned=planned_value(design),
         low=low,
         high=high,
