@@ -358,8 +358,8 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
     if plain and not apart and rows.count >= LEAST_ROWS:
         germs = germs_of(design.joint.only(design.inputs).laws)
-        fitted = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
-        responses = dict(zip(rows.quantities, fitted, strict=True))
+        fits = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
+        responses = dict(zip(rows.quantities, fits, strict=True))
     slow = Slow(design=design, rows=rows, responses=responses, sample=rows, dropped=dropped)
     if responses and all(response.usable for response in responses.values()):
         table = design.points(POINTS)

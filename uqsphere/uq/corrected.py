@@ -116,18 +116,18 @@ class Corrected:
         levels, sampling = self._table_moment(1)
         value = float(levels.mean() + self.response.residuals.mean())
         down, up = distances(self.response.residuals)
-        return self._estimate(value, value - math.hypot(down, sampling), math.hypot(up, sampling))
+        low, high = value - math.hypot(down, sampling), value + math.hypot(up, sampling)
+        return self._estimate(value, low, high)
 
-    def _estimate(self, value: float, low: float, up: float) -> Estimate:
-        """An estimate between `low` and `up` above the value."""
-        ends = value, low, value + up
-        if not all(map(math.isfinite, ends)):
+    def _estimate(self, value: float, low: float, high: float) -> Estimate:
+        """An estimate with its ends; absent where one is not finite."""
+        if not all(map(math.isfinite, (value, low, high))):
             return absent("the answer is beyond floating point", self.method, self.runs)
         return Estimate(
             value=value,
             low=low,
-            high=value + up,
-            std_error=0.25 * (value + up - low),
+            high=high,
+            std_error=0.25 * (high - low),
             method=self.method,
             evaluations=self.runs,
         )
@@ -151,7 +151,7 @@ class Corrected:
             variance = float(rows.mean())
             ends = variance - alone[0], variance + alone[1]
         value, low, high = (math.sqrt(max(end, 0.0)) for end in (variance, *ends))
-        estimate = self._estimate(value, low, high - value)
+        estimate = self._estimate(value, low, high)
         reason = heavy_tail(self.table) or heavy_tail(self.response.outputs, certain=True)
         if reason and estimate.value is not None:
             return replace(estimate, high=None, reason=reason)
@@ -185,7 +185,7 @@ class Corrected:
             none = absent(reason, self.method, self.runs)
             estimate = replace(none, low=ends[0], high=ends[1])
         else:
-            estimate = self._estimate(float(value), ends[0], ends[1] - float(value))
+            estimate = self._estimate(float(value), *ends)
         return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
 
     def _ends(
@@ -255,7 +255,7 @@ class Corrected:
         outer = min(below(high + missed), at), max(above(low - missed), at)
         if p <= high[0] + missed:
             outer = -math.inf, outer[1]
-        estimate = self._estimate(at, ends[0], ends[1] - at)
+        estimate = self._estimate(at, *ends)
         return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
 
     def describe(self, quantiles: Sequence[float]) -> Description:
