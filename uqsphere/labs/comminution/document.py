@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -25,7 +25,7 @@ Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
 
 
 #: parameters of the laws
-_PARAMETERS: Final = frozenset(("e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"))
+_PARAMETERS = frozenset(("e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"))
 
 
 def _one_of(table: Section, *keys: str) -> str:

@@ -9,7 +9,7 @@ elastically.
 from __future__ import annotations
 
 import warnings
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +21,8 @@ from uqsphere.materials import library
 from uqsphere.tables import Table
 
 #: mass of a falling weight over that of a particle, where it only carries the energy
-_HEAVY: Final = 1000.0
-_GRAVITY: Final = 9.80665
+_HEAVY = 1000.0
+_GRAVITY = 9.80665
 
 
 def stiffness(body: Elastic) -> float:

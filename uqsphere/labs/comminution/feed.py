@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,9 @@ from uqsphere.labs.comminution.fit import SYNTHETIC, UNTESTED, Posterior, quanti
 from uqsphere.tables import read_table
 
 #: draws for which a feed is computed
-DRAWS: Final = 1000
+DRAWS = 1000
 #: largest share of mass above the coarsest sieve that is cut without a refusal
-_CUT: Final = 0.05
+_CUT = 0.05
 #: specific energies [J/kg] and sizes [m] of the drop-weight tests behind A and b
 _OFFERED, _DROPPED = (360.0, 9000.0), (0.0132, 0.063)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,27 +25,27 @@ from uqsphere.labs.files import csv_text
 
 #: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the
 #: published ranges; the modulus of a Weibull law has the scatter that sigma has
-PRIORS: Final = {
+PRIORS = {
     "phi": (0.0, 0.45),
     "d0": (math.log(0.005), 1.0),
     "sigma": (math.log(0.6), 0.5),
     "modulus": (math.log(2.1375 / 0.6), 0.5),
     "gamma": (math.log(4.0), 0.35),
 }
-_FLAT: Final = (0.0, math.inf)
+_FLAT = (0.0, math.inf)
 #: rounds of the sampler that adapt, most that are kept, degrees of freedom of its proposals
 _ADAPTING, _MOST, _FREEDOM = 6, 24, 5.0
 #: effective number of draws below which a posterior has not converged
-EFFECTIVE: Final = 1000.0
+EFFECTIVE = 1000.0
 #: number of tests below which lognormal and Weibull cannot be told apart reliably
-FEW: Final = 50
+FEW = 50
 #: most sizes that are listed
-_MOST_SIZES: Final = 200
+_MOST_SIZES = 200
 #: ratio to the tested sizes beyond which a strength is extrapolated
-UNTESTED: Final = 1.19
-SYNTHETIC: Final = "the tests are synthetic data: the numbers describe no real rock"
+UNTESTED = 1.19
+SYNTHETIC = "the tests are synthetic data: the numbers describe no real rock"
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
-_GAMMAS: Final = np.linspace(math.log(0.5), math.log(50.0), 93)
+_GAMMAS = np.linspace(math.log(0.5), math.log(50.0), 93)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +260,7 @@ def sample(
     begin = np.where(lead, np.median(np.log(tests.last)), centre)
     begin[[*model.priors].index(shape)] = PRIORS[shape][0]
     tried = begin + np.linspace(-10.0, 10.0, 161)[:, None] * lead
-    begin = tried[int(np.argmax(value(tried)))]
+    begin = tried[np.argmax(value(tried))]
     near = minimize(loss, begin, method="Nelder-Mead", options={"maxiter": 4000}).x
     best = minimize(loss, near, method="BFGS")
     middle, covariance, d, n = best.x, np.asarray(best.hess_inv), len(best.x), 1 << 12

@@ -21,7 +21,6 @@ others, Mineral Comminution Circuits, 1996.
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
@@ -29,13 +28,13 @@ from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
 #: parameters of a size law, the energy first, by its name
-SIZES: Final = {
+SIZES = {
     "tavares": ("e_inf", "d0", "phi"),
     "king": ("e_inf", "d0", "phi"),
     "power": ("C", "phi"),
     "class": (),
 }
-LAWS: Final = {"lognormal": "sigma", "weibull": "modulus"}
+LAWS = {"lognormal": "sigma", "weibull": "modulus"}
 
 
 def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Values:

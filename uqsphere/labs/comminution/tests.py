@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -17,15 +16,15 @@ from uqsphere.labs.comminution.energies import particle_energies
 from uqsphere.tables import Table, read_table
 
 #: rigs that record the energy at failure, and those that record the energy offered
-_AT_FAILURE: Final = ("platens", "load_cell", "bars")
-_RIGS: Final = (*_AT_FAILURE, "drop_weight", "impact", "drop")
-_BROKE: Final = {
+_AT_FAILURE = ("platens", "load_cell", "bars")
+_RIGS = (*_AT_FAILURE, "drop_weight", "impact", "drop")
+_BROKE = {
     **dict.fromkeys(("broke", "broken", "1", "yes", "true"), True),
     **dict.fromkeys(("survived", "0", "no", "false", "stopped"), False),
 }
 #: relative difference within which two sizes are the same
-_SAME: Final = 0.005
-_MOST_BLOWS: Final = 10_000
+_SAME = 0.005
+_MOST_BLOWS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

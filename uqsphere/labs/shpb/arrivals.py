@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,9 @@ _SURE, _FINE = (0.15, 8e-6), (0.05, 2e-6)
 #: shares of the predicted delay by which a wave may come early, and late
 _EARLY, _LATE = 0.02, 0.10
 #: time by which the transit and softness of a specimen may delay the transmitted wave [s]
-_SOFT: Final = 50e-6
+_SOFT = 50e-6
 #: a wave is steep that rises within this share of its delay
-_STEEP: Final = 0.05
+_STEEP = 0.05
 
 
 class Arrivals(NamedTuple):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -30,11 +30,11 @@ _LEAST, _MOST = 30, 1500
 #: share of the largest force below which samples are left out, and to which a record must unload
 _QUIET, _UNLOADED = 0.01, 0.5
 #: shares of the largest force at which the search for the onset begins
-_BEGINNINGS: Final = (0.03, 0.15, 0.5)
+_BEGINNINGS = (0.03, 0.15, 0.5)
 #: bounds of H/p_y and of the pile-up
 _RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
 #: ratio of the ends of an interval beyond which a number is not determined
-_OPEN: Final = 30.0
+_OPEN = 30.0
 
 Stiffness = Annotated[Positive, in_unit("stiffness")]
 
@@ -234,12 +234,12 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
         free = slice(5 if asked.pile_up is None else 4)
         bounds = (low[free], high[free])
         fits.append(least_squares(residual, begin[free], bounds=bounds, x_scale="jac", xtol=1e-10))
-    best = min(fits, key=lambda fitted: float(fitted.cost))
+    best = min(fits, key=lambda fitted: fitted.cost)
     left, (modulus, onset, hardness, pile_up) = best.fun, numbers(best.x)
     onset_approach = radius * (0.5 * math.pi * onset / modulus) ** 2
     top = np.full(1, highest)
     law = face_law(radius, modulus, onset, hardness, pile_up)
-    depth = float(face_approach(top, top, law)[0]) / onset_approach
+    depth = face_approach(top, top, law)[0] / onset_approach
     # correlated residuals count for fewer
     correlation = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
     if correlation <= 2.0 / math.sqrt(len(left)):

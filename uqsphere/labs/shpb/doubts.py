@@ -6,7 +6,7 @@ Every check doubts the peaks that it concerns, and widens their intervals to wha
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,16 @@ from uqsphere.labs.shpb.peaks import NORMAL, Peaks, stretch
 from uqsphere.labs.shpb.recorder import Changes
 
 #: difference between two gauges of a bar over the wave that is a gross fault
-_GROSS: Final = 0.25
+_GROSS = 0.25
 #: relative width of an interval beyond which a number is poorly determined; difference of the
 #: faces that is doubted even where their intervals overlap
 _WIDE, _APART = 0.3, 0.2
 #: striker speeds [m/s] of real tests; relative difference from the given speed that is a fault
 _STRUCK, _SPEED_ERROR = (0.1, 100.0), 0.1
 #: difference of the forces over their mean that counts as equilibrium
-EQUILIBRIUM: Final = 0.05
+EQUILIBRIUM = 0.05
 #: misfit of inertia and gain beyond which they do not explain the forces
-_MISFIT: Final = 0.05
+_MISFIT = 0.05
 
 
 class Faces(NamedTuple):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_closing, maximum_filter, median_filter
@@ -19,21 +19,21 @@ from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.recorder import Changes, Trace, read_traces
 
 #: no wave of a bar is shorter [s]
-_SHORTEST: Final = 1e-6
+_SHORTEST = 1e-6
 #: part of the longest excursion that a first wave lasts: trigger bursts are shorter
-_LASTS: Final = 0.25
+_LASTS = 0.25
 #: most samples on either side of a running median
-_LONGEST_MEDIAN: Final = 40
+_LONGEST_MEDIAN = 40
 #: fewest samples of a rest, and of a baseline
 _FEWEST, _BASELINE = 20, 10
 #: robust standard deviations, and share of the peak, beyond which a sample is a spike
 _ODD, _ROBUST, _SPIKE_SHARE = 8.0, 1.4826, 0.02
 #: a gauge that records less than this share of its partner's peak is dead
-_DEAD: Final = 0.2
+_DEAD = 0.2
 #: passes of the incident bar that no pulse lasts
-_PASSES: Final = 12.0
+_PASSES = 12.0
 #: share of the largest strain by which the incident wave is found, however large echoes are later
-_INCIDENT: Final = 0.2
+_INCIDENT = 0.2
 
 
 class Wave(NamedTuple):
@@ -337,36 +337,22 @@ def _rest_of(values: Array) -> float:
     return float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
 
 
-class _Line(NamedTuple):
-    """A line through samples at rest.
-
-    noise : standard deviation about the line, correlated over `memory` samples; slope : a sample,
-    with its standard deviation; middle : place of the mean.
-    """
-
-    mean: float
-    slope: float
-    noise: float
-    memory: float
-    slope_sd: float
-    middle: float
-
-
-def _line(quiet: Array, place: Array) -> _Line:
-    mean, middle = quiet.mean(), place.mean()
-    about = place - middle
+def _line(quiet: Array, place: Array) -> tuple[float, float, float, float]:
+    """Slope of a line through samples at rest, with its standard deviation; the noise about the
+    line, and the samples over which it is correlated."""
+    about = place - place.mean()
     squares = np.square(about).sum()
-    slope = (about * (quiet - mean)).sum() / squares
-    left = quiet - mean - slope * about
+    slope = (about * (quiet - quiet.mean())).sum() / squares
+    left = quiet - quiet.mean() - slope * about
     noise, memory = left.std(ddof=2), 1.0
     if noise <= 1e-12 * np.abs(quiet).max():  # rounding is not noise
-        return _Line(mean, slope, 0.0, memory, 1e-6 * abs(slope), middle)
+        return slope, 1e-6 * abs(slope), 0.0, memory
     for lag in range(1, min(len(left) // 4, 200)):
         correlation = (left[lag:] * left[:-lag]).mean() / noise**2
         if correlation < 2.0 / math.sqrt(len(left)):
             break
         memory += 2.0 * correlation
-    return _Line(mean, slope, noise, memory, noise * math.sqrt(memory / squares), middle)
+    return slope, noise * math.sqrt(memory / squares), noise, memory
 
 
 def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Changes) -> Signal:
@@ -417,26 +403,27 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
         )
         changes.add("baseline", name, text, away.max())
         quiet, place = quiet[~burst], place[~burst]
-    line = _line(quiet, place)
-    offset = line.noise * math.sqrt(min(1.0, line.memory / len(quiet)))
-    if abs(line.mean) > 0.005 * wave.peak:
+    slope, slope_sd, noise, memory = _line(quiet, place)
+    mean, middle = quiet.mean(), place.mean()
+    offset = noise * math.sqrt(min(1.0, memory / len(quiet)))
+    if abs(mean) > 0.005 * wave.peak:
         text = (
-            f"a baseline of {line.mean * 1e6:.4g} microstrain is subtracted "
-            f"({abs(line.mean) / wave.peak:.1%} of the wave)"
+            f"a baseline of {mean * 1e6:.4g} microstrain is subtracted "
+            f"({abs(mean) / wave.peak:.1%} of the wave)"
         )
-        changes.add("baseline", name, text, line.mean)
-    zero, reach = np.full(len(values), line.mean), wave.end - line.middle
-    drift = line.slope * reach
-    if abs(line.slope) > 5.0 * line.slope_sd and abs(drift) > 0.01 * wave.peak:
-        zero += line.slope * (places - line.middle)
-        offset = math.hypot(offset, line.slope_sd * reach)
+        changes.add("baseline", name, text, mean)
+    zero, reach = np.full(len(values), mean), wave.end - middle
+    drift = slope * reach
+    if abs(slope) > 5.0 * slope_sd and abs(drift) > 0.01 * wave.peak:
+        zero += slope * (places - middle)
+        offset = math.hypot(offset, slope_sd * reach)
         text = (
-            f"a drift of {line.slope / step * 1e3:.4g} microstrain/ms is subtracted, "
+            f"a drift of {slope / step * 1e3:.4g} microstrain/ms is subtracted, "
             f"{drift * 1e6:.3g} microstrain in total"
         )
         changes.add("drift", name, text, drift)
     spread = np.zeros(len(values))
-    return Signal(name, values - zero, trace.known, line.noise, offset, spread, wave, line.memory)
+    return Signal(name, values - zero, trace.known, noise, offset, spread, wave, memory)
 
 
 def _cut_out(trace: Trace, step: float, changes: Changes) -> Signal:
@@ -480,9 +467,9 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
     spread = 0.5 * np.ptp(strains, axis=1)
     spread[~every] = spread[first:][every[first:]].max(initial=0.0)
     count = max(first - 3, _BASELINE)
-    line = _line(mean[:count], np.arange(count, dtype=float))
+    _, _, noise, memory = _line(mean[:count], np.arange(count, dtype=float))
     name = " and ".join(gauge.name for gauge in alive)
-    wave = _first_wave(mean[: int(min(limit, len(mean)))], step, line.noise, name)
+    wave = _first_wave(mean[: int(min(limit, len(mean)))], step, noise, name)
     bending = spread[wave.foot : wave.end + 1].max()
     text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
     changes.add("gauges", name, text, bending)
@@ -490,8 +477,8 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
         name=name,
         strain=mean,
         known=np.any(known, axis=1),
-        noise=line.noise,
-        memory=line.memory,
+        noise=noise,
+        memory=memory,
         offset=math.hypot(*(gauge.offset for gauge in alive)) / len(alive),
         spread=spread,
         wave=wave,

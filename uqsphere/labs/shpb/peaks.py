@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -17,13 +17,13 @@ from scipy.special import ndtri
 
 from uqsphere.arrays import Array
 
-NORMAL: Final = 1.959964
+NORMAL = 1.959964
 #: samples above 80 % of the largest force without which a record is too slow
-_FEW_ON_TOP: Final = 8
+_FEW_ON_TOP = 8
 #: share of the largest force to which the force falls before the record ends
-_FALLEN: Final = 0.9
+_FALLEN = 0.9
 #: noise of a running mean over the largest force that is small enough
-_QUIET: Final = 0.004
+_QUIET = 0.004
 #: share of the largest force within which a top is flat, and by which its mean line may bend
 _FLAT, _BEND = 0.01, 0.005
 
@@ -146,7 +146,7 @@ def _pointed_top(course: Force, level: float, width: int) -> _Top:
     samples = max(3, 2 * int(min(wanted, 1e9) // 2) + 1)
     samples = min(samples, max(3, 2 * (width // 6) + 1))
     means = course.means(samples)
-    at, highest = int(np.argmax(means)), float(means.max())
+    at, highest = int(np.argmax(means)), means.max()
     missed = max(highest - float(course.means(2 * samples + 1).max()), 0.0)
     # the largest of m equal means exceeds them by luck (Blom)
     scatter = course.scatter(samples)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from uqsphere.study import Study
 
 #: numbers of the rigs that are varied, in order of preference, if the file does not name one
-_FREE: Final = (
+_FREE = (
     "striker.speed",
     "rig.speed",
     "rig.drop_height",

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from statistics import mode
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,17 +20,17 @@ from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_com
 from uqsphere.units import UNITS
 
 #: dividers of columns with decimal marks
-_WRITTEN: Final = (";.", ";,", "\t.", "\t,", ",.", " .", " ,")
+_WRITTEN = (";.", ";,", "\t.", "\t,", ",.", " .", " ,")
 #: lines from which on the second half of a file shows its form; lines that are looked at
 _LONG, _LOOKED_AT = 60, 200
 #: lines of metadata that are returned where the numbers begin at once
-_METADATA: Final = 40
+_METADATA = 40
 #: most bytes of a file
-_LARGEST: Final = 1 << 28
-_RATE: Final = re.compile(
+_LARGEST = 1 << 28
+_RATE = re.compile(
     r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I
 )
-_INTERVAL: Final = re.compile(
+_INTERVAL = re.compile(
     r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)",
     re.I,
 )
@@ -41,7 +41,7 @@ _MOST_STRAIN, _LONGEST = 0.05, 10.0
 #: largest deviation of even steps from their median; samples that may repeat the time before them
 _UNEVEN, _FEW_TWICE = 0.01, 3
 #: names of the factors of strain
-_STRAINS: Final = {1.0: "strain", 1e-6: "microstrain"}
+_STRAINS = {1.0: "strain", 1e-6: "microstrain"}
 
 
 # --- tables of recorders --------------------------------------------------------------------------
@@ -200,8 +200,7 @@ class Traces(NamedTuple):
     by_role: dict[str, list[Trace]]
 
 
-@dataclass(frozen=True, eq=False)
-class Column:
+class Column(NamedTuple):
     """A column of a file as numbers (n,), NaN for a cell that is not a number; the table has the
     faults of this column."""
 

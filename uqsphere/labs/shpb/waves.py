@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -39,10 +39,10 @@ from uqsphere.labs.shpb.recorder import Changes
 from uqsphere.mechanics.bars import correct
 
 #: fewest samples of a wave at a face
-_FEWEST: Final = 50
+_FEWEST = 50
 #: bending over the wave (sd) that a single gauge of a pair does not show: pairs of real tests show
 #: 0.02 to 0.05
-_BENDING: Final = 0.04
+_BENDING = 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
