@@ -114,10 +114,8 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     changes, asked = Changes(), document.record
     bar, behind = document.incident_bar, document.receiving_bar
     start, step, traces = read_traces(document, folder, changes)
-    traces = {
-        role: [_without_faults(trace, step, changes) for trace in gauges]
-        for role, gauges in traces.items()
-    }
+    for role, gauges in traces.items():
+        traces[role] = [_without_faults(trace, step, changes) for trace in gauges]
     stays = [
         _first_stay(trace.strain - _rest_of(trace.strain), step, _INCIDENT, trace.name)
         for trace in traces["incident"]
