@@ -307,6 +307,16 @@ REASONS: dict[str, tuple[str, str, str]] = {
         "must be a relative path inside the study's folder",
         BOX.replace(NORMAL, COLUMN.replace("a.csv", "b.csv")),
     ),
+    "an odd unit beside another fault": (
+        PLAIN.replace('"10 mm"', '"30 mm"').replace('"0.5 m/s"', '"0.2 mm/s"'),
+        "striker.speed: 0.0002 m/s is unusual",
+        PLAIN.replace('"10 mm"', '"30 mm"'),
+    ),
+    "a link to the outside": (
+        BOX.replace(NORMAL, COLUMN.replace("a.csv", "link.csv")),
+        "is a link to a file outside the study's folder",
+        BOX.replace(NORMAL, COLUMN.replace("a.csv", "../a.csv")),
+    ),
     "a folder for a file": (
         BOX.replace(NORMAL, COLUMN.replace("a.csv", "folder")),
         '"folder" cannot be read as a file',
@@ -377,6 +387,8 @@ def written(folder: Path) -> Path:
     for name, text in FILES.items():
         (folder / name).write_text(text + "\n")
     (folder / "folder").mkdir(exist_ok=True)
+    (folder / "link.csv").unlink(missing_ok=True)
+    (folder / "link.csv").symlink_to(__file__)
     return folder / "study.toml"
 
 
@@ -615,6 +627,7 @@ ELSEWHERE = (
     "MiB; at most",
     "cells. Save the sheet as CSV",
     '"; ".join',
+    "notes = [Fault(",  # of cautions, which refuse nothing
 )
 
 
