@@ -144,7 +144,7 @@ def ranges_of(
     """Ranges of a criterion: the name, its values, (n,) or (1,), and both ends of the range."""
     own = {**parameters, "a/r": columns["a_max"] / columns["sphere.radius"]}
     for name, (low, high) in criterion.ranges.items():
-        values = own[name] if name in own else columns[name]
+        values = ChainMap(own, columns)[name]  # type: ignore[arg-type]
         yield name, np.atleast_1d(values), low, high
 
 
@@ -161,9 +161,14 @@ def in_range(
 # --- formulas: functions of the columns of one contact, and of the parameters ---------------------
 
 
+def _first(columns: ColumnMap, name: str, default: str) -> Array:
+    """A column, or another one where it is not given."""
+    return np.asarray(columns[name if name in columns else default])
+
+
 def _field(columns: ColumnMap) -> tuple[Array, Array, Array]:
     """Hertz pressure of the same force and contact circle [Pa], a/r and nu: stresses follow."""
-    pressure = columns["p_field"] if "p_field" in columns else columns["p_max"]
+    pressure = _first(columns, "p_field", "p_max")
     return pressure, columns["a_max"] / columns["sphere.radius"], columns["sphere.nu"]
 
 
@@ -172,12 +177,11 @@ def _central_force(columns: ColumnMap) -> Array:
 
     It is P_max if both are equal.
     """
-    force: Array = columns["force_at_centre" if "force_at_centre" in columns else "P_max"]
-    return force
+    return _first(columns, "force_at_centre", "P_max")
 
 
 def _edge_tension(columns: ColumnMap, parameters: Parameters) -> Array:
-    pressure = columns["p_rim"] if "p_rim" in columns else columns["p_max"]
+    pressure = _first(columns, "p_rim", "p_max")
     return np.asarray(contact.edge_tension(pressure, columns["sphere.nu"]))
 
 

@@ -49,6 +49,8 @@ class LoadingPath:
     power: float = 1.0
 
 
+#: the elastic-equivalent pressure is proportional to the cube root of the force
+_FORCE_POWERS: Final = {"p_hertz": 1.0 / 3.0}
 _BY_CRITERION: Final = {
     quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)
 }
@@ -72,8 +74,7 @@ def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> LoadingPa
         over=entry.follows,
         criterion=_BY_CRITERION.get(quantity),
         early=entry.early,
-        # the elastic-equivalent pressure is proportional to the cube root of the force
-        power=1.0 / 3.0 if quantity == "p_hertz" else 1.0,
+        power=_FORCE_POWERS.get(quantity, 1.0),
     )
 
 
@@ -121,14 +122,15 @@ def first_fractures(
     crossings = np.full((3, *shares.shape), np.nan)
     crossings[0] = np.inf
     loaded = np.flatnonzero((scene.status == 0) & (shares < 1.0).any(axis=1))
-    over_energy = any(path.over == "energy" for path in paths)
+    # the motion up to the peak energy goes on beyond the peak force
+    followed = "energy" if any(path.over == "energy" for path in paths) else "P_max"
     for begin in range(0, len(loaded), _BLOCK_ROWS):
         moved = motions(
             scene,
             loaded[begin : begin + _BLOCK_ROWS],
             fidelity=fidelity,
             tolerance=tolerance,
-            quantities=("energy",) if over_energy else ("P_max",),
+            quantities=(followed,),
         )
         courses = {
             motion.row: _course(motion)
@@ -263,17 +265,20 @@ def _cross(
     scales, by_force = scene.scales, path.over == "force"
     time, force = scales.time[rows], scales.force[rows]
     work = force * scales.approach[rows]
-    # the Hertz force is the 3/2 power of its drive, the approach
-    power = 1.5 if _by_hertz(scene) else 1.0
-    peaks = [c.force if by_force else c.energy for c in courses]
+    power, unit, exponent = 1.0, work, 1.0
+    if _by_hertz(scene):
+        # the Hertz force is the 3/2 power of its drive, the approach
+        power = 1.5
+    peaks = [getattr(course, path.over) for course in courses]
+    if by_force:
+        unit, exponent = force, power
     last = [len(peak) for peak in peaks]
     if path.early:
         echo = scene.first_echo[rows] / time
         last = [int(np.searchsorted(c.times, t)) for c, t in zip(courses, echo, strict=True)]
     top = np.array([peak[max(k - 1, 0)] for peak, k in zip(peaks, last, strict=True)])
-    exponent = power if by_force else 1.0
-    peak = force * top**power if by_force else work * top
-    level = top * _levels(scene, rows, path, peak, np.clip(shares, 0.0, 1.0)) ** (1.0 / exponent)
+    share_at = _levels(scene, rows, path, unit * top**exponent, np.clip(shares, 0.0, 1.0))
+    level = top * share_at ** (1.0 / exponent)
     at = np.array(
         [
             min(int(np.searchsorted(peak, value)), len(peak) - 1)
@@ -281,30 +286,27 @@ def _cross(
         ]
     )
     steps = list(zip(courses, at // ORDER, strict=True))
-    states, forces = (
-        np.moveaxis(np.stack([getattr(c, name)[k] for c, k in steps]), -1, 0)
-        for name in ("states", "forces")
-    )
+    states = np.moveaxis(np.stack([course.states[k] for course, k in steps]), -1, 0)
+    forces = np.moveaxis(np.stack([course.forces[k] for course, k in steps]), -1, 0)
     before = np.stack([c.deepest[max(k - 1, 0)] for c, k in zip(courses, at, strict=True)])
     before[at == 0] = 0.0
 
     def moment(share: Array) -> tuple[Array, Array]:
         """Drives (n, 2) and energies (n,) at a fraction (n,) of the steps."""
-        approach, drive = (
-            np.maximum(polyval(share[:, None], series, tensor=False), 0.0)
-            for series in (states, forces)
-        )
+        approach = np.maximum(polyval(share[:, None], states, tensor=False), 0.0)
+        drive = np.maximum(polyval(share[:, None], forces, tensor=False), 0.0)
         return drive, _stored(scene, rows, drive, approach, np.maximum(before, approach))
 
     def below(share: Array) -> Flags:
         drive, energy = moment(share)
-        return np.asarray((drive.max(axis=1) if by_force else energy) < level)
+        if by_force:
+            return np.asarray(drive.max(axis=1) < level)
+        return np.asarray(energy < level)
 
     high = _SHARES[at % ORDER]
     _, high = bisect(below, high - 1.0 / ORDER, high, _HALVINGS)
     drive, energy = moment(high)
-    start, length = (
-        np.array([getattr(c, key)[k] for c, k in steps]) for key in ("start", "length")
-    )
+    start = np.array([course.start[k] for course, k in steps])
+    length = np.array([course.length[k] for course, k in steps])
     instant = (start + high * length) * time
     return np.stack([instant, force * (drive**power).max(axis=1), work * energy])

@@ -20,10 +20,10 @@ def _text(file: str) -> str:
 
 def declared(file: str) -> dict[str, dict[str, Any]]:
     """Entries of a TOML file of this package by their names; lists become tuples."""
-    return {
-        name: {key: tuple(cell) if isinstance(cell, list) else cell for key, cell in table.items()}
-        for name, table in tomllib.loads(_text(file)).items()
-    }
+    entries = tomllib.loads(_text(file))
+    for entry in entries.values():
+        entry |= {key: tuple(cell) for key, cell in entry.items() if isinstance(cell, list)}
+    return entries
 
 
 #: every number of a scene, fixed or random, by its dotted path in the study file

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
@@ -410,20 +411,21 @@ class SceneAnswers:
 def merged_answers(*parts: tuple[Places, SceneAnswers]) -> SceneAnswers:
     """Answers of one batch from parts, each with its rows, that together are all rows."""
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    tables = [vars(part) for _, part in parts]
 
     def joined(columns: list[Any]) -> Any:
         if isinstance(columns[0], Mapping):
-            return {name: joined([column[name] for column in columns]) for name in columns[0]}
+            return {name: joined([*map(itemgetter(name), columns)]) for name in columns[0]}
         return np.concatenate(columns)[order]
 
-    return SceneAnswers(**{name: joined([table[name] for table in tables]) for name in tables[0]})
+    return SceneAnswers(**joined([vars(part) for _, part in parts]))
 
 
 def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
     why = absent_in(scene, quantity)
+    if why.startswith(quantity):
+        raise ValueError(why)
     if why:
-        raise ValueError(why if why.startswith(quantity) else f"{quantity} is not available: {why}")
+        raise ValueError(f"{quantity} is not available: {why}")
     if quantity not in scene.demands:
         return np.asarray(columns[quantity])
     key, parameters = scene.demands[quantity]

@@ -215,11 +215,12 @@ def _transits(scene: Scene, time: Array) -> Array:
 
 def _bars(scene: Scene) -> list[tuple[Array, Array]]:
     """Diameters and wave speeds of the counter-bodies that are bars."""
-    c = scene.columns
-    return [
-        (c[f"{table}.diameter"], bars.wave_speed(c[f"{table}.E"], c[f"{table}.density"]))
-        for table in (partner.table for partner in scene.there if partner.kind == "bar")
-    ]
+    pairs = []
+    for partner in scene.there:
+        if partner.kind == "bar":
+            diameter, E, density = scene.numbers(partner.table, "diameter E density")
+            pairs.append((diameter, bars.wave_speed(E, density)))
+    return pairs
 
 
 def _contact_over_bar(scene: Scene, answers: SceneAnswers) -> Array | None:
