@@ -60,12 +60,12 @@ _virgin_area, _area_shape = _LAW.area, _LAW.area_shape
 
 
 @compiled
-def new_faces(s, lane, given):
+def new_faces(s, j, given):
     """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face
     stays elastic.
     """
     for face in range(2):
-        m = face * LANES + lane
+        m = face * LANES + j
         s.dent[m], s.shift[m], s.constant[m], s.base[m] = 0.0, 0.0, 0.0, 0.0
         s.by_x[m], s.by_root[m], s.by_log[m] = 0.0, 0.0, 0.0
         s.start[m], s.inverse[m], s.turned_at[m] = 0.0, 0.0, -1.0
@@ -121,22 +121,22 @@ def switch(s, m, above):
     if s.spring[m] > 0.0:
         press_on(s, m)
         return s.largest[m] - s.dent[m]
-    s.unloadings[m % LANES] += 1.0
+    s.lane[m % LANES].unloadings += 1.0
     return let_go(s, m, above)
 
 
 @compiled
-def press_deeper(s, lane):
+def press_deeper(s, j):
     """The largest approach of faces on virgin loading, at the end of a step."""
-    for m in range(lane, PAIR, LANES):
+    for m in range(j, PAIR, LANES):
         if s.spring[m] == 0.0:
             s.largest[m] = max(s.largest[m], s.x[0, m] + s.dent[m])
 
 
 @compiled
-def on_virgin_loading(s, lane):
-    """Whether a face of a lane yields now."""
-    return s.spring[lane] == 0.0 or s.spring[LANES + lane] == 0.0
+def on_virgin_loading(s, j):
+    """Whether a face of a j yields now."""
+    return s.spring[j] == 0.0 or s.spring[LANES + j] == 0.0
 
 
 @compiled
@@ -146,12 +146,12 @@ def face_yielded(s, m):
 
 
 @compiled
-def follows_law(s, lane):
-    """Whether the force of a face of a lane is no longer x^(3/2): it has yielded, or the faces
+def follows_law(s, j):
+    """Whether the force of a face of a j is no longer x^(3/2): it has yielded, or the faces
     differ.
     """
-    differ = s.stiffness[lane] != 1.0 or s.stiffness[LANES + lane] != 1.0
-    return differ or face_yielded(s, lane) or face_yielded(s, LANES + lane)
+    differ = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
+    return differ or face_yielded(s, j) or face_yielded(s, LANES + j)
 
 
 @compiled
@@ -252,17 +252,18 @@ def largest_approach(s, m):
     """Largest approach of a face so far: a tracked one while it has not yielded."""
     if face_yielded(s, m):
         return s.largest[m]
-    return s.peak[m // LANES, m % LANES]
+    return s.lane[m % LANES].peak[m // LANES]
 
 
 @compiled
-def largest_force(s, lane):
+def largest_force(s, j):
     """Largest force of a row so far, from the largest approaches of its faces while they have not
     yielded.
     """
+    lane = s.lane[j]
     found = 0.0
     for face in range(2):
-        m = face * LANES + lane
+        m = face * LANES + j
         if s.spring[m] == 0.0:
             found = max(found, face_force(s, m, s.largest[m] - s.dent[m])[0])
         elif s.largest[m] > s.onset[m]:
@@ -270,17 +271,17 @@ def largest_force(s, lane):
         else:
             # of a face that has yielded this would be Hertz's force at its depth, which it never
             # had
-            found = max(found, s.stiffness[m] * s.peak[face, lane] ** 1.5)
+            found = max(found, s.stiffness[m] * lane.peak[face] ** 1.5)
     return found
 
 
 @compiled
-def tail_level(s, lane):
+def tail_level(s, j):
     """Approach above the dents below which both forces are TAIL_SHARE of the largest so far."""
     stiffest = 0.0
-    for m in range(lane, PAIR, LANES):
+    for m in range(j, PAIR, LANES):
         stiffest = max(stiffest, max(s.spring[m], s.stiffness[m]))
-    return (TAIL_SHARE * largest_force(s, lane) / stiffest) ** (2.0 / 3.0)
+    return (TAIL_SHARE * largest_force(s, j) / stiffest) ** (2.0 / 3.0)
 
 
 @compiled
@@ -299,23 +300,23 @@ def wrong_branch(s, m, length, beyond):
 
 
 @compiled
-def most_force(s, lane):
-    """The larger force of a lane at most while its approaches stay below their bounds, s.top."""
+def most_force(s, j):
+    """The larger force of a j at most while its approaches stay below their bounds, s.top."""
     found = 0.0
-    for m in range(lane, PAIR, LANES):
+    for m in range(j, PAIR, LANES):
         found = max(found, face_force(s, m, s.top[m])[0])
     return found * (1.0 + 1e-9)
 
 
 @compiled
-def within_spring(s, lane):
+def within_spring(s, j):
     """Share of a step from a touch that ends before a spring is at its largest approach so far; 1:
     none gets there.
 
     The force beyond is another one.
     """
     share = 1.0
-    for m in range(lane, PAIR, LANES):
+    for m in range(j, PAIR, LANES):
         rest, reach = s.largest[m] - s.dent[m] - s.x[0, m], s.top[m] - s.x[0, m]
         if s.spring[m] > 0.0 and reach > rest > ARMED * s.largest[m]:
             share = min(share, 0.9 * rest / reach)

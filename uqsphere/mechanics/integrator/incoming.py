@@ -18,14 +18,15 @@ from uqsphere.mechanics.integrator.tracked import LANES, ORDER, QUEUE, TERMS, WA
 @compiled
 def incident(s, j):
     """2 f of the pulse as a series over the step of a lane, theory (4)."""
-    h, z = s.h[j], s.time[j] - s.offset[j]
-    c_0, c_1, c_2, c_3 = s.cubic[0, j], s.cubic[1, j], s.cubic[2, j], s.cubic[3, j]
+    lane = s.lane[j]
+    h, z = s.h[j], lane.time - lane.offset
+    c_0, c_1, c_2, c_3 = lane.cubic[0], lane.cubic[1], lane.cubic[2], lane.cubic[3]
     s.push[0, j] = 2.0 * (c_0 + z * (c_1 + z * (c_2 + z * c_3)))
     s.push[1, j] = 2.0 * h * (c_1 + z * (2.0 * c_2 + z * (3.0 * c_3)))
     s.push[2, j] = 2.0 * h * h * (c_2 + z * (3.0 * c_3))
     s.push[3, j] = 2.0 * h * h * h * c_3
-    if s.frequency[j] > 0.0:
-        angle, phase = s.frequency[j] * h, s.frequency[j] * s.time[j]
+    if lane.frequency > 0.0:
+        angle, phase = lane.frequency * h, lane.frequency * lane.time
         s.push[0, j] = 2.0 * math.sin(phase)
         s.push[1, j] = 2.0 * angle * math.cos(phase)
         for k in range(2, TERMS):
@@ -35,29 +36,31 @@ def incident(s, j):
 @compiled
 def enter_piece(s, j, rows):
     """Put the piece of the pulse that begins at or holds the time of a lane into it."""
-    r, pieces, piece = s.row[j], rows.coefficients.shape[1], 0
-    while piece < pieces and rows.breaks[r, piece + 1] <= s.time[j]:
+    lane = s.lane[j]
+    r, pieces, piece = lane.number, rows.coefficients.shape[1], 0
+    while piece < pieces and rows.breaks[r, piece + 1] <= lane.time:
         piece += 1
-    s.frequency[j] = 0.0
+    lane.frequency = 0.0
     for k in range(4):
-        s.cubic[k, j] = rows.coefficients[r, piece, k] if piece < pieces else 0.0
+        lane.cubic[k] = rows.coefficients[r, piece, k] if piece < pieces else 0.0
     if piece < pieces:
-        s.offset[j], s.frequency[j] = rows.breaks[r, piece], rows.frequencies[r]
+        lane.offset, lane.frequency = rows.breaks[r, piece], rows.frequencies[r]
 
 
 @compiled
 def next_break(s, j, rows):
     """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
-    best, r = s.end[j], s.row[j]
-    near = s.time[j] + 1e-13 * (1.0 + s.time[j])
+    lane = s.lane[j]
+    best, r = lane.end, lane.number
+    near = lane.time + 1e-13 * (1.0 + lane.time)
     for k in range(rows.breaks.shape[1]):
         if near < rows.breaks[r, k] < best:
             best = rows.breaks[r, k]
     for bar in range(2):
-        while s.head[bar, j] < s.tail[bar, j] and s.queue[bar, j, s.head[bar, j] % QUEUE] <= near:
-            s.head[bar, j] += 1
-        if s.head[bar, j] < s.tail[bar, j]:
-            best = min(best, s.queue[bar, j, s.head[bar, j] % QUEUE])
+        while lane.head[bar] < lane.tail[bar] and s.queue[bar, j, lane.head[bar] % QUEUE] <= near:
+            lane.head[bar] += 1
+        if lane.head[bar] < lane.tail[bar]:
+            best = min(best, s.queue[bar, j, lane.head[bar] % QUEUE])
     return best
 
 
@@ -66,20 +69,21 @@ def reflect_break(s, j):
     """Note that whatever happens now comes back after a round trip of each bar; False if there is
     no room.
     """
+    lane = s.lane[j]
     for bar in range(2):
-        back = s.time[j] + s.trips[bar, j]
-        if back < s.end[j]:
-            if s.tail[bar, j] - s.head[bar, j] >= QUEUE:
+        back = lane.time + lane.trips[bar]
+        if back < lane.end:
+            if lane.tail[bar] - lane.head[bar] >= QUEUE:
                 return False
-            s.queue[bar, j, s.tail[bar, j] % QUEUE] = back
-            s.tail[bar, j] += 1
+            s.queue[bar, j, lane.tail[bar] % QUEUE] = back
+            lane.tail[bar] += 1
     return True
 
 
 @compiled
-def heard(s, j, trip):
+def heard(lane, trip):
     """Whether what left at first touch is back after a round trip."""
-    return s.time[j] >= trip * (1.0 - 1e-12)
+    return lane.time >= trip * (1.0 - 1e-12)
 
 
 @compiled
@@ -93,27 +97,28 @@ def echo_steps(s, j, made):
     """Find the steps on which the waves left that come back during the trial step, which is cut to
     what they hold.
     """
-    time, h, newest = s.time[j], s.h[j], s.count[j] - 1
+    lane = s.lane[j]
+    time, h, newest = lane.time, s.h[j], lane.count - 1
     near = 1e-13 * (1.0 + time)
     for bar in range(2):
-        begin = time - s.trips[bar, j]
-        if not heard(s, j, s.trips[bar, j]):
-            s.first[bar, j] = -1
+        begin = time - lane.trips[bar]
+        if not heard(lane, lane.trips[bar]):
+            lane.first[bar] = -1
             continue
-        k = max(s.first[bar, j], 0)
+        k = max(lane.first[bar], 0)
         while k < newest and _ended(s, j, made, k) <= begin + near:
             k += 1
-        s.first[bar, j] = k
+        lane.first[bar] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
-        if not s.single[j]:
+        if not lane.single:
             k = min(k + 1, newest)
         h = min(h, max(_ended(s, j, made, k) - begin, 0.1 * h))
     for bar in range(2):
-        k = s.first[bar, j]
+        k = lane.first[bar]
         if k >= 0:
-            while k < newest and _ended(s, j, made, k) < time - s.trips[bar, j] + h - near:
+            while k < newest and _ended(s, j, made, k) < time - lane.trips[bar] + h - near:
                 k += 1
-            s.last[bar, j] = k
+            lane.last[bar] = k
     s.h[j] = s.h[LANES + j] = h
 
 
@@ -122,8 +127,9 @@ def read_echo(s, j, bar, made):
     """Values of the wave that comes back from the far end of a bar, theory (5), at the Chebyshev
     points of the step.
     """
-    m, begin = bar * LANES + j, s.time[j] - s.trips[bar, j]
-    for step in range(s.first[bar, j], s.last[bar, j] + 1):
+    lane = s.lane[j]
+    m, begin = bar * LANES + j, lane.time - lane.trips[bar]
+    for step in range(lane.first[bar], lane.last[bar] + 1):
         kept = made[j, step & (s.ring - 1)]
         shift, stretch = (begin - kept.began) / kept.unit, s.h[j] / kept.unit
         for i in range(WAVE):
@@ -134,10 +140,10 @@ def read_echo(s, j, bar, made):
             s.work[i] = value
         # all points are read from every step; each step keeps those behind its start
         from_theta = -1.0
-        if step > s.first[bar, j]:
+        if step > lane.first[bar]:
             from_theta = (kept.began - begin) / s.h[j]
         for i in range(WAVE):
             if WAVE_THETAS[i] >= from_theta:
                 s.echo[i, m] = s.work[i]
-    s.returns[m] = 2.0 * s.reflect[bar, j]
+    s.returns[m] = 2.0 * lane.reflect[bar]
     s.negligible[m] = 0.1 * s.error[j] * min(s.size[0, j], s.size[2, j]) / s.h[j]

@@ -23,7 +23,8 @@ largest; of a rig once all gaps grow and no echo can close them.  It ends sooner
 is wanted can change any more: no approach can exceed the largest so far (`records.no_later_peak`),
 or no wave can press harder after a loss of contact (`records.no_harder_squeeze`).
 
-What a lane knows are the fields of `tracked.LANE`, with their units and who writes them.
+What a lane knows are the fields of `tracked.LANE` and its columns of `tracked.STATE`, with their
+units and who writes them.
 """
 
 from __future__ import annotations
@@ -113,38 +114,40 @@ class Answers(NamedTuple):
 
 
 @compiled(entry=True)
-def march(rows, order, lane, made, kept, out):
+def march(rows, order, state, made, kept, out):
     """Integrate rows `order` of a batch; what they come to goes to `out`.
 
-    lane (1,): tracked.LANE with what is asked; made (LANES, room): tracked.STEP; kept (len(order),
-    room): tracked.PATH, the series of every row, where there is room for them.
+    state (1,): tracked.STATE with what is asked; made (LANES, room): tracked.STEP; kept
+    (len(order), room): tracked.PATH, the series of every row, where there is room for them.
     """
-    s, taken, live = lane[0], 0, 0
+    s, taken, live = state[0], 0, 0
     while True:
         for j in range(LANES if live < LANES else 0):
-            while s.row[j] < 0 and taken < len(order):
-                s.place_in_order[j] = taken
+            lane = s.lane[j]
+            while lane.number < 0 and taken < len(order):
+                lane.place_in_order = taken
                 _enter(s, j, order[taken], rows)
                 taken += 1
-                if s.fate[j] != GOES_ON:
+                if lane.fate != GOES_ON:
                     _leave(s, j, made, out)
         _waves(s, made)
         _series(s)
         live = 0
         for j in range(LANES):
-            if s.row[j] < 0:
+            lane = s.lane[j]
+            if lane.number < 0:
                 continue
             if _holds(s, j):
                 ending = events.after_step(s, j)
                 _keep(s, j, ending, made)
-                if s.wanted & tracked.WANT_MOTION and s.count[j] <= kept.shape[1]:
-                    _give_out(s, j, ending, kept[s.place_in_order[j], s.count[j] - 1])
+                if s.wanted & tracked.WANT_MOTION and lane.count <= kept.shape[1]:
+                    _give_out(s, j, ending, kept[lane.place_in_order, lane.count - 1])
                 if _turn(s, j, ending, made):
                     _jump(s, j, rows)
                 _judge(s, j)
-            if s.fate[j] != GOES_ON:
+            if lane.fate != GOES_ON:
                 _leave(s, j, made, out)
-            live += s.row[j] >= 0
+            live += lane.number >= 0
         if live == 0 and taken >= len(order):
             break
     return taken
@@ -153,17 +156,20 @@ def march(rows, order, lane, made, kept, out):
 @compiled(inline=True)
 def _leave(s, j, made, out):
     """The row of a lane is done: its status, and its answers if it has any."""
-    r = s.row[j]
-    out.status[r], s.row[j] = s.fate[j], -1
-    if s.fate[j] != tracked.OK:
+    lane = s.lane[j]
+    r = lane.number
+    out.status[r], lane.number = lane.fate, -1
+    if lane.fate != tracked.OK:
         return
-    out.steps[r] = s.count[j]
-    if math.isnan(s.ended[j]):
-        last = made[j, (s.count[j] - 1) & (s.ring - 1)]
-        s.ended[j] = last.began + last.holds
+    out.steps[r] = lane.count
+    if math.isnan(lane.ended):
+        last = made[j, (lane.count - 1) & (s.ring - 1)]
+        lane.ended = last.began + last.holds
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
-    pressed = min(s.x[0, j], s.x[0, LANES + j]) > 0.0
-    records.note_duration(s, j, not s.rigged and pressed and s.end[j] == math.inf)
+    left = 0.0
+    if not s.rigged and lane.end == math.inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+        left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
+    records.note_duration(s, j, left)
     records.finish(s, j, made, out.answers[r])
 
 
@@ -173,22 +179,23 @@ def _leave(s, j, made, out):
 @compiled
 def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
+    lane = s.lane[j]
     level = rows.level[r]
-    s.row[j], s.count[j], s.attempts[j], s.touching[j], s.fate[j] = r, 0, 0, 1, GOES_ON
-    s.single[j], s.time[j], s.proposed[j], s.error[j] = 0, 0.0, 1e30, s.local
-    s.mass[j], s.inverse_mu[j] = rows.mass[r], 1.0 / rows.mass[r]
+    lane.number, lane.count, lane.attempts, lane.touching, lane.fate = r, 0, 0, 1, GOES_ON
+    lane.single, lane.time, lane.proposed, s.error[j] = 0, 0.0, 1e30, s.local
+    lane.mass, s.inverse_mu[j] = rows.mass[r], 1.0 / rows.mass[r]
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
-    s.end[j], s.pulse_end[j] = rows.horizon[r], rows.pulse_end[r] * (1.0 - 1e-12)
+    lane.end, lane.pulse_end = rows.horizon[r], rows.pulse_end[r] * (1.0 - 1e-12)
     s.size[0, j], s.size[1, j], s.size[2, j] = level, 0.1 * level, level
     s.size[3, j], s.size[4, j] = 1.0, 1.0
     new_faces(s, j, rows.laws[r])
-    s.by_law[j] = follows_law(s, j)
+    lane.by_law = follows_law(s, j)
     quickest, stiffest = 1.0 / rows.mass[r], 0.0
     for face in range(2):
         m, lightness = face * LANES + j, rows.rigs[r, tracked.RIG_LIGHTNESS, face]
-        s.reflect[face, j], s.trips[face, j] = rows.ends[r, face], rows.round_trips[r, face]
-        s.head[face, j], s.tail[face, j], s.first[face, j], s.last[face, j] = 0, 0, 0, 0
+        lane.reflect[face], lane.trips[face] = rows.ends[r, face], rows.round_trips[r, face]
+        lane.head[face], lane.tail[face], lane.first[face], lane.last[face] = 0, 0, 0, 0
         s.gives[m], s.lightness[m] = rows.rigs[r, tracked.RIG_GIVES, face], lightness
         s.there[m], s.free[0, m] = (
             rows.rigs[r, tracked.RIG_THERE, face],
@@ -200,23 +207,23 @@ def _enter(s, j, r, rows):
             s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
             if lightness > 0.0:
                 s.size[3 + face, j] = 0.1 * min(1.0, lightness)
-        s.touched[face, j] = 1.0 - s.there[m]
+        lane.touched[face] = 1.0 - s.there[m]
         if s.there[m] > 0.0:
             quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
-    s.quickest[j] = quickest
+    lane.quickest = quickest
     if s.rigged:
-        s.quickest[j] = max(quickest, 1.0) * max(stiffest, 1.0)
+        lane.quickest = max(quickest, 1.0) * max(stiffest, 1.0)
         s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
-    s.back[j] = min(s.trips[0, j], s.trips[1, j])
-    s.steady[j] = -1.0
-    if rows.breaks[r, -1] == math.inf and s.back[j] == math.inf:
-        s.steady[j] = 1.0
+    lane.back = min(lane.trips[0], lane.trips[1])
+    lane.steady = -1.0
+    if rows.breaks[r, -1] == math.inf and lane.back == math.inf:
+        lane.steady = 1.0
     records.begin(s, j)
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
-    s.stop[j] = incoming.next_break(s, j, rows)
+    lane.stop = incoming.next_break(s, j, rows)
     if s.rigged and not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
-        s.fate[j] = tracked.NEVER_CLOSES
+        lane.fate = tracked.NEVER_CLOSES
 
 
 # --- waves
@@ -234,16 +241,17 @@ def _waves(s, made):
     for m in range(PAIR):
         s.returns[m], s.misfit[m] = 0.0, 0.0
     for j in range(LANES):
-        if s.row[j] < 0:
+        lane = s.lane[j]
+        if lane.number < 0:
             s.h[j] = s.h[LANES + j] = 0.0
             continue
         _try_step(s, j)
-        heard = incoming.heard(s, j, s.back[j])
+        heard = incoming.heard(lane, lane.back)
         if heard:
             incoming.echo_steps(s, j, made)
         incoming.incident(s, j)
         for bar in range(2):
-            if heard and s.first[bar, j] >= 0:
+            if heard and lane.first[bar] >= 0:
                 incoming.read_echo(s, j, bar, made)
                 echoing = True
     if echoing:
@@ -255,20 +263,21 @@ def _try_step(s, j):
     """The trial step of a lane; the approaches below which a record ends, a contact may be lost or
     nearly is.
     """
+    lane = s.lane[j]
     scale, largest = min(s.size[0, j], s.size[2, j]), max(s.size[0, j], s.size[2, j])
-    if s.touching[j]:
+    if lane.touching:
         # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a
         # touch
-        brief = (1e2 * s.error[j] * min(1.0, 1.0 / s.quickest[j]) * scale) ** 0.4
+        brief = (1e2 * s.error[j] * min(1.0, 1.0 / lane.quickest) * scale) ** 0.4
         # the wave that presses has to be followed as well
-        smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (s.stop[j] - s.time[j])
-        s.proposed[j] = min(s.proposed[j], min(brief, smooth))
-    s.h[j] = min(min(s.proposed[j], s.stop[j] - s.time[j]), s.back[j])
+        smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (lane.stop - lane.time)
+        lane.proposed = min(lane.proposed, min(brief, smooth))
+    s.h[j] = min(min(lane.proposed, lane.stop - lane.time), lane.back)
     s.h[LANES + j] = s.h[j]
     # impulse by which a step may err because the series of its root has parted from the root
     allowed = math.inf
     if s.mode == FULL:
-        allowed = s.mass[j] * s.size[1, j]
+        allowed = lane.mass * s.size[1, j]
     for face in range(2):
         if s.lightness[face * LANES + j] > 0.0:
             allowed = min(allowed, s.size[3 + face, j] / s.lightness[face * LANES + j])
@@ -282,16 +291,16 @@ def _try_step(s, j):
     # err one way
     steps = 0
     if s.tolerance < s.requested:
-        steps = s.count[j]
-    s.faint[j] = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
-    s.near[j] = max(s.faint[j], max(100.0 * s.error[j], s.requested) * scale)
-    if s.rigged and not math.isnan(s.lost[j]):
-        s.near[j] = 0.0  # only the first loss of contact is an answer of its own
-    s.low[j] = -math.inf
-    if not s.rigged and s.end[j] == math.inf and s.time[j] >= s.pulse_end[j]:
-        s.low[j] = s.share * max(s.peak[FACE_A, j], s.peak[FACE_B, j])
-        if s.by_law[j]:
-            s.low[j] = tail_level(s, j)
+        steps = lane.count
+    lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
+    lane.near = max(lane.faint, max(100.0 * s.error[j], s.requested) * scale)
+    if s.rigged and not math.isnan(lane.lost):
+        lane.near = 0.0  # only the first loss of contact is an answer of its own
+    lane.low = -math.inf
+    if not s.rigged and lane.end == math.inf and lane.time >= lane.pulse_end:
+        lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
+        if lane.by_law:
+            lane.low = tail_level(s, j)
 
 
 # --- series
@@ -301,13 +310,15 @@ def _try_step(s, j):
 def _series(s):
     """The motion over the trial steps as power series, and the shares of them that hold."""
     for j in range(LANES):
-        if s.row[j] >= 0 and (s.by_law[j] or s.mode == LINEAR):
+        lane = s.lane[j]
+        if lane.number >= 0 and (lane.by_law or s.mode == LINEAR):
             start_series(s, j)
             start_series(s, LANES + j)
     lanes.expand(s, s.lanes)
     lanes.reach(s)
     for j in range(LANES):
-        if s.row[j] >= 0:
+        lane = s.lane[j]
+        if lane.number >= 0:
             _choose(s, j)
     lanes.keep_roots(s)
     lanes.survey(s)
@@ -318,13 +329,14 @@ def _choose(s, j):
     """The share of the trial step that is taken: it ends at `stop`, or halfway to it where little
     would be left.
     """
-    s.why[j], s.switched[j] = End.SERIES, 0
-    theta, left = min(s.theta[j], 1.0), s.stop[j] - s.time[j]
-    if s.touching[j]:
+    lane = s.lane[j]
+    lane.why, lane.switched = End.SERIES, 0
+    theta, left = min(s.theta[j], 1.0), lane.stop - lane.time
+    if lane.touching:
         theta, s.wrong_allowed[j] = 1.0, math.inf
         events.step_from_touch(s, j)
-    elif s.by_law[j]:
-        s.switched[j] = _against_branch(s, j)
+    elif lane.by_law:
+        lane.switched = _against_branch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
     elif 2.0 * theta * s.h[j] > left:
@@ -337,10 +349,11 @@ def _against_branch(s, j):
     """Faces (bits) that what jumped has turned against their branch, unless they are at rest where
     both meet.
     """
+    lane = s.lane[j]
     wrong = 0
     for face in range(2):
         m = face * LANES + j
-        rests = s.turned_at[m] == s.time[j] and s.turns[m] >= MOST_TURNS
+        rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
         if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[0, j]):
             wrong |= 1 << face
     return wrong
@@ -354,42 +367,44 @@ def _holds(s, j):
     """Whether the step of a lane holds; else it is made again, on the other branch of a face or
     shorter, or the row given up.
     """
-    if s.switched[j]:
+    lane = s.lane[j]
+    if lane.switched:
         _change_branch(s, j)
         return False
-    if s.has_laws and s.touching[j]:
+    if s.has_laws and lane.touching:
         reached = within_spring(s, j)
         if reached < 1.0:
-            s.proposed[j] = reached * s.h[j]
+            lane.proposed = reached * s.h[j]
             return False
     crossed, scale = s.excess[j] > 1.0, min(s.size[0, j], s.size[2, j])
     misfit = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
     if not crossed and s.theta[j] > 0.0 and not misfit > s.error[j] * scale:
         return True
-    s.attempts[j] += 1
-    s.proposed[j] = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
-    if not crossed and s.theta[j] > 0.0 and not s.single[j]:
+    lane.attempts += 1
+    lane.proposed = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
+    if not crossed and s.theta[j] > 0.0 and not lane.single:
         # a wave bends where the step that made it ends: what does not fit is tried again up to
         # there
-        s.single[j] = max(s.last[0, j] - s.first[0, j], s.last[1, j] - s.first[1, j]) > 0
-        if s.single[j]:
-            s.proposed[j] = s.h[j]
-    if s.proposed[j] <= 1e-15 * (1.0 + s.time[j]) or s.attempts[j] > 10 * LIMIT:
-        s.fate[j] = tracked.STUCK
+        lane.single = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1]) > 0
+        if lane.single:
+            lane.proposed = s.h[j]
+    if lane.proposed <= 1e-15 * (1.0 + lane.time) or lane.attempts > 10 * LIMIT:
+        lane.fate = tracked.STUCK
     return False
 
 
 @compiled
 def _change_branch(s, j):
     """Bring faces to their other branch, on which the step is made again."""
+    lane = s.lane[j]
     s.error[j] = min(s.error[j], s.closer * s.local)
     for face in range(2):
         m = face * LANES + j
-        if s.switched[j] & (1 << face):
-            if s.turned_at[m] != s.time[j]:
+        if lane.switched & (1 << face):
+            if s.turned_at[m] != lane.time:
                 s.turns[m] = 0.0
             s.turns[m] += 1.0
-            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), s.time[j]
+            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), lane.time
 
 
 # --- keep and turn
@@ -400,14 +415,15 @@ def _keep(s, j, ending, made):
     """Store what is read again of this step: the path, and the waves that leave, f - P/Z at A and
     -(h + P/Z) at B, theory (4) and (5).
     """
-    n = s.count[j]
+    lane = s.lane[j]
+    n = lane.count
     step = made[j, n & (s.ring - 1)]
-    s.count[j] += 1
+    lane.count += 1
     if (
-        s.by_law[j] and s.count[j] > FREE_STEPS
+        lane.by_law and lane.count > FREE_STEPS
     ):  # errors to one side add up: of so many steps no more than a logarithm
-        s.error[j] *= 1.0 - 1.0 / s.count[j]
-    step.began, step.holds, step.unit = s.time[j], ending * s.h[j], s.h[j]
+        s.error[j] *= 1.0 - 1.0 / lane.count
+    step.began, step.holds, step.unit = lane.time, ending * s.h[j], s.h[j]
     if s.wanted & tracked.WANT_RISE:
         step.crest = max(s.top[j], s.top[LANES + j])
         if s.has_laws:
@@ -419,7 +435,7 @@ def _keep(s, j, ending, made):
                 step.path[face, k] = s.x[k, m]
     for bar in range(2):
         m = bar * LANES + j
-        if s.time[j] + s.trips[bar, j] < s.end[j]:
+        if lane.time + lane.trips[bar] < lane.end:
             for k in range(TERMS):
                 step.wave[bar, k] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
 
@@ -427,7 +443,8 @@ def _keep(s, j, ending, made):
 @compiled(inline=True)
 def _give_out(s, j, ending, path):
     """The step as a `Motion` has it."""
-    path.start, path.length = s.time[j], ending * s.h[j]
+    lane = s.lane[j]
+    path.start, path.length = lane.time, ending * s.h[j]
     power, k_of = 1.0, LANES + j
     for k in range(TERMS):
         path.series[0, k], path.series[1, k] = s.x[k, j] * power, s.x[k, k_of] * power
@@ -450,74 +467,77 @@ def _turn(s, j, ending, made):
     """The state from which the next step of a lane starts, or the end of its row; whether the waves
     jump.
     """
+    lane = s.lane[j]
     reaches = records.approach_after_loss(s, j, ending)
-    before, at_stop = s.time[j], s.h[j] * s.theta[j] >= (s.stop[j] - s.time[j]) * (1.0 - 1e-10)
+    before, at_stop = lane.time, s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     _move_on(s, j, ending)
-    at_stop = at_stop and s.why[j] < End.CONTACT
-    s.time[j] = before + ending * s.h[j]
+    at_stop = at_stop and lane.why < End.CONTACT
+    lane.time = before + ending * s.h[j]
     if at_stop:
-        s.time[j] = s.stop[j]
+        lane.time = lane.stop
     _propose(s, j, ending, at_stop)
-    done = s.why[j] == End.RECORD
-    if s.rigged and not s.touching[j]:
+    done = lane.why == End.RECORD
+    if s.rigged and not lane.touching:
         ahead = events.next_touch(s, j)
         if ahead < math.inf:  # free flight is linear in time: one step to the touch
-            s.proposed[j] = 1.001 * ahead
+            lane.proposed = 1.001 * ahead
         elif ahead == math.inf:
-            s.proposed[j] = 1e30
-            done = s.time[j] >= records.echoes_have_acted(s, j)
-    left = s.why[j] == End.CONTACT and not s.touching[j]
+            lane.proposed = 1e30
+            done = lane.time >= records.echoes_have_acted(s, j)
+    left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
-        records.note_duration(s, j, False)
+        records.note_duration(s, j, 0.0)
         done = records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made)
     if done:
-        s.fate[j] = tracked.OK
-    elif at_stop and s.time[j] >= s.end[j]:
+        lane.fate = tracked.OK
+    elif at_stop and lane.time >= lane.end:
         pressed = max(s.x[0, j], s.x[0, LANES + j]) > 0.0
-        s.fate[j] = tracked.OK
+        lane.fate = tracked.OK
         if s.rigged and pressed:
-            s.fate[j] = tracked.STILL_PRESSED
-    return at_stop and s.fate[j] == GOES_ON
+            lane.fate = tracked.STILL_PRESSED
+    return at_stop and lane.fate == GOES_ON
 
 
 @compiled(inline=True)
 def _judge(s, j):
     """Whether nothing that is wanted can change any more, or there is no more room."""
-    if s.fate[j] != GOES_ON:
+    lane = s.lane[j]
+    if lane.fate != GOES_ON:
         return
-    if s.steady[j] >= 0.0 and not s.touching[j] and not s.rigged and records.no_later_peak(s, j):
-        s.fate[j] = tracked.OK
+    if lane.steady >= 0.0 and not lane.touching and not s.rigged and records.no_later_peak(s, j):
+        lane.fate = tracked.OK
         return
     # the first step that is read again: of the whole path, or of the waves of a round trip
-    oldest = s.count[j]
+    oldest = lane.count
     if s.wanted & tracked.WHOLE_PATH:
         oldest = 0
     for bar in range(2):
-        if s.trips[bar, j] < math.inf and s.time[j] < s.end[j]:
-            oldest = min(oldest, max(s.first[bar, j], 0))
-    if s.count[j] - oldest >= s.capacity or s.count[j] >= LIMIT:
-        s.fate[j] = tracked.FULL_ROOM
+        if lane.trips[bar] < math.inf and lane.time < lane.end:
+            oldest = min(oldest, max(lane.first[bar], 0))
+    if lane.count - oldest >= s.capacity or lane.count >= LIMIT:
+        lane.fate = tracked.FULL_ROOM
 
 
 @compiled
 def _move_on(s, j, ending):
     """The state at the end of a step, on the branch and with the contact that follow it."""
-    why, touched = s.why[j], s.side[j] * LANES + j
+    lane = s.lane[j]
+    why, touched = lane.why, lane.side * LANES + j
     if ending < s.theta[j]:
         s.u_end[j] = events.value_of(s.u, j, ending)
         for m in range(j, PAIR, LANES):
             s.at[POINTS, m] = events.value_of(s.x, m, ending)
-    s.touching[j], s.single[j] = 0, 0
+    lane.touching, lane.single = 0, 0
     if why == End.CONTACT:
         if s.x[0, touched] <= 0.0:
-            s.touching[j], s.touches[j] = 1, s.touches[j] + 1.0
+            lane.touching, lane.touches = 1, lane.touches + 1.0
         else:
-            s.parted[j] = s.time[j] + ending * s.h[j]
+            lane.parted = lane.time + ending * s.h[j]
         for m in range(j, PAIR, LANES):
             if m == touched or s.mode == MASSLESS:  # both faces move alike
                 s.at[POINTS, m] = 0.0
     elif why == End.BRANCH:
-        s.by_law[j], s.error[j] = 1, min(s.error[j], s.closer * s.local)
+        lane.by_law, s.error[j] = 1, min(s.error[j], s.closer * s.local)
         before = s.at[POINTS, touched]
         s.at[POINTS, touched] = switch(s, touched, before)
         if s.mode == MASSLESS:
@@ -537,34 +557,36 @@ def _move_on(s, j, ending):
         s.size[0, j] = max(s.size[0, j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
         s.size[2, j] = s.size[0, j]
     s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
-    if s.by_law[j]:
+    if lane.by_law:
         press_deeper(s, j)
         for face in range(2):
-            if not incoming.heard(s, j, s.back[j]):
-                s.x_first[face, j] = largest_approach(s, face * LANES + j)
+            if not incoming.heard(lane, lane.back):
+                lane.x_first[face] = largest_approach(s, face * LANES + j)
 
 
 @compiled(inline=True)
 def _propose(s, j, ending, at_stop):
     """How long the next step may be."""
+    lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
     kept_up, growth = 0.0, GROWTH
     if ending == 1.0 and not at_stop:
-        kept_up = s.proposed[j]
-    if incoming.heard(s, j, s.back[j]):
+        kept_up = lane.proposed
+    if incoming.heard(lane, lane.back):
         growth = GROWTH_ECHO
-    s.proposed[j] = max(ending * s.h[j] * growth, kept_up)
-    if s.why[j] == End.BRANCH:  # a face on its other branch moves on as smoothly as before
-        s.proposed[j] = max(s.proposed[j], s.h[j])
+    lane.proposed = max(ending * s.h[j] * growth, kept_up)
+    if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
+        lane.proposed = max(lane.proposed, s.h[j])
 
 
 @compiled(inline=True)
 def _jump(s, j, rows):
     """Go on from a jump of the waves, unless too many of them are under way."""
-    s.proposed[j] *= GROWTH
+    lane = s.lane[j]
+    lane.proposed *= GROWTH
     incoming.enter_piece(s, j, rows)
-    if s.time[j] >= rows.breaks[s.row[j], -1] and s.back[j] == math.inf:
-        s.steady[j] = 0.0
+    if lane.time >= rows.breaks[lane.number, -1] and lane.back == math.inf:
+        lane.steady = 0.0
     if not incoming.reflect_break(s, j):
-        s.fate[j] = tracked.CROWDED
-    s.stop[j] = incoming.next_break(s, j, rows)
+        lane.fate = tracked.CROWDED
+    lane.stop = incoming.next_break(s, j, rows)

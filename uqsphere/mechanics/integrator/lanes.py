@@ -27,7 +27,16 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import LANES, MASSLESS, ORDER, PAIR, POINTS, TERMS, WAVE
+from uqsphere.mechanics.integrator.tracked import (
+    LANES,
+    LINEAR,
+    MASSLESS,
+    ORDER,
+    PAIR,
+    POINTS,
+    TERMS,
+    WAVE,
+)
 
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section
 #: 5)
@@ -36,92 +45,134 @@ _CIRCLE = 0.85
 _SHORTER = 3
 
 
-def _coefficient(k):
-    """A function for the k-th coefficients of roots and forces, and the next ones of the motion."""
-    share, middle, half_way, by_power = 1.0 / (k + 1.0), k // 2, (k + 1) // 2, 1.0 / max(k, 1)
+@compiled
+def _roots(s, k):
+    """The k-th coefficients of roots and forces from the sums over the lower ones."""
+    if k == 0:
+        for c in range(PAIR):
+            x = s.x[0, c]
+            above = x + s.shift[c]
+            root = math.sqrt(max(above, 0.0))
+            s.root[0, c] = root
+            s.first_root[c] = root
+            s.half[c] = 0.5 / root if above > 0.0 else 0.0
+            beside = x if s.spring[c] > 0.0 else 0.0
+            s.first_beside[c] = beside
+            s.beside[0, c] = beside
+            s.force[0, c] = (
+                s.hertz[c] * (x * root) + s.by_x[c] * x + s.by_root[c] * root + s.start[c]
+            )
+    elif not s.has_laws and s.mode != LINEAR:
+        for c in range(PAIR):
+            x = s.x[k, c]
+            root = (x - s.squares[c]) * s.half[c]
+            s.root[k, c] = root
+            s.beside[k, c] = x
+            s.force[k, c] = s.products[c] + s.first_beside[c] * root + x * s.first_root[c]
+    else:
+        share = 1.0 / k
+        for c in range(PAIR):
+            x = s.x[k, c]
+            root = (x - s.squares[c]) * s.half[c]
+            products = s.products[c] + s.first_beside[c] * root
+            log = (k * root - products) * s.inverse[c]
+            s.root[k, c] = root
+            s.beside[k, c] = x if s.spring[c] > 0.0 else log
+            s.force[k, c] = (
+                s.hertz[c] * (products + x * s.first_root[c])
+                + s.by_x[c] * x
+                + s.by_root[c] * root
+                + s.by_log[c] * (share * log)
+            )
 
-    @compiled
-    def coefficient(s, lanes):
-        if k == 0:
-            for c in range(PAIR):
-                x = s.x[0, c]
-                above = x + s.shift[c]
-                root = math.sqrt(max(above, 0.0))
-                s.root[0, c] = root
-                s.half[c] = 0.5 / root if above > 0.0 else 0.0
-                s.beside[0, c] = x if s.spring[c] > 0.0 else 0.0
-                s.force[0, c] = (
-                    s.hertz[c] * (x * root) + s.by_x[c] * x + s.by_root[c] * root + s.start[c]
-                )
-        else:
-            for c in range(PAIR):
-                products = 0.0
-                for i in range(1, half_way):
-                    products += s.root[i, c] * s.root[k - i, c]
-                products *= 2.0
-                if k % 2 == 0:
-                    products += s.root[middle, c] * s.root[middle, c]
-                x = s.x[k, c]
-                root = (x - products) * s.half[c]
-                s.root[k, c] = root
-                product = s.beside[0, c] * root
-                for i in range(1, k):
-                    product += s.beside[i, c] * s.root[k - i, c]
-                log = (k * root - product) * s.inverse[c]
-                s.beside[k, c] = x if s.spring[c] > 0.0 else log
-                product += x * s.root[0, c]
-                s.force[k, c] = (
-                    s.hertz[c] * product
-                    + s.by_x[c] * x
-                    + s.by_root[c] * root
-                    + s.by_log[c] * (by_power * log)
-                )
-        if k == ORDER:
-            return
+
+@compiled
+def _next_terms(s, k, lanes):
+    """The coefficients k + 1 of the motion, (9) or (R3)."""
+    share = 1.0 / (k + 1.0)
+    if s.rigged:
         for c in range(PAIR):
             h, force = s.h[c] * share, s.force[k, c]
             rate = s.push[k, c] + s.free[k, c] - s.gives[c] * force - s.side_sign[c] * s.u[k, c]
             s.x[k + 1, c] = h * s.there[c] * rate
             s.free[k + 1, c] = -h * s.lightness[c] * force
-        if s.mode == MASSLESS:  # both faces move alike, and u stays 0
-            for j in range(lanes):
-                rate = 0.5 * (s.push[k, j] + s.push[k, LANES + j]) - s.force[k, j]
-                x = s.h[j] * share * rate
-                s.x[k + 1, j] = x
-                s.x[k + 1, LANES + j] = x
-        for j in range(lanes):  # a constant would be unrolled
-            u = s.h[j] * share * s.inverse_mu[j] * (s.force[k, j] - s.force[k, LANES + j])
-            s.u[k + 1, j] = u
-            s.u[k + 1, LANES + j] = u
+    else:
+        for c in range(PAIR):
+            rate = s.push[k, c] - s.force[k, c] - s.side_sign[c] * s.u[k, c]
+            s.x[k + 1, c] = s.h[c] * share * rate
+    if s.mode == MASSLESS:  # both faces move alike, and u stays 0
+        for j in range(lanes):
+            rate = 0.5 * (s.push[k, j] + s.push[k, LANES + j]) - s.force[k, j]
+            x = s.h[j] * share * rate
+            s.x[k + 1, j] = x
+            s.x[k + 1, LANES + j] = x
+    for j in range(lanes):  # a constant would be unrolled
+        u = s.h[j] * share * s.inverse_mu[j] * (s.force[k, j] - s.force[k, LANES + j])
+        s.u[k + 1, j] = u
+        s.u[k + 1, LANES + j] = u
 
-    return coefficient
+
+def _sums(k):
+    """A function for the sums over products of lower coefficients that the k-th ones need."""
+
+    @compiled
+    def sums(s):
+        for c in range(PAIR):
+            squares, products = 0.0, 0.0
+            for i in range(1, k):
+                root = s.root[k - i, c]
+                squares += s.root[i, c] * root
+                products += s.beside[i, c] * root
+            s.squares[c] = squares
+            s.products[c] = products
+
+    return sums
 
 
-(_c0, _c1, _c2, _c3, _c4, _c5, _c6, _c7, _c8, _c9, _c10, _c11, _c12, _c13, _c14, _c15, _c16) = map(
-    _coefficient, range(TERMS)
+(_1, _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13, _14, _15, _16) = map(
+    _sums, range(1, TERMS)
 )
 
 
-@compiled(inline=True)
+@compiled
 def expand(s, lanes):
     """The series of x, u, free, root and force from their first terms."""
-    _c0(s, lanes)
-    _c1(s, lanes)
-    _c2(s, lanes)
-    _c3(s, lanes)
-    _c4(s, lanes)
-    _c5(s, lanes)
-    _c6(s, lanes)
-    _c7(s, lanes)
-    _c8(s, lanes)
-    _c9(s, lanes)
-    _c10(s, lanes)
-    _c11(s, lanes)
-    _c12(s, lanes)
-    _c13(s, lanes)
-    _c14(s, lanes)
-    _c15(s, lanes)
-    _c16(s, lanes)
+    for k in range(TERMS):
+        if k == 1:
+            _1(s)
+        elif k == 2:
+            _2(s)
+        elif k == 3:
+            _3(s)
+        elif k == 4:
+            _4(s)
+        elif k == 5:
+            _5(s)
+        elif k == 6:
+            _6(s)
+        elif k == 7:
+            _7(s)
+        elif k == 8:
+            _8(s)
+        elif k == 9:
+            _9(s)
+        elif k == 10:
+            _10(s)
+        elif k == 11:
+            _11(s)
+        elif k == 12:
+            _12(s)
+        elif k == 13:
+            _13(s)
+        elif k == 14:
+            _14(s)
+        elif k == 15:
+            _15(s)
+        elif k == 16:
+            _16(s)
+        _roots(s, k)
+        if k < ORDER:
+            _next_terms(s, k, lanes)
 
 
 @compiled
@@ -191,7 +242,7 @@ def keep_roots(s):
         for j in range(LANES):
             wrong = max(s.wrong[j], s.wrong[LANES + j])
             s.excess[j] = s.h[j] * s.theta[j] * wrong / s.wrong_allowed[j]
-            if attempt < _SHORTER and s.excess[j] > 1.0 and s.row[j] >= 0:
+            if attempt < _SHORTER and s.excess[j] > 1.0 and s.lane[j].number >= 0:
                 # if what grows is its last term
                 theta = s.theta[j] * max(0.5, 0.95 * s.excess[j] ** (-1.0 / ORDER))
                 s.theta[j] = s.theta[LANES + j] = theta
@@ -203,7 +254,10 @@ def keep_roots(s):
 @compiled
 def survey(s):
     """Approaches and rates at the nodes of every step, their bounds between them, other ends."""
-    for i in range(POINTS + 1):
+    for c in range(PAIR):
+        s.at[0, c] = s.x[0, c]
+        s.rate[0, c] = s.x[1, c]
+    for i in range(1, POINTS + 1):
         share = i / POINTS
         for c in range(PAIR):
             z, x, rate = share * s.theta[c], s.x[ORDER, c], 0.0

@@ -22,7 +22,7 @@ import math
 
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.events import OF_BOTH, first_at, highest_between
+from uqsphere.mechanics.integrator.events import OF_BOTH, approach_of, first_at, highest_between
 from uqsphere.mechanics.integrator.faces import (
     face_yielded,
     largest_approach,
@@ -65,13 +65,14 @@ def echoes_have_acted(s, j):
     contact every echo of it has come once with either sign, each later one is weaker (|R| <= 1),
     and the gap has grown in between.
     """
+    lane = s.lane[j]
     wait = 0.0
     for bar in range(2):
-        if s.reflect[bar, j] < 0.0 and s.trips[bar, j] < math.inf:
-            wait = max(wait, 2.0 * s.trips[bar, j])
+        if lane.reflect[bar] < 0.0 and lane.trips[bar] < math.inf:
+            wait = max(wait, 2.0 * lane.trips[bar])
     if wait == 0.0:
         return -math.inf
-    return s.parted[j] + wait * (1.0 + 1e-12)
+    return lane.parted + wait * (1.0 + 1e-12)
 
 
 @compiled
@@ -91,12 +92,13 @@ def _bound_waves(s, j, bar, made):
     s.cell_end, s.cell_wave (2, CELLS): when each cell ends, and the wave in it at most.  Returns
     how many there are, or -1 for too many.
     """
-    trip, newest, count = s.trips[bar, j], s.count[j] - 1, 0
-    begin = s.time[j] - trip
+    lane = s.lane[j]
+    trip, newest, count = lane.trips[bar], lane.count - 1, 0
+    begin = lane.time - trip
     if begin < 0.0:  # nothing has left the face before first touch
         s.cell_end[bar, 0], s.cell_wave[bar, 0] = trip, 0.0
         begin, count = 0.0, 1
-    n = max(s.first[bar, j], 0)
+    n = max(lane.first[bar], 0)
     while n < newest:
         kept = made[j, n & (s.ring - 1)]
         if kept.began + kept.holds > begin:
@@ -104,7 +106,7 @@ def _bound_waves(s, j, bar, made):
         n += 1
     for step in range(n, newest + 1):
         kept = made[j, step & (s.ring - 1)]
-        if kept.began + trip >= s.end[j]:
+        if kept.began + trip >= lane.end:
             break
         if count + _PARTS > CELLS:
             return -1
@@ -154,8 +156,9 @@ def _largest_squeeze(s, j):
 
     0 where a face is yielding now.
     """
+    lane = s.lane[j]
     if not s.has_laws:
-        largest = max(s.peak[FACE_A, j], s.peak[FACE_B, j])
+        largest = max(lane.peak[FACE_A], lane.peak[FACE_B])
         return (largest if s.mode == MASSLESS else 0.5 * largest), 1.0
     if on_virgin_loading(s, j):
         return 0.0, 1.0
@@ -175,15 +178,13 @@ def approach_after_loss(s, j, theta):
     """Approach that the sphere's own speed gives one face where a step ends with the loss of the
     other; 0 if that falls already.
     """
-    m = (1 - s.side[j]) * LANES + j
-    x, slope = 0.0, 0.0
-    for k in range(ORDER, -1, -1):
-        slope = slope * theta + x
-        x = x * theta + s.x[k, m]
-    if s.why[j] != End.CONTACT or s.spring[m] == 0.0 or x <= 0.0 or slope <= 0.0:
+    lane = s.lane[j]
+    m = (1 - lane.side) * LANES + j
+    x, slope = approach_of(s, m, theta)
+    if lane.why != End.CONTACT or s.spring[m] == 0.0 or x <= 0.0 or slope <= 0.0:
         return 0.0
     rate = slope / s.h[j]
-    energy = s.mass[j] * rate * rate
+    energy = lane.mass * rate * rate
     if s.mode == LINEAR:
         return math.sqrt(x * x + energy)
     return (x * x * math.sqrt(x) + 1.25 * energy / s.spring[m]) ** 0.4
@@ -197,15 +198,16 @@ def no_harder_squeeze(s, j, alone, made):
     alone: what the sphere reaches at the other face alone.  False where it cannot be told: while
     the pulse comes in, a face yields, or a far end has R < 0.
     """
+    lane = s.lane[j]
     largest, stiffness = _largest_squeeze(s, j)
     squeeze = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
-    if s.time[j] < s.pulse_end[j] or squeeze > largest or alone > 2.0 * largest:
+    if lane.time < lane.pulse_end or squeeze > largest or alone > 2.0 * largest:
         return False
     highest = 0.0
     for bar in range(2):
         s.cells[bar] = 0
-        if s.trips[bar, j] < math.inf:
-            if s.reflect[bar, j] < 0.0:
+        if lane.trips[bar] < math.inf:
+            if lane.reflect[bar] < 0.0:
                 return False
             s.cells[bar] = _bound_waves(s, j, bar, made)
         if s.cells[bar] < 0:
@@ -213,7 +215,7 @@ def no_harder_squeeze(s, j, alone, made):
         top = 0.0
         for i in range(s.cells[bar]):
             top = max(top, s.cell_wave[bar, i])
-        highest += s.reflect[bar, j] * top
+        highest += lane.reflect[bar] * top
     rest = highest
     if s.mode != LINEAR:
         rest = (highest / stiffness) ** (2.0 / 3.0)
@@ -225,13 +227,14 @@ def no_harder_squeeze(s, j, alone, made):
 @compiled
 def _stays_below(s, j, squeeze, largest, stiffness):
     """Whether s stays below `largest` up to the horizon under the bounds of the waves."""
-    time, at_start, cells_a, cells_b = s.time[j], squeeze, s.cells[0], s.cells[1]
+    lane = s.lane[j]
+    time, at_start, cells_a, cells_b = lane.time, squeeze, s.cells[0], s.cells[1]
     if cells_a == 0 or cells_b == 0:
-        alike = s.reflect[1 if cells_a == 0 else 0, j] == 1.0
+        alike = lane.reflect[1 if cells_a == 0 else 0] == 1.0
     else:
-        alike = abs(s.trips[0, j] - s.trips[1, j]) < 1e-9 * s.trips[0, j]
-        alike = alike and s.reflect[0, j] == 1.0 and s.reflect[1, j] == 1.0
-    weight_a, weight_b, shift_a, shift_b = s.reflect[0, j], s.reflect[1, j], 0.0, 0.0
+        alike = abs(lane.trips[0] - lane.trips[1]) < 1e-9 * lane.trips[0]
+        alike = alike and lane.reflect[0] == 1.0 and lane.reflect[1] == 1.0
+    weight_a, weight_b, shift_a, shift_b = lane.reflect[0], lane.reflect[1], 0.0, 0.0
     a, b = 0, 0
     for _ in range(_MOST_CELLS):
         until_a, until_b, drive = math.inf, math.inf, 0.0
@@ -241,25 +244,25 @@ def _stays_below(s, j, squeeze, largest, stiffness):
         if cells_b > 0:
             until_b = s.cell_end[1, b] + shift_b
             drive += weight_b * s.cell_wave[1, b]
-        until = min(min(until_a, until_b), s.end[j])
+        until = min(min(until_a, until_b), lane.end)
 
         if until > time:
             squeeze = _after(s, squeeze, drive, stiffness, until - time)
             time = until
         if squeeze > largest:
             return False
-        if time >= s.end[j]:
+        if time >= lane.end:
             return True
         wrapped = False
         if until_a <= time:
             a += 1
             if a == cells_a:
-                a, shift_a, weight_a = 0, shift_a + s.trips[0, j], weight_a * s.reflect[0, j]
+                a, shift_a, weight_a = 0, shift_a + lane.trips[0], weight_a * lane.reflect[0]
                 wrapped = True
         if until_b <= time:
             b += 1
             if b == cells_b:
-                b, shift_b, weight_b = 0, shift_b + s.trips[1, j], weight_b * s.reflect[1, j]
+                b, shift_b, weight_b = 0, shift_b + lane.trips[1], weight_b * lane.reflect[1]
                 wrapped = True
         if wrapped and alike and a == 0 and b == 0:
             if squeeze <= at_start:  # the same waves come again, to a looser sphere
@@ -277,10 +280,11 @@ def no_higher_approach(s, j):
     level)².  No approach above the one at rest can be exceeded whose phi is not below V.  Faces
     with laws of their own are all springs now: what yields takes energy and brings none back.
     """
-    level, slack = s.steady[j], 1.0 + 0.1 * s.error[j]
+    lane = s.lane[j]
+    level, slack = lane.steady, 1.0 + 0.1 * s.error[j]
     if level < 0.0:
         return False
-    stored = 0.5 * s.mass[j] * (s.u[0, j] - level) ** 2
+    stored = 0.5 * lane.mass * (s.u[0, j] - level) ** 2
     least, rest, least_phi = math.inf, level, 0.5 * level * level
     for m in range(j, PAIR, LANES):
         spring, reached = s.spring[m], max(s.x[0, m], 0.0)
@@ -289,7 +293,7 @@ def no_higher_approach(s, j):
         if level > 0.0 and s.mode != LINEAR:
             rest = (level / spring) ** (2.0 / 3.0)
             least_phi = 0.6 * level * rest
-        top = s.peak[FACE_A, j]
+        top = lane.peak[FACE_A]
         if s.has_laws:
             top = largest_approach(s, m) - s.dent[m]
         top *= slack
@@ -308,14 +312,15 @@ def _stays_pressed(s, j):
     The difference of the approaches swings with the frequency sqrt(3 k sqrt(m)/mu) about their mean
     m.  While m falls its amplitude grows no faster than 1/m^(1/8), by a half until the record ends.
     """
-    b, low = LANES + j, s.low[j]
+    lane = s.lane[j]
+    b, low = LANES + j, lane.low
     least = min(s.x[0, j], s.x[0, b])
-    if not (low > 0.0 and least > 0.0 and s.mass[j] < _LIGHT and s.spring[j] == s.spring[b]):
+    if not (low > 0.0 and least > 0.0 and lane.mass < _LIGHT and s.spring[j] == s.spring[b]):
         return False
     stiffness = 1.0
     if s.mode != LINEAR:
         stiffness = 1.5 * s.spring[j] * math.sqrt(least)
-    swing = (s.x[0, j] - s.x[0, b]) ** 2 + 2.0 * s.mass[j] * s.u[0, j] ** 2 / stiffness
+    swing = (s.x[0, j] - s.x[0, b]) ** 2 + 2.0 * lane.mass * s.u[0, j] ** 2 / stiffness
     return 4.0 * swing < low * low
 
 
@@ -324,8 +329,9 @@ def no_later_peak(s, j):
     """Whether no largest value that is wanted can change any more while the incoming wave stays as
     it is.
     """
+    lane = s.lane[j]
     wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
-    if wanted & tracked.WANT_CONTACT or (s.steady[j] > 0.0 and wanted & OF_BOTH):
+    if wanted & tracked.WANT_CONTACT or (lane.steady > 0.0 and wanted & OF_BOTH):
         return False
     if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
         return False
@@ -333,7 +339,7 @@ def no_later_peak(s, j):
         return False
     if not wanted & OF_BOTH:
         return True
-    energy, stiffest = 0.5 * s.mass[j] * s.u[0, j] ** 2, 0.0
+    energy, stiffest = 0.5 * lane.mass * s.u[0, j] ** 2, 0.0
     for m in range(j, PAIR, LANES):
         energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
         stiffest = max(stiffest, s.spring[m])
@@ -341,73 +347,73 @@ def no_later_peak(s, j):
     if s.mode != LINEAR:
         force = stiffest**0.4 * (2.5 * energy) ** 0.6
     return not (
-        (wanted & tracked.WANT_DIFFERENCE and force > s.peak[DIFFERENCE, j] * slack)
-        or (wanted & tracked.WANT_MEAN and force > s.peak[MEAN, j] * slack)
-        or (wanted & tracked.WANT_ENERGY and energy > s.peak[ENERGY, j] * slack)
-        or (wanted & tracked.WANT_SHARE and energy > s.peak[SHARE, j] * slack)
+        (wanted & tracked.WANT_DIFFERENCE and force > lane.peak[DIFFERENCE] * slack)
+        or (wanted & tracked.WANT_MEAN and force > lane.peak[MEAN] * slack)
+        or (wanted & tracked.WANT_ENERGY and energy > lane.peak[ENERGY] * slack)
+        or (wanted & tracked.WANT_SHARE and energy > lane.peak[SHARE] * slack)
     )
 
 
 @compiled
-def note_duration(s, j, settled):
+def note_duration(s, j, left):
     """Impulse over peak of the mean force up to now, (Q1), if that peak has grown since it was last
     noted: later contacts that press less do not count.
 
-    settled: the waves are over, and what is still pressed dies out with the impulse that (Q2) says.
+    left: the impulse by which what is still pressed dies out once the waves are over, (Q2).
     """
-    if s.wanted & tracked.WANT_DURATION and not s.peak[MEAN, j] <= s.counted_peak[j]:
-        left = 0.0
-        if settled:
-            left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
-        s.duration[j] = (s.impulse[j] + left) / s.peak[MEAN, j]
-        s.counted[j], s.counted_peak[j] = s.time[j], s.peak[MEAN, j]
+    lane = s.lane[j]
+    if s.wanted & tracked.WANT_DURATION and not lane.peak[MEAN] <= lane.counted_peak:
+        lane.duration = (lane.impulse + left) / lane.peak[MEAN]
+        lane.counted, lane.counted_peak = lane.time, lane.peak[MEAN]
 
 
 @compiled
 def begin(s, j):
     """Nothing is known yet of the row of a lane."""
+    lane = s.lane[j]
     for kind in range(KINDS):
-        s.peak[kind, j] = 0.0
+        lane.peak[kind] = 0.0
     for face in range(2):
-        s.x_first[face, j], s.other[face, j], s.carried[face, j] = 0.0, 0.0, 0.0
-    s.lost[j], s.ended[j], s.parted[j], s.duration[j] = math.nan, math.nan, math.nan, math.nan
-    s.grazed[j], s.blur[j] = math.nan, 0.0
-    s.unloadings[j], s.touches[j], s.chatter[j], s.impulse[j] = 0.0, 0.0, 0.0, 0.0
-    s.counted[j], s.counted_peak[j] = 0.0, 0.0
+        lane.x_first[face], lane.other[face], lane.carried[face] = 0.0, 0.0, 0.0
+    lane.lost, lane.ended, lane.parted, lane.duration = math.nan, math.nan, math.nan, math.nan
+    lane.grazed, lane.blur = math.nan, 0.0
+    lane.unloadings, lane.touches, lane.chatter, lane.impulse = 0.0, 0.0, 0.0, 0.0
+    lane.counted, lane.counted_peak = 0.0, 0.0
 
 
 @compiled
 def finish(s, j, made, out):
     """Answers of a row that has ended, in scaled variables."""
+    lane = s.lane[j]
     for face in range(2):
         # of faces that are alike the larger is followed
-        of, other = (face, s.other[face, j]) if s.has_laws else (0, math.nan)
+        of, other = (face, lane.other[face]) if s.has_laws else (0, math.nan)
         out[tracked.ANSWER_FACES + face] = (
-            largest_approach(s, face * LANES + j) if s.has_laws else s.peak[0, j]
+            largest_approach(s, face * LANES + j) if s.has_laws else lane.peak[0]
         )
         out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = (
-            s.x_first[of, j],
+            lane.x_first[of],
             other,
         )
-    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = s.unloadings[j], s.chatter[j]
+    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = lane.unloadings, lane.chatter
     out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
-    out[tracked.ANSWER_X_FIRST] = max(s.x_first[0, j], s.x_first[1, j])
-    out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = s.ended[j], s.duration[j]
-    out[tracked.ANSWER_COUNTED] = s.counted[j]
-    out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = s.ended[j], 1.0
-    if not math.isnan(s.lost[j]):
-        out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = s.lost[j], 0.0
-    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = s.grazed[j], s.blur[j]
-    out[tracked.ANSWER_PARTING] = s.ended[j]
-    if not math.isnan(s.parted[j]):
-        out[tracked.ANSWER_PARTING] = s.parted[j]
+    out[tracked.ANSWER_X_FIRST] = max(lane.x_first[0], lane.x_first[1])
+    out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = lane.ended, lane.duration
+    out[tracked.ANSWER_COUNTED] = lane.counted
+    out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = lane.ended, 1.0
+    if not math.isnan(lane.lost):
+        out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = lane.lost, 0.0
+    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = lane.grazed, lane.blur
+    out[tracked.ANSWER_PARTING] = lane.ended
+    if not math.isnan(lane.parted):
+        out[tracked.ANSWER_PARTING] = lane.parted
     for kind in range(DIFFERENCE, KINDS):
         if s.wanted & (1 << (kind - 1)):
-            out[_ANSWER_OF[kind]] = s.peak[kind, j]
+            out[_ANSWER_OF[kind]] = lane.peak[kind]
     if s.wanted & tracked.WANT_CARRIED:
         out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = (
-            s.carried[0, j],
-            s.carried[1, j],
+            lane.carried[0],
+            lane.carried[1],
         )
     if s.wanted & tracked.WANT_RISE:
         top, power = out[tracked.ANSWER_X_MAX], 2.0 / 3.0

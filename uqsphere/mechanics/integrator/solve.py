@@ -324,25 +324,24 @@ def march_rows(
         "share": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
-        # lanes without a row
-        "row": -1,
-        "trips": np.inf,
         "size": 1.0,
         "wrong_allowed": 1.0,
     }
     for capacity in _CAPACITIES:
-        lanes = tracked.empty_lanes()
+        state = tracked.empty_lanes()
         for name, value in settings.items():
-            lanes[name] = value
-        lanes["capacity"] = capacity
+            state[name] = value
+        state["lane"]["number"] = -1  # lanes without a row
+        state["lane"]["trips"] = np.inf
+        state["capacity"] = capacity
         # how many steps are read again: all that there is room for, or the last one alone
-        lanes["ring"] = capacity if wanted & tracked.WHOLE_PATH or echoing else 1
+        state["ring"] = capacity if wanted & tracked.WHOLE_PATH or echoing else 1
         # not set to anything: only the pages of steps that are taken ever cost memory.  With room
         # for a power of two of steps all lanes would share a few lines of the processor's cache
         made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
         kept = np.zeros((len(order), capacity if keep else 0), tracked.PATH)
         with without_collection() if not march.signatures else nullcontext():
-            march(rows, order, lanes, made, kept, out)
+            march(rows, order, state, made, kept, out)
         if keep:
             for k, row in enumerate(order.tolist()):
                 path = kept[k, : out.steps[row]]

@@ -171,58 +171,89 @@ PATH: Final = np.dtype(
     ]
 )
 
-_LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
-#: everything the kernel knows of the rows in its lanes, one field a line: its unit if it has one,
-#: what it is, and which function writes it.  Times over t_c, approaches over alpha_c, forces over
-#: P_c, speeds over their scale (theory, section 4); "bits" count faces.  (LANES,): of a lane;
-#: (PAIR,): of a face, the faces A of all lanes first
+#: what the kernel knows of the row in a lane, one field a line: its unit if it has one, what it is,
+#: and which function writes it.  Times over t_c, approaches over alpha_c, forces over P_c, speeds
+#: over their scale (theory, section 4); "bits" count faces
 LANE: Final = np.dtype(
     [
         # the row
-        ("row", "i8", _LANE),  # its number, -1 for an idle lane; enter, leave
-        ("place_in_order", "i8", _LANE),  # its place among the rows asked for; march
-        ("count", "i8", _LANE),  # steps taken; keep
-        ("attempts", "i8", _LANE),  # steps tried again; holds
-        ("fate", "i8", _LANE),  # status it leaves with, -1 while it goes on; turn, judge
-        ("mass", "f8", _LANE),  # mu; enter
-        ("inverse_mu", "f8", _LANE),  # 1/mu, 0 without mass; enter
-        ("quickest", "f8", _LANE),  # how quickly the lightest body answers a force; enter
-        ("end", "f8", _LANE),  # t_c; end of the record at the latest; enter
-        ("pulse_end", "f8", _LANE),  # t_c; end of the incident pulse; enter
-        ("back", "f8", _LANE),  # t_c; when the first echo is back; enter
-        ("reflect", "f8", (2, LANES)),  # reflection coefficients of the far ends; enter
-        ("trips", "f8", (2, LANES)),  # t_c; round trips, inf without echo; enter
+        ("number", "i8"),  # its number, -1 for an idle lane; enter, leave
+        ("place_in_order", "i8"),  # its place among the rows asked for; march
+        ("count", "i8"),  # steps taken; keep
+        ("attempts", "i8"),  # steps tried again; holds
+        ("fate", "i8"),  # status it leaves with, -1 while it goes on; turn, judge
+        ("mass", "f8"),  # mu; enter
+        ("quickest", "f8"),  # how quickly the lightest body answers a force; enter
+        ("end", "f8"),  # t_c; end of the record at the latest; enter
+        ("pulse_end", "f8"),  # t_c; end of the incident pulse; enter
+        ("back", "f8"),  # t_c; when the first echo is back; enter
+        ("reflect", "f8", 2),  # reflection coefficients of the far ends; enter
+        ("trips", "f8", 2),  # t_c; round trips, inf without echo; enter
         # the step
-        ("time", "f8", _LANE),  # t_c; where it starts; turn
+        ("time", "f8"),  # t_c; where it starts; turn
+        ("proposed", "f8"),  # t_c; what to try next; holds, turn
+        ("stop", "f8"),  # t_c; next jump of the waves, or the end; jump
+        ("touching", "i8"),  # 1 where it starts from a touch; enter, turn
+        ("single", "i8"),  # 1 where an echo is read from a single step; holds
+        ("why", "i8"),  # what ends it, see End; choose, after_step
+        ("side", "i8"),  # at which face; after_step
+        ("switched", "i8"),  # bits: faces on the wrong branch; choose
+        # the waves
+        ("frequency", "f8"),  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
+        ("offset", "f8"),  # t_c; where the piece of the pulse begins; enter_piece
+        ("cubic", "f8", 4),  # coefficients of the piece in powers of t; enter_piece
+        ("steady", "f8"),  # what runs in for ever, -1 while it may change; jump
+        ("head", "i8", 2),  # the first of them; next_break
+        ("tail", "i8", 2),  # behind the last of them; reflect_break
+        ("first", "i8", 2),  # first step an echo is read from, -1: none; echo_steps
+        ("last", "i8", 2),  # last one; echo_steps
+        # the faces: law, branch, and what stands at the pole
+        ("by_law", "i8"),  # 1 where a force is no longer x^(3/2); enter, turn
+        # what is followed
+        ("low", "f8"),  # approach below which the record ends, -inf: none; try_step
+        ("near", "f8"),  # approach below which a contact may be lost; try_step
+        ("faint", "f8"),  # error of an approach; try_step
+        ("peak", "f8", KINDS),  # largest values so far, see KINDS; after_step
+        ("touched", "f8", 2),  # 1 once a face has touched; after_step
+        ("x_first", "f8", 2),  # deepest before the first echo; after_step, move_on
+        ("other", "f8", 2),  # force of the other face at a face's peak; after_step
+        ("carried", "f8", 2),  # integrals of the squared forces; after_step
+        ("impulse", "f8"),  # integral of the mean force; after_step
+        ("duration", "f8"),  # t_c; impulse over peak of the mean force; note_duration
+        ("counted", "f8"),  # t_c; up to when it counts; note_duration
+        ("counted_peak", "f8"),  # the peak that it counts; note_duration
+        ("lost", "f8"),  # t_c; first loss of contact; after_step
+        ("grazed", "f8"),  # t_c; when an approach was first faint before it; after_step
+        ("blur", "f8"),  # t_c; how far the error of the approach moves it; after_step
+        ("parted", "f8"),  # t_c; last loss of contact; turn
+        ("ended", "f8"),  # t_c; end of the record; after_step, leave
+        ("touches", "f8"),  # contacts found again; turn
+        ("chatter", "f8"),  # those before the largest approach; after_step
+        ("unloadings", "f8"),  # of faces that yield; switch
+    ]
+)
+_LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
+#: all lanes, and columns that go through vector instructions: (LANES,) of lanes; (PAIR,) of faces,
+#: the faces A of all lanes first
+STATE: Final = np.dtype(
+    [
+        ("lane", LANE, LANES),  # what goes lane by lane
+        # the row
+        ("inverse_mu", "f8", _LANE),  # 1/mu, 0 without mass; enter
+        # the step
         ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echo
         ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
-        ("proposed", "f8", _LANE),  # t_c; what to try next; holds, turn
-        ("stop", "f8", _LANE),  # t_c; next jump of the waves, or the end; jump
         ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep
         ("size", "f8", (5, LANES)),  # scales of x_1, u, x_2, U_A, U_B; enter, turn
         ("wrong_allowed", "f8", _LANE),  # impulse by which a root may be off; try_step
-        ("touching", "i8", _LANE),  # 1 where it starts from a touch; enter, turn
-        ("single", "i8", _LANE),  # 1 where an echo is read from a single step; holds
-        ("why", "i8", _LANE),  # what ends it, see End; choose, after_step
-        ("side", "i8", _LANE),  # at which face; after_step
-        ("switched", "i8", _LANE),  # bits: faces on the wrong branch; choose
         # the waves
-        ("frequency", "f8", _LANE),  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
-        ("offset", "f8", _LANE),  # t_c; where the piece of the pulse begins; enter_piece
-        ("cubic", "f8", (4, LANES)),  # coefficients of the piece in powers of t; enter_piece
-        ("steady", "f8", _LANE),  # what runs in for ever, -1 while it may change; jump
         ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
-        ("head", "i8", (2, LANES)),  # the first of them; next_break
-        ("tail", "i8", (2, LANES)),  # behind the last of them; reflect_break
-        ("first", "i8", (2, LANES)),  # first step an echo is read from, -1: none; echo_steps
-        ("last", "i8", (2, LANES)),  # last one; echo_steps
         ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echo
         ("returns", "f8", _FACE),  # factor of it, twice R, 0 without echo; read_echo
         ("negligible", "f8", _FACE),  # terms of it that may be left out; read_echo
         ("degrees", "f8", (WAVE, PAIR)),  # its Chebyshev coefficients; fit_echoes
         ("misfit", "f8", _FACE),  # its last two terms; fit_echoes
         # the faces: law, branch, and what stands at the pole
-        ("by_law", "i8", _LANE),  # 1 where a force is no longer x^(3/2); enter, turn
         ("stiffness", "f8", _FACE),  # factor of x^(3/2) before anything yields; new_faces
         ("onset", "f8", _FACE),  # approach at which it yields, inf: never; new_faces
         ("softening", "f8", _FACE),  # b of (C3); new_faces
@@ -255,6 +286,10 @@ LANE: Final = np.dtype(
         ("free", "f8", _SERIES),  # U_A, -U_B; turn, expand
         ("push", "f8", _SERIES),  # 2 f, -2 h; incident, fit_echoes
         ("root", "f8", _SERIES),  # y; expand
+        ("first_root", "f8", _FACE),  # y at the start; roots
+        ("first_beside", "f8", _FACE),  # beside at the start; roots
+        ("squares", "f8", _FACE),  # sums of y[i] y[k-i], 0 < i < k; sums
+        ("products", "f8", _FACE),  # sums of beside[i] y[k-i]; sums
         ("force", "f8", _SERIES),  # expand
         ("beside", "f8", _SERIES),  # x, or on virgin loading k times the terms of l; expand
         ("wrong", "f8", _FACE),  # error of the force by its root at the step's end; keep_roots
@@ -264,37 +299,13 @@ LANE: Final = np.dtype(
         ("top", "f8", _FACE),  # bound of an approach above; survey
         ("floor", "f8", _FACE),  # and below; survey
         ("u_end", "f8", _FACE),  # u at the step's end; survey
-        # what is followed
-        ("low", "f8", _LANE),  # approach below which the record ends, -inf: none; try_step
-        ("near", "f8", _LANE),  # approach below which a contact may be lost; try_step
-        ("faint", "f8", _LANE),  # error of an approach; try_step
-        ("peak", "f8", (KINDS, LANES)),  # largest values so far, see KINDS; after_step
-        ("touched", "f8", (2, LANES)),  # 1 once a face has touched; after_step
-        (
-            "x_first",
-            "f8",
-            (2, LANES),
-        ),  # deepest before the first echo; after_step, move_on
-        ("other", "f8", (2, LANES)),  # force of the other face at a face's peak; after_step
-        ("carried", "f8", (2, LANES)),  # integrals of the squared forces; after_step
-        ("impulse", "f8", _LANE),  # integral of the mean force; after_step
-        ("duration", "f8", _LANE),  # t_c; impulse over peak of the mean force; note_duration
-        ("counted", "f8", _LANE),  # t_c; up to when it counts; note_duration
-        ("counted_peak", "f8", _LANE),  # the peak that it counts; note_duration
-        ("lost", "f8", _LANE),  # t_c; first loss of contact; after_step
-        ("grazed", "f8", _LANE),  # t_c; when an approach was first faint before it; after_step
-        ("blur", "f8", _LANE),  # t_c; how far the error of the approach moves it; after_step
-        ("parted", "f8", _LANE),  # t_c; last loss of contact; turn
-        ("ended", "f8", _LANE),  # t_c; end of the record; after_step, leave
-        ("touches", "f8", _LANE),  # contacts found again; turn
-        ("chatter", "f8", _LANE),  # those before the largest approach; after_step
-        ("unloadings", "f8", _LANE),  # of faces that yield; switch
         # room to work on one lane
-        ("lane", "i8"),  # the lane that is searched; take_piece
-        ("piece", "f8", (2, TERMS)),  # its series of the approaches; take_piece
-        ("places", "f8", 2),  # theta of the largest approaches of a step, -1: none; after_step
-        ("nodes", "f8", WAVE),  # places in a step that is summed over; note_impulse
-        ("work", "f8", WAVE),  # values there, or of an echo; read, read_echo
+        ("work", "f8", WAVE),  # values of an echo; read_echo
+        ("now", "f8", 5),  # x_1, x_2, u, U_A, -U_B after a touch; step_from_touch
+        ("trial", "f8", 5),  # those at which slopes are taken; step_from_touch
+        ("slope", "f8", 5),  # their derivatives; slopes
+        ("at_touch", "f8", 5),  # the derivatives at the touch; step_from_touch
+        ("mean", "f8", 5),  # those over a Runge-Kutta step; step_from_touch
         ("cell_end", "f8", (2, CELLS)),  # t_c; ends of the cells of waves under way; records
         ("cells", "i8", 2),  # how many of them; records
         ("cell_wave", "f8", (2, CELLS)),  # the waves in them at most; records
@@ -317,10 +328,10 @@ LANE: Final = np.dtype(
 
 
 def empty_lanes() -> Any:
-    """One tracked.LANE (1,) of zeros, which begins where a line of the processor's cache does."""
+    """One STATE (1,) of zeros, which begins where a line of the processor's cache does."""
     line = 64
-    room = np.zeros(LANE.itemsize + line, np.uint8)
-    return room[-room.ctypes.data % line :][: LANE.itemsize].view(LANE)
+    room = np.zeros(STATE.itemsize + line, np.uint8)
+    return room[-room.ctypes.data % line :][: STATE.itemsize].view(STATE)
 
 
 def elastic_faces(rows: int) -> Array:
