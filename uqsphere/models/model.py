@@ -18,10 +18,9 @@ from uqsphere.arrays import Array, Places
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import BlackBox, identity_of, read_model
 from uqsphere.models.cache import Cache
-from uqsphere.models.dispatch import LARGEST_CALL, Calls
-from uqsphere.models.rows import EvaluatedRows, Interrupted, where_of
+from uqsphere.models.dispatch import LARGEST_CALL, answer_rows
+from uqsphere.models.rows import FAILED, EvaluatedRows, Interrupted, where_of
 from uqsphere.models.scene import evaluate_scene
-from uqsphere.models.worker import Task
 from uqsphere.models.workers import Workers
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
@@ -33,6 +32,8 @@ _WORTH: Final = 2.0
 _QUICK: Final = 1e-4
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
+#: a larger answer has failed: the squares of a few are no numbers
+_LARGEST_ANSWER: Final = 1e150
 
 
 @dataclass(eq=False)
@@ -91,7 +92,8 @@ class Model:
         self._processes = self.threads or thread_count()
         #: seconds and rows of all calls but the first, which may import and compile
         self.calls, self._seconds, self._rows = 0, 0.0, 0
-        self._repeated = self._compared = False
+        #: rows that were called alone to compare: none, one, or the ends of a call of several
+        self._compared = 0
         self._cache: Cache | None = None
         self._notes: list[str] = []
         means = study.at_means()
@@ -104,12 +106,12 @@ class Model:
         self.inputs, self.outputs = [*study.random, *study.fixed], study.outputs
         self.numbers = np.array([means[name] for name in self.inputs])
         box = box if callable(box) else read_model(str(box))
-        task: Task = (box, self.inputs, self.outputs)
-        self.workers = Workers(task, self.executor, study.analysis.time_limit)
-        if self.cache_file is not None:
-            identity = identity_of(box)
-            if identity:
-                self._cache = Cache(self.cache_file, identity, self.inputs, self.outputs)
+        self.workers = Workers(
+            (box, self.inputs, self.outputs), self.executor, study.analysis.time_limit
+        )
+        identity = identity_of(box) if self.cache_file is not None else b""
+        if identity:
+            self._cache = Cache(cast(Path, self.cache_file), identity, self.inputs, self.outputs)
 
     def __enter__(self) -> Self:
         return self
@@ -126,9 +128,7 @@ class Model:
         """Mean seconds that a row took, without the first call where there are more; None before
         the first.
         """
-        if self._rows == 0:
-            return None
-        return self._seconds / self._rows
+        return self._seconds / self._rows if self._rows else None
 
     def check_names(self, names: Sequence[str], columns: Sequence[str]) -> None:
         """Refuse inputs and outputs that are unknown or repeated. Raises UsageError."""
@@ -165,19 +165,15 @@ class Model:
         if not self.study.black_box:
             return self._evaluate_scene(names, rows, columns)
         answers, together = self._evaluate_box(names, rows, columns, self._cache)
-        good = np.flatnonzero(answers.good)
-        if together.size > 1 and not self._compared:
-            self._compared = self._repeated = True
-            good = np.intersect1d(together, good)
-            alone = np.unique([*good[:1], *good[-1:]])
-        elif not self._repeated:
-            self._repeated = True
-            alone = good[:1]
-        else:
-            return answers
-        for row in alone.tolist():
-            if self._differs_by_itself(names, rows[row : row + 1], answers.values[row], columns):
-                break
+        good, most = np.flatnonzero(answers.good), 1
+        if together.size:
+            good, most = np.intersect1d(together, good), 2
+        if most > self._compared:
+            self._compared = most
+            for row in np.unique([*good[:1], *good[-1:]])[:most].tolist():
+                block = rows[row : row + 1]
+                if self._differs_alone(names, block, answers.values[row], columns):
+                    break
         return answers
 
     @property
@@ -191,7 +187,7 @@ class Model:
             "answers did not match their checksums and were computed again",
         ]
 
-    def _differs_by_itself(
+    def _differs_alone(
         self, names: Sequence[str], row: Array, answer: Array, columns: Sequence[str]
     ) -> bool:
         """Whether a row (1, d) has another answer than (q,) when it is called alone; a note says
@@ -240,9 +236,31 @@ class Model:
     def _evaluate_box(
         self, names: Sequence[str], rows: Array, columns: Sequence[str], cache: Cache | None
     ) -> tuple[EvaluatedRows, Places]:
-        """Answers of the black box, and the rows of the first call that had several."""
-        calls = Calls(self, [self.inputs.index(name) for name in names], rows, cache)
-        return calls.answered([self.outputs.index(name) for name in columns]), calls.together
+        """Answers of the black box, and the rows of the first call that had several.
+
+        A row fails where one of its answers is not finite, or too large.
+        """
+        whole = np.tile(self.numbers, (len(rows), 1))
+        whole[:, [self.inputs.index(name) for name in names]] = rows
+        answers, failures, together = answer_rows(self, whole, cache)
+        values = answers[:, [self.outputs.index(name) for name in columns]]
+        usable = np.abs(values) <= _LARGEST_ANSWER
+        failed, note = ~usable.all(axis=1), ""
+        if failed.any():
+            k = int(np.argmax(failed))
+            j = int(np.argmin(usable[k]))
+            reason: object = f"the model returned {columns[j]} = {values[k, j]:g}"
+            if np.isfinite(values[k, j]):
+                reason = f"{reason}, too large"
+            note = f"{failures.get(k, reason)} {where_of(self.inputs, whole[k])}"
+            values[failed] = np.nan
+        evaluated = EvaluatedRows(
+            values=values,
+            censored=np.zeros(values.shape, dtype=bool),
+            status=np.where(failed, FAILED, 0),
+            note=note,
+        )
+        return evaluated, together
 
     def check_stop(self) -> None:
         """Raise Interrupted once `stop` is true."""

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, TypeAlias
 
 from threadpoolctl import threadpool_limits
 
@@ -60,64 +60,45 @@ def unpack(packed: bytes) -> Task:
 
 
 def serve(parent: int) -> None:
-    """Answer what comes by the standard input, on what was the standard output."""
-    requests, replies = _channels()
-    _end_with(parent)
-    try:
-        _answer_all(requests, replies)
-    except (BrokenPipeError, EOFError):
-        os._exit(0)  # the parent is gone: nothing is left to flush
-
-
-def _answer_all(requests: BinaryIO, replies: BinaryIO) -> None:
-    """Answer until the parent closes its end."""
-    _send(replies, "started")
-    packed = pickle.load(requests)
-    with contextlib.suppress(UqsphereError):  # the first call reports it again
-        unpack(packed)
-    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-    threadpool_limits(limits=1, user_api="blas")
-    _send(replies, "ready")
-    while True:
-        try:
-            rows = pickle.load(requests)
-        except EOFError:
-            return
-        try:
-            reply: object = answer(packed, rows)
-        except UqsphereError as error:
-            reply = error
-        except Exception as error:
-            reply = ModelError(f"the model could not be called ({describe_error(error)})")
-        _send(replies, reply)
-
-
-def _send(stream: BinaryIO, message: object) -> None:
-    pickle.dump(message, stream)
-    stream.flush()
-
-
-def _channels() -> tuple[BinaryIO, BinaryIO]:
-    """Both ways to the parent, out of the model's reach, which reads nothing and prints to
-    stderr.
+    """Answer what comes by the standard input, on what was the standard output, until the parent
+    closes its end or is gone.
     """
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
+    # both ways to the parent are out of the model's reach: it reads nothing, and prints to stderr
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
     with contextlib.suppress(OSError):
         os.dup2(2, 1)
-    return requests, replies
 
+    def send(message: object) -> None:
+        pickle.dump(message, replies)
+        replies.flush()
 
-def _end_with(parent: int) -> None:
-    """End this process, and what it has started, with its parent."""
-    if not hasattr(os, "killpg"):
-        return
-
-    def watch() -> None:
+    def end_with_parent() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        os.killpg(0, signal.SIGKILL)
+        os.killpg(0, signal.SIGKILL)  # and what the model has started
 
-    threading.Thread(target=watch, daemon=True).start()
+    if hasattr(os, "killpg"):
+        threading.Thread(target=end_with_parent, daemon=True).start()
+    try:
+        send("started")
+        packed = pickle.load(requests)
+        with contextlib.suppress(UqsphereError):  # the first call reports it again
+            unpack(packed)
+        # one thread of linear algebra: sums in a fixed order, and no threads that wait for others
+        threadpool_limits(limits=1, user_api="blas")
+        reply: object = "ready"
+        while True:
+            send(reply)
+            rows = pickle.load(requests)
+            try:
+                reply = answer(packed, rows)
+            except UqsphereError as error:
+                reply = error
+            except Exception as error:
+                reply = ModelError(f"the model could not be called ({describe_error(error)})")
+    except EOFError:
+        return
+    except BrokenPipeError:
+        os._exit(0)  # the parent is gone: nothing is left to flush

@@ -7,14 +7,13 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import queue
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Final, cast
+from weakref import WeakSet
 
 from uqsphere.arrays import Array
 from uqsphere.errors import (
@@ -72,10 +71,7 @@ def result(future: Future[Timed]) -> Timed:
 
 
 def _lost(error: BaseException) -> ExecutorLost:
-    text = as_text(error, 120)
-    reason = type(error).__name__
-    if text:
-        reason += f": {text}"
+    reason = f"{type(error).__name__}: {as_text(error, 120)}".removesuffix(": ")
     return ExecutorLost(
         f"the executor was lost ({reason}). Answers so far are stored; the same command with a new "
         "executor continues from there"
@@ -88,15 +84,13 @@ class _Process:
     def __init__(self, packed: bytes) -> None:
         path = [entry or os.getcwd() for entry in sys.path]
         program = _PROGRAM.format(path=path, parent=os.getpid())
-        self._process = subprocess.Popen(
+        self._process: Any = subprocess.Popen(
             [sys.executable, "-c", program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the run
         )
-        self._requests: Any = self._process.stdin
-        self._replies: Any = self._process.stdout
-        self._packed, self._started, self._late = packed, False, False
+        self.packed, self._started, self._late = packed, False, False
 
     def call(self, rows: Array, limit: float | None) -> Timed:
         """Answers to rows, within a limit [s]; raises as `result`."""
@@ -106,14 +100,25 @@ class _Process:
             if not self._started:
                 self._receive()
                 self._started = True
-                self._send(self._packed)
+                self._send(self.packed)
                 self._receive()  # the model is loaded, which its limit does not count
             if limit is not None:
                 timer.start()
             self._send(rows)
             reply = self._receive()
         except Exception as error:  # the end of a stream, or garbage in it
-            raise self._ended(limit) from error
+            self.close()
+            code = self._process.returncode
+            if not self._started:
+                raise UsageError(
+                    "the Python process of the model ended before the model was called (exit code "
+                    f"{code})"
+                ) from error
+            if self._late:
+                raise NoAnswer(
+                    f"the model took longer than analysis.time_limit ({limit:g} s)"
+                ) from error
+            raise Died(f"the model ended the process it ran in (exit code {code})") from error
         finally:
             timer.cancel()
         if isinstance(reply, BaseException):
@@ -121,27 +126,15 @@ class _Process:
         return cast(Timed, reply)
 
     def _send(self, message: object) -> None:
-        pickle.dump(message, self._requests)
-        self._requests.flush()
+        pickle.dump(message, self._process.stdin)
+        self._process.stdin.flush()
 
     def _receive(self) -> object:
-        return pickle.load(self._replies)
+        return pickle.load(self._process.stdout)
 
     def _expire(self) -> None:
         self._late = True
         self.kill()
-
-    def _ended(self, limit: float | None) -> NoAnswer | UsageError:
-        self.kill()
-        code = self._process.wait()
-        if not self._started:
-            return UsageError(
-                f"the Python process of the model ended before the model was called (exit code "
-                f"{code})"
-            )
-        if self._late:
-            return NoAnswer(f"the model took longer than analysis.time_limit ({limit:g} s)")
-        return Died(f"the model ended the process it ran in (exit code {code})")
 
     @property
     def is_alive(self) -> bool:
@@ -160,12 +153,12 @@ class _Process:
         """End the process, and wait for its end."""
         self.kill()
         self._process.wait()
-        for stream in (self._requests, self._replies):
+        for stream in (self._process.stdin, self._process.stdout):
             with contextlib.suppress(OSError):  # what was left to be sent
                 stream.close()
 
     def __del__(self) -> None:
-        """A worker of Dask ends its threads, and says nothing."""
+        """A thread that ends says nothing."""
         with contextlib.suppress(AttributeError):  # it was not started
             self.close()
 
@@ -173,15 +166,19 @@ class _Process:
 _kept = threading.local()
 
 
+def _process_of_thread(packed: bytes) -> _Process:
+    """The process that calls a model for this thread: the one before if it can be called again."""
+    process: _Process | None = getattr(_kept, "process", None)
+    if process is None or process.packed != packed or not process.is_alive:
+        process = _kept.process = _Process(packed)  # the one before is ended as it is forgotten
+    return process
+
+
 def answer_apart(packed: bytes, rows: Array) -> Timed:
     """Answers of a process beside a worker of Dask, one for each of its threads: a model that ends
     its process leaves the worker alive, which Dask might not replace.  Raises as `result`.
     """
-    task, process = getattr(_kept, "last", (b"", None))
-    if process is None or task != packed or not process.is_alive:
-        process = _Process(packed)
-        _kept.last = packed, process  # the one before is ended as it is forgotten
-    return process.call(rows, None)
+    return _process_of_thread(packed).call(rows, None)
 
 
 class Workers:
@@ -196,17 +193,15 @@ class Workers:
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
         self._executor: Any = executor
-        self._answer: Callable[[bytes, Array], Timed] = answer
+        self._answer: Any = answer
         if hasattr(executor, "get_executor"):
-            self._answer = answer_apart
             # the same call twice is two evaluations, which Dask would not make
-            self._executor = executor.get_executor(pure=False)
+            self._executor, self._answer = executor.get_executor(pure=False), answer_apart
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
             raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
         self._task, self._packed, self._limit, self.count = task, b"", limit, 0
         self._threads: ThreadPoolExecutor | None = None
-        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
-        self._processes: set[_Process] = set()
+        self._processes: WeakSet[_Process] = WeakSet()
         self._lock = threading.Lock()
         if executor is not None:
             self._packed, self.count = pack(task), _MANY
@@ -243,24 +238,12 @@ class Workers:
         return future
 
     def _call(self, rows: Array) -> Timed:
-        """Answers of a process that is idle, or new."""
-        try:
-            process = self._idle.get_nowait()
-        except queue.Empty:
-            with self._lock:
-                if self._threads is None:
-                    raise NoAnswer("the run has ended") from None
-                process = _Process(self._packed)
-                self._processes.add(process)
-        try:
-            return process.call(rows, self._limit)
-        finally:
-            if process.is_alive:
-                self._idle.put(process)
-            else:
-                with self._lock:
-                    self._processes.discard(process)
-                process.close()
+        with self._lock:
+            if self._threads is None:
+                raise NoAnswer("the run has ended")
+            process = _process_of_thread(self._packed)
+            self._processes.add(process)
+        return process.call(rows, self._limit)
 
     def close(self) -> None:
         """End the processes of this machine, whatever they do."""
@@ -270,7 +253,5 @@ class Workers:
                 process.kill()
         if threads is not None:
             threads.shutdown(wait=True, cancel_futures=True)
-        for process in self._processes:
+        for process in list(self._processes):
             process.close()
-        self._processes.clear()
-        self._idle = queue.SimpleQueue()
