@@ -43,19 +43,17 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(
         tracemalloc.start()
         room = before.sample.with_room(16_384)
         before = replace(before, sample=room.head(8192))
-        sample = grow._sampled(design, model, before, room)
+        grow.fill(design, model, room, 8192)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 1.15 * whole
         for name in rows:
-            assert (getattr(sample, name) == getattr(at_once, name)).all()
-            assert getattr(before.sample, name).base is getattr(sample, name)
+            assert (getattr(room, name) == getattr(at_once, name)).all()
+            assert getattr(before.sample, name).base is getattr(room, name)
 
-        pairs = paired(design, model, 100, ["y"], {})
-        assert (
-            paired(design, model, 300, ["y"], pairs)["y"]
-            == paired(design, model, 300, ["y"], {})["y"]
-        ).all()
+        pairs = paired(design, model, 100, ["y"], {}, 1e9)
+        longer = paired(design, model, 300, ["y"], pairs, 1e9)
+        assert (longer["y"] == paired(design, model, 300, ["y"], {}, 1e9)["y"]).all()
 
 
 def oscillator(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

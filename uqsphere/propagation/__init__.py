@@ -13,7 +13,6 @@ import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -98,113 +97,83 @@ def run(
             f"{type(study).__name__}"
         )
     check_scene(study)
-    task = Task(
-        study=study,
-        model=model,
-        # a function of the user may change the working folder
-        folder=None if out is None else Path(out).absolute(),
-        executor=executor,
-        threads=threads,
-        seconds=study.analysis.budget.time if seconds is None else seconds,
-        stop=stop,
-        rows=rows,
-    )
-    with contextlib.ExitStack() as stack:
-        if progress is None:
-            progress = stack.enter_context(watched())
-        if task.folder is not None:
-            stack.enter_context(locked(task.folder))
-            check_owner(task.folder, study, fresh=fresh)
-        return _run(task, progress)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
-    """What `run` was asked for, by its parameters."""
-
-    study: Study
-    model: str | Callable[..., Any] | None
-    folder: Path | None
-    executor: Executor | None
-    threads: int | None
-    seconds: float
-    stop: Callable[[], bool] | None
-    rows: Any
-
-
-def _run(task: Task, progress: Progress) -> Run:
     from threadpoolctl import threadpool_limits
 
-    started, study, folder = time.monotonic(), task.study, task.folder
-    log = Log(folder and folder / "log.txt")
-    log.write(f"run of {study.title!r}, study {study.hash}")
-    design = Design.of(study)
-    budget = task.seconds
-    cache = None
-    if folder is not None and study.black_box:
-        cache = folder / "cache.sqlite"
-    evaluated, black_box = None, task.model
-    if task.rows is not None:
-        evaluated = surrogate.known_rows(design, task.rows)
-        black_box = evaluated.model
+    cache = log_file = None
+    if seconds is None:
+        seconds = study.analysis.budget.time
+    with contextlib.ExitStack() as stack:
+        shown = progress or stack.enter_context(watched())
+        if out is not None:
+            # a function of the user may change the working folder
+            out = Path(out).absolute()
+            stack.enter_context(locked(out))
+            check_owner(out, study, fresh=fresh)
+            log_file = out / "log.txt"
+            if study.black_box:
+                cache = out / "cache.sqlite"
+        started, log = time.monotonic(), Log(log_file)
+        log.write(f"run of {study.title!r}, study {study.hash}")
+        design = Design.of(study)
+        points = None
+        if rows is not None:
+            points, model = surrogate.known_rows(design, rows)
+        # share of the work at the last stage, and the most that was shown
+        share_of_stages = most_shown = 0.0
 
-    reported = {"stages": 0.0, "share": 0.0}
+        def report(runs: int, share: float, text: str) -> None:
+            nonlocal share_of_stages
+            share_of_stages = share
+            show(runs, share, text)
 
-    def report(runs: int, share: float, text: str) -> None:
-        reported["stages"] = share
-        reported["share"] = max(reported["share"], share)
-        progress(runs, reported["share"], text)
+        def stage(done: int, total: int) -> None:
+            # how many stages follow is not known: each is shown as a tenth of what is left
+            share = share_of_stages + 0.1 * (1.0 - share_of_stages) * done / max(total, 1)
+            text = f"{done:,} of {total:,} model runs of this stage"
+            show(evaluator.evaluations + evaluator.reused, share, text)
 
-    def stage(done: int, total: int) -> None:
-        # how many stages follow is not known: each is shown as a tenth of what is left
-        share = reported["stages"] + 0.1 * (1.0 - reported["stages"]) * done / max(total, 1)
-        reported["share"] = max(reported["share"], share)
-        text = f"{done:,} of {total:,} model runs of this stage"
-        progress(evaluator.evaluations + evaluator.reused, reported["share"], text)
+        def show(runs: int, share: float, text: str) -> None:
+            nonlocal most_shown
+            most_shown = max(most_shown, share)
+            shown(runs, most_shown, text)
 
-    evaluator = Model(
-        design.judged,
-        black_box,
-        executor=task.executor,
-        threads=task.threads,
-        cache_file=cache,
-        stop=task.stop,
-        progress=stage,
-    )
-    # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-    with threadpool_limits(limits=1, user_api="blas"), evaluator:
-        if evaluated is not None:
-            tables = surrogate.tables_of(
-                design, evaluator, seconds=budget, design_rows=evaluated.points
+        evaluator = stack.enter_context(
+            Model(
+                design.judged,
+                model,
+                executor=executor,
+                threads=threads,
+                cache_file=cache,
+                stop=stop,
+                progress=stage,
             )
-        elif surrogate.is_slow(design, evaluator, budget):
-            tables = surrogate.tables_of(design, evaluator, seconds=budget, progress=report)
+        )
+        # one thread of linear algebra: sums in a fixed order, and no threads that wait for each
+        # other
+        stack.enter_context(threadpool_limits(limits=1, user_api="blas"))
+        if points is not None or surrogate.is_slow(design, evaluator, seconds):
+            tables = surrogate.tables_of(
+                design, evaluator, seconds=seconds, progress=report, design_rows=points
+            )
         else:
-            tables = grow(design, evaluator, seconds=budget, progress=report)
-        judged, tables = judge(design, evaluator, tables, started + budget)
+            tables = grow(design, evaluator, seconds=seconds, progress=report)
+        judged, tables = judge(design, evaluator, tables, started + seconds)
         answers = Answers()
         for analysis in ANALYSES:
             answers += analysis(design, tables)
         answers += salib_indices(design, tables, evaluator)
         answers += assumed_answers(judged)
+        method = "half-width over what is required"
         for runs, error in tables.reached:
-            answers.row(
-                "run",
-                "error",
-                float(runs),
-                error,
-                unit="1",
-                method="half-width over what is required",
-            )
+            answers.row("run", "error", float(runs), error, unit="1", method=method)
         checked = checks(design, tables, evaluator.notes)
         decisions = [decision_of(aim, checked) for aim in judged]
         took = time.monotonic() - started
-        cost = Cost(
-            runs=evaluator.evaluations + evaluator.reused, reused=evaluator.reused, seconds=took
-        )
+        runs, reused = evaluator.evaluations + evaluator.reused, evaluator.reused
+        cost = Cost(runs=runs, reused=reused, seconds=took)
         results = results_of(design, tables, answers, decisions, checked, cost)
-    log.write(f"ended: {tables.stopped} after {took:.1f} s")
-    return written(folder, study, results, samples_of(design, tables), _live(design, tables))
+        log.write(f"ended: {tables.stopped} after {took:.1f} s")
+        return written(out, study, results, samples_of(design, tables), _live(design, tables))
 
 
 def _live(design: Design, tables: Tables) -> dict[str, Any]:
@@ -216,13 +185,11 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
         sample = tables.rows
         if quantity not in sample.quantities or not design.inputs or not sample.knows(quantity):
             return None
-        joint = design.joint.only(design.inputs)
-        count = min(sample.count, MOST_ROWS)
-        x = np.stack([sample.input(name)[0, :count] for name in design.inputs], axis=1)
-        y = sample.answer(quantity)[0, :count]
+        x = np.stack([sample.input(name)[0, :MOST_ROWS] for name in design.inputs], axis=1)
+        y = sample.answer(quantity)[0, :MOST_ROWS]
         if not np.ptp(y) > 0.0:
             return None
-        return fit_expansion(x, y, joint, seed=design.study.seed)
+        return fit_expansion(x, y, design.joint_inputs, seed=design.study.seed)
 
     def pairs(quantity: str) -> Any:
         from uqsphere.uq.interop import SalibDesign, salib_problem
@@ -231,11 +198,10 @@ def _live(design: Design, tables: Tables) -> dict[str, Any]:
         if outputs is None:
             return None
         rows = pair_rows(design, outputs.shape[1])
-        problem = salib_problem(design.joint.only(design.inputs))
         return SalibDesign(
-            problem=problem,
+            problem=salib_problem(design.joint_inputs),
             rows=rows.reshape(-1, rows.shape[3]),
-            second=bool(design.study.analysis.second_order),
+            second=design.study.analysis.second_order,
             outputs=outputs.ravel(),
         )
 
@@ -253,29 +219,20 @@ def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
         return
     if not (folder / "results.json").exists():
         return
-    stored = read_results(folder).study
+    stored, changed = read_results(folder).study, ""
     if stored.hash == study.hash:
         return
-    changed = _changed_keys(folder, stored.overrides, study)
+    # what differs is named where the stored study can be read
+    with contextlib.suppress(OSError, UqsphereError):
+        text = (folder / "study.toml").read_text(encoding="utf-8")
+        before = load_study(folder / "files" / "study.toml", stored.overrides, text=text)
+        keys = before.changed_keys(study)
+        changed = ", ".join(keys[:SHOWN_CHANGES])
+        if len(keys) > SHOWN_CHANGES:
+            changed += f" and {len(keys) - SHOWN_CHANGES} more"
+    if changed:
+        changed = f" (changed: {changed})"
     raise FolderError(
         f"{folder} holds another study{changed}: choose another folder with --out, or replace it "
         "with --fresh"
     )
-
-
-def _changed_keys(folder: Path, overrides: list[str], study: Study) -> str:
-    """What a study has otherwise than the one that a folder holds; empty where the stored one
-    cannot be read.
-    """
-    try:
-        text = (folder / "study.toml").read_text(encoding="utf-8")
-        before = load_study(folder / "files" / "study.toml", overrides, text=text)
-    except (OSError, UqsphereError):
-        return ""
-    keys = before.changed_keys(study)
-    if not keys:
-        return ""
-    listed = ", ".join(keys[:SHOWN_CHANGES])
-    if len(keys) > SHOWN_CHANGES:
-        listed += f" and {len(keys) - SHOWN_CHANGES} more"
-    return f" (changed: {listed})"

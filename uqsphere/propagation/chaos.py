@@ -29,7 +29,7 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array
 from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
-from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, germs_of, predict, rows_of
+from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import spread
@@ -101,7 +101,7 @@ def expansions(
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
     size, count = len(design.inputs), sample.count
-    germs = germs_of(design.joint.only(design.inputs).laws)
+    germs = design.germs
     points = points_of(design, sample.scores)
     later, fits = points[1:].reshape(-1, size), dict[str, Expansion]()
     for name in columns:
@@ -174,11 +174,9 @@ def _left(outputs: Array, values: Array) -> float:
 def points_of(design: Design, normals: Array) -> Array:
     """Germ points (..., d) of the inputs at independent normals (..., D) of all variables, of which
     they are the first."""
-    germs = germs_of(design.joint.only(design.inputs).laws)
-    shape = (*normals.shape[:-1], len(germs))
-    return germ_points(
-        normals[..., : len(germs)].reshape(math.prod(shape[:-1]), len(germs)), germs
-    ).reshape(shape)
+    inputs = normals[..., : len(design.germs)]
+    rows = inputs.reshape(math.prod(inputs.shape[:-1]), inputs.shape[-1])
+    return germ_points(rows, design.germs).reshape(inputs.shape)
 
 
 def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
@@ -186,8 +184,7 @@ def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
 
     def at(normals: Array) -> Array:
         points = points_of(design, normals)
-        return predict(expansion.fit, points.reshape(-1, points.shape[-1])).reshape(
-            normals.shape[:-1]
-        )
+        rows = points.reshape(-1, points.shape[-1])
+        return predict(expansion.fit, rows).reshape(normals.shape[:-1])
 
     return at

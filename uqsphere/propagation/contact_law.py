@@ -6,13 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from uqsphere.errors import StudyError
 from uqsphere.models.scene import evaluate_scene
-from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.line import Line, inputs_at
+from uqsphere.propagation.line import Line, moving_at
+from uqsphere.propagation.tables import answered, input_rows
 from uqsphere.study import load_study
 from uqsphere.uq import Sample
 
@@ -61,15 +59,7 @@ class YieldingRows:
         return Line(design=self.design, values=line.values, samples=tuple(samples))
 
     def _evaluated(self, value: float, sample: Sample) -> Sample:
-        design, shape = self.design, sample.scores.shape[:2]
-        names, rows = inputs_at(Line(design=design, values=(value,), samples=(sample,)))
-        evaluated = evaluate_scene(design.judged, names, rows, design.columns)
-        answers = np.where(evaluated.good[:, None], evaluated.values, np.nan)
-        answered = sample.with_answers(
-            design.columns,
-            answers.reshape(*shape, -1),
-            censored=evaluated.censored.reshape(*shape, -1),
-            failed=~evaluated.good.reshape(shape),
-        )
-        moving = dict.fromkeys(names[len(design.inputs) :], np.full(shape, value))
-        return with_test_forces(design, answered, moving)
+        design, moving = self.design, moving_at(self.design, value)
+        names, rows = input_rows(design, sample, moving)
+        answers = evaluate_scene(design.judged, names, rows, design.columns)
+        return answered(design, sample, answers, moving)

@@ -21,7 +21,9 @@ from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, me
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
+from uqsphere.uq.chaos import GermLike, germs_of
 from uqsphere.uq.estimate import REPLICATES
+from uqsphere.uq.indices import Blocks
 
 #: values of the free number
 VALUES: Final = 25
@@ -50,7 +52,7 @@ class Design:
     def of(cls, study: Study) -> Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
         assumed, not_judged = failure_modes_of(study)
-        wide = _with_limits(study, [mode.limit for mode in assumed])
+        wide = replace(study, limits=(*study.limits, *(mode.limit for mode in assumed)))
         reasons = {mode.called: absent_quantity(wide, mode.limit.quantity) for mode in assumed}
         not_judged |= {name: reason for name, reason in reasons.items() if reason}
         answered = [mode for mode in assumed if not reasons[mode.called]]
@@ -67,7 +69,7 @@ class Design:
         evidence: Sequence[EvidenceEntry],
     ) -> Design:
         """The design of a study with failure modes that are judged beside its limits."""
-        judged = _with_limits(study, [mode.limit for mode in modes])
+        judged = replace(study, limits=(*study.limits, *(mode.limit for mode in modes)))
         columns = [*study.analysis.quantities, *(limit.quantity for limit in judged.limits)]
         return cls(
             study=study,
@@ -94,13 +96,26 @@ class Design:
         return tuple(self.study.random)
 
     @cached_property
+    def joint_inputs(self) -> Joint:
+        """The random inputs of the model with their dependence."""
+        return self.joint.only(self.inputs)
+
+    @cached_property
+    def germs(self) -> tuple[GermLike, ...]:
+        """The germs of the inputs in which expansions are written."""
+        return germs_of(self.joint_inputs.laws)
+
+    @property
+    def blocks(self) -> Blocks:
+        """The blocks of the design of Sobol' indices."""
+        return Blocks(inputs_count=len(self.inputs), second=self.study.analysis.second_order)
+
+    @cached_property
     def drawn(self) -> Joint:
         """The variables that points are drawn of: the model's inputs and model factors.  Strengths
         are integrated.
         """
-        return self.joint.only(
-            [name for name in self.joint.names if not name.endswith(".strength")]
-        )
+        return self.joint.only([name for name in self.joint.names if not is_strength(name)])
 
     @cached_property
     def described(self) -> tuple[str, ...]:
@@ -113,10 +128,9 @@ class Design:
     @cached_property
     def explained(self) -> tuple[str, ...]:
         """Those with indices: not what is held against a force of tests, where E and nu cancel."""
-        held = {limit.quantity for limit in self.limits if by_force(limit)} - {
-            *self.study.analysis.quantities
-        }
-        return tuple(name for name in self.described if name not in held)
+        held = {limit.quantity for limit in self.limits if by_force(limit)}
+        asked = self.study.analysis.quantities
+        return tuple(name for name in self.described if name in asked or name not in held)
 
     @cached_property
     def fracture(self) -> tuple[Limit, ...]:
@@ -125,10 +139,8 @@ class Design:
 
     def subject(self, limit: Limit) -> str:
         """The name of a limit in the table of answers."""
-        assumed = next((mode for mode in self.modes if mode.limit.name == limit.name), None)
-        if assumed is None:
-            return f"limits.{limit.name}"
-        return f"modes.{assumed.called}"
+        assumed = {mode.limit.name: f"modes.{mode.called}" for mode in self.modes}
+        return assumed.get(limit.name, f"limits.{limit.name}")
 
     def points(
         self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None
@@ -138,7 +150,8 @@ class Design:
         """
         drawn = self.drawn if joint is None else joint
         if not drawn.names:
-            return Sample.at((), np.zeros((REPLICATES, count, 0)), np.zeros((REPLICATES, count, 0)))
+            nothing = np.zeros((REPLICATES, count, 0))
+            return Sample.at((), nothing, nothing)
         return at_normals(drawn, self.normals(count, start, task))
 
     def many_normals(self, count: int) -> Array:
@@ -167,12 +180,6 @@ class Design:
             for replicate in range(REPLICATES)
         ]
         return normal_scores(np.stack(uniforms))
-
-
-def _with_limits(study: Study, further: Sequence[Limit]) -> Study:
-    if not further:
-        return study
-    return replace(study, limits=(*study.limits, *further))
 
 
 def normal_scores(uniforms: Array) -> Array:

@@ -42,7 +42,7 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     own, which a slow model is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
 
-    answers, inputs = Answers(), design.joint.only(design.inputs)
+    answers, inputs = Answers(), design.joint_inputs
     methods = [name for name in SALIB_METHODS if name in design.study.analysis.measures]
     source = source_of(design, tables)
     sample = source.rows
@@ -80,7 +80,7 @@ def of_quantity(design: Design, tables: Tables, name: str) -> Indices:
     """(first, total) by input, and (second,) by "input,input"."""
     if not design.inputs:
         return {}
-    if design.joint.only(design.inputs).dependent:
+    if design.joint_inputs.dependent:
         # variance has no parts of its own for each of inputs that are tied
         reason = "inputs depend on each other: their Sobol' indices have no meaning"
         nothing = absent(reason, METHOD, tables.runs)

@@ -7,7 +7,7 @@ their spread is the error.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -19,7 +19,7 @@ from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.free_number import demand_factor, grid, moved
 from uqsphere.propagation.limits import state_of
-from uqsphere.propagation.tables import Tables, evaluate, stacked
+from uqsphere.propagation.tables import Tables, evaluate, input_rows
 from uqsphere.study import Limit
 from uqsphere.uq import Law, LimitState, Sample, tails
 
@@ -60,10 +60,7 @@ class Line:
     @cached_property
     def few(self) -> Line:
         """Some of the rows at each value, for doubts that take many strengths or other runs."""
-        heads = [
-            sample.head(min(sample.count, max(_FEW, sample.count // _FEW_SHARE)))
-            for sample in self.samples
-        ]
+        heads = (sample.head(max(_FEW, sample.count // _FEW_SHARE)) for sample in self.samples)
         return replace(self, samples=tuple(heads))
 
     @cached_property
@@ -106,23 +103,20 @@ class Line:
         """Probability (R, N) of exceedance given the inputs; a row that is not known to the end
         counts for the unsafe side, and one that failed is nan, or counts so as well.
         """
-        below = tails(state)[0]
-        unsafe = float(aim == "survive")
-        if unsafe and state.late.any():
+        below, unsafe = tails(state)[0], float(aim == "survive")
+        if unsafe:
             below = np.where(state.late, unsafe, below)
-        if state.broken.any():
-            below = np.where(state.broken, unsafe if state.on_failure == "bound" else np.nan, below)
-        return below
+        lost = unsafe if state.on_failure == "bound" else math.nan
+        return np.where(state.broken, lost, below)
 
     def means(self, rows: Array) -> Array:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
         lost = np.isnan(rows)
-        if not lost.any():
-            sums = np.add.reduceat(rows, self._starts, axis=1)
-            return np.asarray((sums / self._counts).T)
-        sums = np.add.reduceat(np.where(lost, 0.0, rows), self._starts, axis=1)
-        kept = np.add.reduceat((~lost).astype(float), self._starts, axis=1)
-        return np.asarray((sums / np.maximum(kept, 1.0)).T)
+        kept: Array = np.array(self._counts, dtype=float)
+        if lost.any():
+            kept = np.maximum(np.add.reduceat((~lost).astype(float), self._starts, axis=1), 1.0)
+            rows = np.where(lost, 0.0, rows)
+        return np.asarray((np.add.reduceat(rows, self._starts, axis=1) / kept).T)
 
     def crossing(
         self, curve: Array, kept: Flags, allowed: float, *, keeps_below: bool
@@ -132,7 +126,6 @@ class Line:
 
         None where the safe end itself is not safe, and an infinite value where all of the range is.
         """
-        from scipy.interpolate import PchipInterpolator
         from scipy.optimize import brentq
 
         missed = np.flatnonzero(~kept)
@@ -143,18 +136,20 @@ class Line:
             k = int(missed[0])
         if k in (0, len(curve)):
             return None
-        scores = PchipInterpolator(self.places, score(curve) - score(allowed))
-        ends = float(self.places[k - 1]), float(self.places[k])
-        return self.value_at(float(brentq(lambda place: float(scores(place)), *ends)))
+        excess = self._interpolated(score(curve) - score(allowed))
+        return self.value_at(float(brentq(excess, self.places[k - 1], self.places[k])))
 
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""
-        from scipy.interpolate import PchipInterpolator
-
         if len(self.values) == 1:
             return float(curve[0])
-        scores = PchipInterpolator(self.places, score(curve))
-        return float(special.ndtr(float(scores(self.place_of(value)))))
+        return float(special.ndtr(self._interpolated(score(curve))(self.place_of(value))))
+
+    def _interpolated(self, scores: Array) -> Callable[[float], float]:
+        from scipy.interpolate import PchipInterpolator
+
+        curve = PchipInterpolator(self.places, scores)
+        return lambda place: float(curve(place))
 
 
 def score(probability: Array | float) -> Array:
@@ -162,16 +157,21 @@ def score(probability: Array | float) -> Array:
     return np.asarray(special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16)))
 
 
+def moving_at(design: Design, value: float) -> dict[str, Array]:
+    """The free number at a value, where it is a fixed number of the model's rows; nan is the
+    plan.
+    """
+    margins = design.study.margins
+    if margins is None or margins.limit is not None or math.isnan(value):
+        return {}
+    if margins.solve in design.inputs:
+        return {}
+    return {margins.solve: np.array(value)}
+
+
 def inputs_at(line: Line) -> tuple[list[str], Array]:
     """Names and values (n, d) of the model's inputs in the rows of a line of one value."""
-    names, sample = list(line.design.inputs), line.samples[0]
-    columns = [sample.input(name).ravel() for name in names]
-    margins, value = line.design.study.margins, line.values[0]
-    at_plan = margins is None or margins.limit is not None or math.isnan(value)
-    if not at_plan and margins is not None and margins.solve not in names:
-        names.append(margins.solve)
-        columns.append(np.full(sample.size, value))
-    return names, stacked(columns, sample.size)
+    return input_rows(line.design, line.samples[0], moving_at(line.design, line.values[0]))
 
 
 def plan_of(design: Design, sample: Sample) -> Line:
@@ -181,66 +181,53 @@ def plan_of(design: Design, sample: Sample) -> Line:
 
 def line_of(design: Design, tables: Tables) -> Line | None:
     """The line of a run; None without a free number."""
-    margins = design.study.margins
-    if margins is None:
-        return None
-    if margins.limit is not None:
+    margins, samples = design.study.margins, tables.line
+    if margins is not None and margins.limit is not None:
         sample = tables.sample.head(min(tables.sample.count, _SHARED))
-        values = grid(margins, VALUES)
-        return Line(design=design, values=tuple(values), samples=(sample,) * len(values))
-    if not tables.line:
+        samples = dict.fromkeys(grid(margins, VALUES), sample)
+    if not samples:
         return None
-    pairs = dict(sorted(tables.line.items()))
-    return Line(design=design, values=tuple(pairs), samples=tuple(pairs.values()))
+    values = sorted(samples)
+    return Line(design=design, values=tuple(values), samples=tuple(samples[v] for v in values))
 
 
 def evaluated_at(
     design: Design, model: Model, before: Mapping[float, Sample], counts: Mapping[float, int]
-) -> dict[float, Sample]:
+) -> Mapping[float, Sample]:
     """Rows at values of the free number, those of each value continued to its count, all in one
     evaluation.
     """
     margins = design.study.margins
-    assert margins is not None
-    parts, moving = list[Sample](), list[Array]()
+    if margins is None or not counts:
+        return before
+    parts = []
     for value, count in counts.items():
         start = before[value].count if value in before else 0
         joint = moved(design.study, value).inputs().only(design.drawn.names)
-        points = design.points(count - start, start, joint=joint)
-        parts.append(points)
-        moves = np.full(points.scores.shape[:2], value)
-        if margins.solve in points.names:
-            moves = points.input(margins.solve)
-        moving.append(moves)
-    samples = dict(before)
-    if parts:
-        whole = Sample.at(
-            design.drawn.names,
-            np.concatenate([part.scores for part in parts], axis=1),
-            np.concatenate([part.inputs for part in parts], axis=1),
-        )
-        answered = evaluate(design, model, whole, {margins.solve: np.concatenate(moving, axis=1)})
-        end = 0
-        for value, part in zip(counts, parts, strict=True):
-            rows = answered.rows(end, end + part.count)
-            end += part.count
-            if value in before:
-                rows = before[value].join(rows)
-            samples[value] = rows
+        parts.append(design.points(count - start, start, joint=joint))
+    moving = {}
+    if margins.solve not in design.inputs:
+        moving[margins.solve] = np.repeat([*counts], [part.count for part in parts])
+    rows = evaluate(design, model, parts[0].join(*parts[1:]), moving)
+    samples, end = dict(before), 0
+    for value, part in zip(counts, parts, strict=True):
+        end += part.count
+        added = rows.rows(end - part.count, end)
+        samples[value] = before[value].join(added) if value in before else added
     return dict(sorted(samples.items()))
 
 
 def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
     """A line with at least so many points of a replicate at some values."""
-    pairs = dict(zip(line.values, line.samples, strict=True))
-    if line.design.study.margins is not None and line.design.study.margins.limit is not None:
-        pairs |= dict.fromkeys(counts, line.samples[0])
-        pairs = dict(sorted(pairs.items()))
+    margins = line.design.study.margins
+    samples: Mapping[float, Sample] = dict(zip(line.values, line.samples, strict=True))
+    if margins is not None and margins.limit is not None:
+        samples = dict(sorted({**samples, **dict.fromkeys(counts, line.samples[0])}.items()))
     else:
-        needed = {
+        short = {
             value: count
             for value, count in counts.items()
-            if value not in pairs or pairs[value].count < count
+            if value not in samples or samples[value].count < count
         }
-        pairs = evaluated_at(line.design, model, pairs, needed)
-    return replace(line, values=tuple(pairs), samples=tuple(pairs.values()))
+        samples = evaluated_at(line.design, model, samples, short)
+    return replace(line, values=tuple(samples), samples=tuple(samples.values()))

@@ -13,7 +13,7 @@ from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.fragility import curve_of
 from uqsphere.propagation.free_number import grid
-from uqsphere.propagation.grow import along
+from uqsphere.propagation.line import evaluated_at
 from uqsphere.propagation.tables import Tables
 from uqsphere.study import Study
 from uqsphere.uq.curve import Fragility
@@ -58,7 +58,7 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     design = Design.of(study)
     counts = dict.fromkeys(grid(margins, values), max(round(rows / REPLICATES), 2))
     with Model(design.judged) as model:
-        line = along(design, model, None, counts)
+        line = evaluated_at(design, model, {}, counts)
     tables = Tables(sample=next(iter(line.values())), line=line)
     samples = [*line.values()]
     outputs = {}

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -40,11 +41,6 @@ MOST, LEAST = 30_000, 1000
 MOST_VALUES = 20_000
 
 
-def can_search(design: Design) -> bool:
-    """Whether something is drawn."""
-    return bool(design.drawn.names)
-
-
 def is_negligible(estimate: Estimate, limit: Limit) -> bool:
     """Whether a failure probability is certainly so far below its target that nobody needs it."""
     return estimate.high is None or estimate.high < limit.negligible
@@ -54,7 +50,7 @@ def is_left_to_search(design: Design, estimate: Estimate) -> bool:
     """Whether a search reaches a small failure probability with fewer runs than sampling."""
     small = estimate.value is None or estimate.value < SMALL
     required = design.study.analysis.accuracy.probability
-    return small and can_search(design) and rows_by_sampling(estimate, required) > MOST
+    return small and bool(design.drawn.names) and rows_by_sampling(estimate, required) > MOST
 
 
 def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
@@ -66,18 +62,10 @@ def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
     return estimate.evaluations * (estimate.half_width / (accuracy * estimate.value)) ** 2
 
 
-class Searches(NamedTuple):
-    """Searches by limit, and whether the user ended one."""
-
-    answers: Mapping[str, Searched]
-    interrupted: bool
-
-
-def search(
-    design: Design, model: Model, tables: Tables, rows_left: Callable[[], float]
-) -> Searches:
-    """Search for the failure probabilities that sampling would not reach, with `rows_left` model
-    runs: all of them where the study asks for the accuracy of probabilities by name, else half.
+def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tables:
+    """The tables with searches for the failure probabilities that sampling would not reach, with
+    `rows_left` model runs: all of them where the study asks for the accuracy of probabilities by
+    name, else half.
 
     The likelier of two limits comes first: its draws may serve the other.
     """
@@ -103,7 +91,7 @@ def search(
         try:
             found = failure_probability(problem, accuracy=required.probability, known=draws)
         except Interrupted:
-            return Searches(answers, interrupted=True)
+            return replace(tables, rare=answers, stopped="interrupted")
         except ModelError:
             continue
         if found.draws is not None and found.sure:
@@ -111,14 +99,14 @@ def search(
             draws[not found.searched :] = [found.draws]
         point = _physical(design, limit, answered, found.points)
         answers[limit.name] = Searched(estimate=found.estimate, design_point=point)
-    return Searches(answers, interrupted=False)
+    return replace(tables, rare=answers)
 
 
 def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
     """The limits whose failure probability a search may answer better than more rows, the
     likeliest first; a limit that was searched waits where twice the runs of its search are left.
     """
-    if not can_search(design):
+    if not design.drawn.names:
         return []
     required = design.study.analysis.accuracy.probability
     waiting = []

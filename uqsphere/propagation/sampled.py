@@ -22,7 +22,7 @@ from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
 from uqsphere.uq.describe import Description, describe, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, ratio_of_means
-from uqsphere.uq.indices import Blocks, sampled_indices
+from uqsphere.uq.indices import sampled_indices
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,
 #: and at most: a sample of so many needs no control
@@ -197,9 +197,6 @@ def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
 
 def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
     """Indices of the pairs; points of which any run has no value are left out."""
-    blocks = Blocks(
-        inputs_count=len(design.inputs), second=bool(design.study.analysis.second_order)
-    )
     values = tables.pairs[name]
     whole = np.asarray(np.isfinite(values).all(axis=2))
     least = int(whole.sum(axis=1).min())
@@ -207,7 +204,7 @@ def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Esti
         nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
         return dict.fromkeys(design.inputs, (nothing, nothing))
     kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
-    sampled = sampled_indices(np.stack(kept), blocks)
+    sampled = sampled_indices(np.stack(kept), design.blocks)
     orders = [sampled.first, sampled.total]
     if not whole.all():
         text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"

@@ -31,7 +31,6 @@ from uqsphere.propagation.progress import Progress
 from uqsphere.propagation.tables import Indices, Tables, check_failures, evaluate
 from uqsphere.results.types import IndexMethod, Stop
 from uqsphere.uq import Estimate, Sample, absent, sobol_points
-from uqsphere.uq.chaos import germs_of
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import REPLICATES
@@ -232,11 +231,11 @@ def known_rows(design: Design, frame: Any) -> KnownRows:
     for name in inputs:
         if design.study.random[name].is_steps:
             raise UsageError(f"input {name!r} is discrete; given rows need continuous inputs")
-    check_rows(x, design.joint.only(inputs))
+    check_rows(x, design.joint_inputs)
     names = design.drawn.names
     columns = [names.index(name) for name in inputs]
     normals = _design_points(design, len(x), task="factors")
-    normals[:, columns] = design.joint.only(inputs).normals(x)
+    normals[:, columns] = design.joint_inputs.normals(x)
     physical = design.drawn.physical(normals)
     physical[:, columns] = x
     places = {row.tobytes(): k for k, row in enumerate(x)}
@@ -339,7 +338,7 @@ def _evaluated(
     if rows is None or rows.count < LEAST_ROWS:
         raise KeyboardInterrupt  # the user has stopped
     note = f"{int(rows.failed.sum())} of {rows.count} rows"
-    check_failures(design, rows.status[0], ~rows.failed[0], note)
+    check_failures(design, rows.status[0], note)
     return rows, stopped
 
 
@@ -357,7 +356,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     responses: dict[str, Response] = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
     if plain and not apart and rows.count >= LEAST_ROWS:
-        germs = germs_of(design.joint.only(design.inputs).laws)
+        germs = design.germs
         fits = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
         responses = dict(zip(rows.quantities, fits, strict=True))
     slow = Slow(design=design, rows=rows, responses=responses, sample=rows, dropped=dropped)
@@ -405,16 +404,11 @@ def _lines(
     physical = np.concatenate(
         [joint.physical(normals[k : k + 1]) for k, joint in enumerate(joints)]
     )
-    column = values
-    if margins.solve in names:
-        column = physical[:, names.index(margins.solve)]
-    rows = evaluate(
-        design,
-        model,
-        Sample.at(names, normals[None], physical[None]),
-        {margins.solve: column[None]},
-    )
-    germs = (*germs_of(design.joint.only(design.inputs).laws), "uniform")
+    moving = {}
+    if margins.solve not in design.inputs:
+        moving[margins.solve] = values
+    rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), moving)
+    germs = (*design.germs, "uniform")
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     good = np.isfinite(rows.answers[0]).all(axis=1)
     if not good.all() and lie_apart(places[~good], places[good]):

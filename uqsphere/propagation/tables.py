@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places
 from uqsphere.errors import TooManyFailures
 from uqsphere.models.model import Model
+from uqsphere.models.rows import EvaluatedRows
 from uqsphere.propagation.chaos import Expansion
 from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
@@ -155,59 +155,64 @@ class Tables:
         return first.join(*others)
 
 
-def stacked(columns: Sequence[Array], count: int = 1) -> Array:
-    """Rows (n, d) of columns (n,); `count` empty rows where there are no columns."""
-    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+def input_rows(
+    design: Design, points: Sample, moving: Mapping[str, Array]
+) -> tuple[list[str], Array]:
+    """Names and values (R n, d) of the model's inputs at points; `moving` are values of fixed
+    numbers that move from point to point, for all replicates at once or (R, n).
+    """
+    names = [*design.inputs, *moving]
+    columns = [*map(points.input, design.inputs), *moving.values()]
+    rows = np.empty((*points.scores.shape[:2], len(names)))
+    for place, column in enumerate(columns):
+        rows[:, :, place] = column
+    return names, rows.reshape(points.size, len(names))
+
+
+def answered(
+    design: Design, points: Sample, answers: EvaluatedRows, moving: Mapping[str, Array]
+) -> Sample:
+    """Points with the answers of the model at their `input_rows`, test forces among them; one
+    answer serves all of them.
+    """
+    shape = points.scores.shape[:2]
+    cells = (*shape, len(design.columns))
+    good = np.resize(answers.good, shape)
+    sample = points.with_answers(
+        design.columns,
+        np.where(good[:, :, None], np.resize(answers.values, cells), np.nan),
+        censored=np.resize(answers.censored, cells),
+        status=np.resize(answers.status, shape),
+        failed=~good,
+    )
+    return with_test_forces(design, sample, moving)
 
 
 def evaluate(
     design: Design,
     model: Model,
     points: Sample,
-    further: Mapping[str, Array] | None = None,
+    moving: Mapping[str, Array] | None = None,
     *,
     part: bool = False,
 ) -> Sample:
-    """Points (R, n) with all columns; `further` are values (R, n) of fixed numbers that move from
-    point to point.
+    """Points (R, n) with all columns; `moving` as in `input_rows`.
 
     part : of a design whose failures are counted when it is whole
     """
-    names = list(design.inputs)
-    columns = [points.input(name) for name in names]
-    for name, values in (further or {}).items():
-        if name in names:
-            columns[names.index(name)] = values
-        else:
-            names.append(name)
-            columns.append(values)
-    shape = points.scores.shape[:2]
-    rows = stacked([np.broadcast_to(column, shape).ravel() for column in columns])
+    moving = moving or {}
+    names, rows = input_rows(design, points, moving)
+    if not names:
+        rows = rows[:1]  # all are the same
     answers = model.evaluate(tuple(names), rows, design.columns)
     if not part or design.study.analysis.policy == "abort":
-        check_failures(design, answers.status, answers.good, answers.note)
-
-    def table(cells: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        if not names:
-            return np.broadcast_to(cells, (*shape, *cells.shape[1:]))
-        return cells.reshape(*shape, *cells.shape[1:])
-
-    answered = points.with_answers(
-        design.columns,
-        np.asarray(table(np.where(answers.good[:, None], answers.values, np.nan)), dtype=float),
-        censored=np.asarray(table(answers.censored), dtype=bool),
-        status=np.asarray(table(answers.status), dtype=np.int64),
-        failed=np.asarray(table(~answers.good), dtype=bool),
-    )
-    return with_test_forces(design, answered, further or {})
+        check_failures(design, answers.status, answers.note)
+    return answered(design, points, answers, moving)
 
 
-def check_failures(
-    design: Design, status: npt.NDArray[np.int64], good: npt.NDArray[np.bool_], note: str
-) -> None:
+def check_failures(design: Design, status: Places, note: str) -> None:
     """Refuse failed rows as the study's policy says."""
-    analysis = design.study.analysis
-    share = 1.0 - float(good.mean())
+    analysis, good = design.study.analysis, status == 0
     if good.all() or analysis.policy == "bound":
         return
     if analysis.policy == "abort":
@@ -215,9 +220,10 @@ def check_failures(
             f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
             'analysis.on_failure = "bound" or "drop" goes on without such rows'
         )
-    most = max(
-        0.01 if isinstance(analysis.on_failure, str) else analysis.on_failure, 3.0 / len(good)
-    )
+    share, most = 1.0 - float(good.mean()), 0.01
+    if not isinstance(analysis.on_failure, str):
+        most = analysis.on_failure
+    most = max(most, 3.0 / len(good))
     if share > most:
         raise TooManyFailures(
             f"{format_probability(share)} of the evaluations failed, more than "
