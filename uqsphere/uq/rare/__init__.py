@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -22,13 +21,14 @@ from uqsphere.uq.estimate import (
     REPLICATES,
     Estimate,
     absent,
+    bounded,
     count_bound,
     probability_ends,
     spread,
 )
 from uqsphere.uq.limit_state import complement
-from uqsphere.uq.rare import few
 from uqsphere.uq.rare.form import DesignPoint, find_design_points
+from uqsphere.uq.rare.kriging import by_kriging
 from uqsphere.uq.rare.mixture import (
     Draws,
     ImportanceAnswer,
@@ -59,17 +59,15 @@ __all__ = [
 
 #: evaluations below which subset simulation misses too often to certify anything (4 of 14 cases
 #: with 5,000)
-FEW: Final = 5000
-#: evaluations below which no surrogate is fitted
-FEWEST: Final = 64
+FEW = 5000
 #: share of the evaluations that are a plain sample, which no search has aimed
-DEFENSIVE: Final = 0.1
+DEFENSIVE = 0.1
 #: factor on the upper end of subset simulation with no second method: of 5,000 rows its intervals
 #: missed by up to 10
-UNCERTIFIED: Final = 10.0
+UNCERTIFIED = 10.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RareAnswer:
     """The probability of failure and what stands behind it.
 
@@ -116,24 +114,29 @@ def failure_probability(
     >>> answer.estimate.low < 6.334248e-05 < answer.estimate.high
     True
     """
-    budget = evaluator.budget
+    budget, d = evaluator.budget, evaluator.dimension
     if budget < FEW:
-        return _from_few(evaluator, accuracy)
+        few = by_kriging(evaluator, failure_probability, accuracy)
+        if few is None:
+            return _sampled(evaluator)
+        warning = (
+            f"from {evaluator.count} runs: a failure region may have been missed; with it the "
+            f"probability is below {few.high_unseen:.2g}"
+        )
+        return RareAnswer(few, warning)
     near = nearby(evaluator, known, accuracy) if known else None
     if near is not None:
         points = find_design_points(evaluator, most=0.06 * budget)
         estimate = replace(near.estimate, evaluations=evaluator.count)
-        return RareAnswer(
-            estimate=estimate, warning="", points=points, draws=near.draws, searched=False
-        )
-    d, count = evaluator.dimension, int(DEFENSIVE * budget)
+        return RareAnswer(estimate, "", points, near.draws, searched=False)
+    count = int(DEFENSIVE * budget)
     plain = draw(evaluator, standard_normal(d), count, "defensive share")
     pool, starts = [plain], None
     if d <= MOST_DIMENSIONS:
         # points far out in all directions; the three most probable failures among them are starts
         look = draw(evaluator, wide_mixture(d), count, "wide look")
         pool.append(look)
-        limit = 2.0 if evaluator.integrated else 0.0
+        limit = 2.0 * evaluator.integrated
         failing = look.points[evaluator.values(look.points, look.answers) < limit]
         starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
         if evaluator.integrated:
@@ -158,26 +161,23 @@ def failure_probability(
     beyond = [point for point in points if point.beta > 0.0]
     if beyond:
         parts.append(around_design_points(beyond[:6], d))
-    if d <= MOST_DIMENSIONS:
-        seen, weights = failures(evaluator, pool)
-        if weights.size:
-            parts.append(gaussian(seen, weights))
+    seen, weights = failures(evaluator, pool)
+    if d <= MOST_DIMENSIONS and weights.size:
+        parts.append(gaussian(seen, weights))
     if not parts and evaluator.failed:
         # rows without an answer may be the failures that were not found: a plain sample bounds them
         return _sampled(evaluator)
     estimate, warning, draws = _bound(subset.estimate), "no search for a failure found one", None
-    mass = evaluator.mass(evaluator.values(plain.points, plain.answers))
+    mass = evaluator.mass(plain.points, plain.answers)
     if parts:
-        per_stage = int(max(min(2048, evaluator.left / 6), 256))
-        mixture = adapt(evaluator, pool, joined([(1.0, part) for part in parts]), per_stage)
+        mixture = adapt(evaluator, pool, joined([1.0] * len(parts), parts))
         answer = importance_sampling(evaluator, defended(mixture), accuracy)
         draws = answer.draws
         estimate, warning = _defended(*_certify(answer, subset.estimate), mass)
     if estimate.high is not None:
         unseen = min(estimate.high + count_bound(mass.size), 1.0)
         estimate = replace(estimate, high_unseen=unseen)
-    estimate = replace(estimate, evaluations=evaluator.count)
-    return RareAnswer(estimate=estimate, warning=warning, points=points, draws=draws)
+    return RareAnswer(replace(estimate, evaluations=evaluator.count), warning, points, draws)
 
 
 def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
@@ -195,11 +195,12 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
         return sampled, warning
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
     slack = 1.5 * math.log(other.high / other.value) + math.log(sampled.high / sampled.low)
-    if answer.trusted and math.log(sampled.value / other.value) >= -slack:
+    excess = math.log(sampled.value / other.value)
+    if answer.trusted and excess > slack:
         # what trusted weights show is there; chains may well have missed it
-        if sampled.value <= other.value * math.exp(slack):
-            return sampled, ""
         return sampled, f"subset simulation missed a part of the failures: {other.value:.3g}"
+    if answer.trusted and excess >= -slack:
+        return sampled, ""
     warning = (
         f"importance sampling ({sampled.value:.3g}, largest weight {answer.heaviest:.0%}) and "
         f"subset simulation ({other.value:.3g}) disagree, or weights are uneven: the interval "
@@ -213,17 +214,16 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
     """The answer if the masses of failure (n,) of the plain share agree with it, else one whose
     interval holds what they show, and a warning.
     """
-    met = float(np.nansum(mass))
+    met, size = float(np.nansum(mass)), mass.size
     if estimate.high is None or met < 1.0:
         return estimate, warning
     # the chance of as many failures at the upper end
-    chance = float(special.gammainc(math.floor(met), max(mass.size * estimate.high, 1e-300)))
-    if chance > 0.01:
+    if special.gammainc(math.floor(met), max(size * estimate.high, 1e-300)) > 0.01:
         return estimate, warning
-    low = float(special.gammaincinv(met, ENDS[0])) / mass.size
-    high = min(float(special.gammaincinv(met + 1.0, ENDS[1])) / mass.size, 1.0)
-    shown = replace(estimate, value=met / mass.size, low=low, high=high)
-    warning = f"{met:.3g} of {mass.size} plain samples fail, more than the search explains"
+    low = float(special.gammaincinv(met, ENDS[0])) / size
+    high = min(float(special.gammaincinv(met + 1.0, ENDS[1])) / size, 1.0)
+    shown = replace(estimate, value=met / size, low=low, high=high)
+    warning = f"{met:.3g} of {size} plain samples fail, more than the search explains"
     return estimate.holding(shown), warning
 
 
@@ -241,27 +241,6 @@ def _bound(single: Estimate) -> Estimate:
     return absent(reason, single.method, single.evaluations, below=high)
 
 
-def _from_few(evaluator: Evaluator, accuracy: float) -> RareAnswer:
-    """A surrogate's answer from few calls; a plain sample where no surrogate serves.  Neither is
-    sure: a part of the failures that no call has met is in the outer interval only.
-    """
-
-    def search(surrogate: Evaluator, half_width: float) -> tuple[Estimate, Draws | None]:
-        answer = failure_probability(surrogate, accuracy=half_width)
-        return answer.estimate, answer.draws
-
-    estimate = None
-    if evaluator.dimension <= MOST_DIMENSIONS and evaluator.left >= FEWEST:
-        estimate = few.by_kriging(evaluator, search, accuracy)
-    if estimate is None:
-        return _sampled(evaluator)
-    warning = (
-        f"from {evaluator.count} runs: a failure region may have been missed; with it the "
-        f"probability is below {estimate.high_unseen:.2g}"
-    )
-    return RareAnswer(estimate=estimate, warning=warning)
-
-
 def _sampled(evaluator: Evaluator) -> RareAnswer:
     """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
     count = int(evaluator.left // REPLICATES)
@@ -270,7 +249,7 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
             f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left:.0f}"
         )
     points = [evaluator.normals(evaluator.dimension, count, "few", r) for r in range(REPLICATES)]
-    mass = evaluator.mass(evaluator.values(np.concatenate(points)))
+    mass = evaluator.mass(np.concatenate(points))
     rows, total = np.nan_to_num(mass).reshape(REPLICATES, count).mean(axis=1), mass.size
     p, unseen = float(rows.mean()), count_bound(total)
     low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / count), REPLICATES, total)
@@ -279,6 +258,6 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
     reason = f"no failure in {total} runs: it is below {high:.2g}"
     estimate = absent(reason, method, evaluator.count, below=high)
     if p > 0.0:
-        estimate = replace(estimate, value=p, low=low, std_error=error, reason=None)
+        estimate = bounded(p, low, high, error, method, evaluator.count)
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
-    return RareAnswer(estimate=estimate, warning=warning)
+    return RareAnswer(estimate, warning)

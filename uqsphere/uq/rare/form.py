@@ -50,36 +50,35 @@ def find_design_points(
     3.0
     """
     size, last = evaluator.size, evaluator.count + most
-    first = np.zeros((1, size))
+    first = [np.zeros((1, size))]
     # beyond ten variables a step takes so many evaluations that one start has to do
     if size <= MOST_DIMENSIONS:
         normals = evaluator.normals(size, 4, "form starts")
-        away = 2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        first = np.concatenate([first, away])
+        first.append(2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True))
     if starts is not None:
-        first = np.concatenate([first, starts])
+        first.append(starts)
     points: list[DesignPoint] = []
     with suppress(Spent):
-        values = evaluator.hard(first)
+        values = evaluator.hard(np.concatenate(first))
         # a typical size of g: its value at the origin, or its spread over the starts where that is
         # larger
-        finite = values[np.isfinite(values)]
-        if not finite.size:
+        finite = np.isfinite(values)
+        if not finite.any():
             return ()
-        scale = float(np.ptp(finite))
-        if math.isfinite(values[0]):
+        scale = float(np.ptp(values[finite]))
+        if finite[0]:
             scale = max(abs(float(values[0])), scale)
         if not scale > 0.0:
             return ()
         sign = -1.0 if values[0] < 0.0 else 1.0
-        for start in first:
+        for start in np.concatenate(first):
             point, value, slope = _search(evaluator, start, scale, last)
             length, distance = float(np.linalg.norm(slope)), float(np.linalg.norm(point))
             direction = -slope / (length or 1.0)
             along = float(point @ direction)
             off = float(np.linalg.norm(point - along * direction))
-            on_limit = abs(value[0]) < 1e-3 * length
-            if on_limit and off < 0.02 * max(1.0, distance) and sign * along > -1e-6:
+            nearest = off < 0.02 * max(1.0, distance) and sign * along > -1e-6
+            if nearest and abs(value[0]) < 1e-3 * length:
                 points.append(DesignPoint(point=point, beta=sign * distance, direction=direction))
     # of those that lie together the nearest to the origin
     distinct: list[DesignPoint] = []
@@ -97,8 +96,9 @@ def _search(
     """
     from scipy.optimize import fmin_slsqp
 
-    size = evaluator.size
-    shifts = np.concatenate([np.zeros((1, size)), STEP * np.eye(size), -STEP * np.eye(size)])
+    size = start.size
+    steps = STEP * np.eye(size)
+    shifts = np.concatenate([np.zeros((1, size)), steps, -steps])
 
     @lru_cache(maxsize=1)
     def at(point: bytes) -> tuple[Array, Array]:
@@ -120,17 +120,15 @@ def _search(
         return at(point.tobytes())[1]
 
     ends = [REACH - STEP] * evaluator.dimension + [math.inf] * (size - evaluator.dimension)
-    end = np.asarray(
-        fmin_slsqp(
-            half_square,
-            start,
-            fprime=np.asarray,
-            f_eqcons=value,
-            fprime_eqcons=gradient,
-            bounds=[(-end, end) for end in ends],
-            iter=40,
-            acc=1e-4,
-            iprint=0,
-        )
+    end = fmin_slsqp(
+        half_square,
+        start,
+        fprime=np.asarray,
+        f_eqcons=value,
+        fprime_eqcons=gradient,
+        bounds=[(-end, end) for end in ends],
+        iter=40,
+        acc=1e-4,
+        iprint=0,
     )
-    return end, value(end), gradient(end)
+    return end, *at(end.tobytes())

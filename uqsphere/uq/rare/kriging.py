@@ -1,26 +1,150 @@
-"""Kriging: a Gaussian process with a linear trend through values of a limit function.
+"""Small probabilities from few calls: a kriging surrogate that is refined where it decides.
 
-Its mean is a surrogate of the function, and its standard deviation says where the surrogate is
-not known well enough (Echard, Gayton and Lemaire 2011, doi 10.1016/j.strusafe.2011.01.002).
+Kriging is a Gaussian process with a linear trend: its mean is a surrogate of the limit function,
+and its standard deviation says where the surrogate is not known well enough (Echard, Gayton and
+Lemaire 2011, doi 10.1016/j.strusafe.2011.01.002).
+
+The search for small probabilities runs on the surrogate.  Its draws show which points would change
+the answer, and these are called.  Then fresh draws of the same mixture are called and correct the
+answer: value = E_surrogate[mass] + E_calls[mass - mass of the surrogate], so that a surrogate that
+is wrong widens the interval.  A tenth of the calls is a plain sample: what it has not met is no
+more probable than 3/n, and is in the outer interval only.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
+from uqsphere.uq.estimate import NORMAL, Estimate, absent, bounded, count_bound
+from uqsphere.uq.points import random_generator
+from uqsphere.uq.rare.mixture import draw, standard_normal, wide_mixture
+from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator
 
+#: evaluations below which no surrogate is fitted
+FEWEST = 64
+METHOD = "kriging, corrected by calls of the model"
+#: shares of the calls that are a plain sample, and that correct the answer at least
+PLAIN, FRESH = 0.1, 0.25
+#: evaluations of a surrogate that a search takes while it is refined, and for the answer
+LOOK, LAST_LOOK = 8000, 2e4
+#: points that a surrogate is fitted to at most: its cost grows with their cube
+MOST_POINTS = 120
+#: fresh calls that correct the answer at least
+LEAST_FRESH = 16
+#: points of the plain sample that a surrogate is fitted to at a time
+FITTED = 20
 #: variance at a distance of zero that is not shared, over the variance of the process
-NUGGET: Final = 1e-8
+NUGGET = 1e-8
 #: bounds of a correlation length [standard deviations of the input]
 SHORTEST, LONGEST = 0.1, 100.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+def by_kriging(
+    evaluator: Evaluator, search: Callable[..., Any], accuracy: float
+) -> Estimate | None:
+    """The probability of failure from few calls; None where a surrogate does not serve:
+    too few calls or too many variables, rows fail, nothing varies, or failure is not rare.
+
+    search : `failure_probability`, which runs on the surrogate, whose evaluations cost nothing
+    """
+    d, allowed = evaluator.dimension, evaluator.left
+    if d > MOST_DIMENSIONS or allowed < FEWEST:
+        return None
+    plain = draw(evaluator, standard_normal(d), int(PLAIN * allowed), "defensive share")
+    wide = draw(evaluator, wide_mixture(d), 6 + 2 * d, "wide look")
+    points = np.concatenate([wide.points, plain.points])
+    values = evaluator.values(points, np.concatenate([wide.answers, plain.answers]))
+    # a few of the plain sample are fitted to, and later those on which the surrogate is wrong
+    fitted, rest = np.split(np.arange(len(points)), [len(wide.points) + FITTED])
+    last = evaluator.budget - max(FRESH * evaluator.left, LEAST_FRESH)
+    lengths = np.full(d, 2.0 * math.sqrt(d))
+    while True:
+        usable = fitted[np.isfinite(values[fitted])]
+        if evaluator.failed or not np.ptp(values[usable]) > 0.0:
+            return None  # a plain sample says what can be said
+        surrogate = fit_kriging(points[usable], values[usable], lengths)
+        lengths = surrogate.lengths
+        wrong = rest[(surrogate.mean(points[rest]) < 0.0) != (values[rest] < 0.0)][:FITTED]
+        if wrong.size and fitted.size < MOST_POINTS:
+            fitted, rest = np.append(fitted, wrong), np.setdiff1d(rest, wrong)
+            continue
+        model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
+        answer = search(model, accuracy=0.1)
+        mixture, value = wide_mixture(d).drawn(1024), answer.estimate.value or 0.0
+        if answer.draws is None:
+            # nothing fails on the surrogate: where it is least sure of that
+            places = mixture.moved(model.normals(d, 1024, "least sure", fitted.size))
+        else:
+            mixture, places = answer.draws.mixture, answer.draws.points.reshape(-1, d)
+        doubt = surrogate.doubt(places, model.integrated) * mixture.ratio(places)
+        if value > 0.5 and evaluator.left >= allowed / 2:
+            return None
+        batch = int(min(fitted.size // 10, last - evaluator.count, MOST_POINTS - fitted.size))
+        if batch < 1 or doubt.mean() < 0.3 * accuracy * value:
+            break
+        # the most doubtful points, each lowering the doubt of those near it
+        fitted = np.append(fitted, len(points) + np.arange(batch))
+        for _ in range(batch):
+            best = places[[doubt.argmax()]]
+            points = np.concatenate([points, best])
+            near = (((places - best) / lengths) ** 2).sum(axis=1)
+            doubt = doubt * (1.0 - np.exp(-0.5 * near))
+        values = np.append(values, evaluator.values(points[-batch:]))
+    answer = search(replace(model, budget=LAST_LOOK), accuracy=accuracy)
+    estimate, size = _corrected(evaluator, surrogate, answer, accuracy), plain.answers.size
+    if estimate is None:
+        failures = float(np.nansum(evaluator.mass(plain.points, plain.answers)))
+        high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
+        reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
+        return replace(absent(reason, METHOD, evaluator.count, below=high), high_unseen=high)
+    return replace(estimate, high_unseen=min((estimate.high or 1.0) + count_bound(size), 1.0))
+
+
+def _corrected(
+    evaluator: Evaluator, surrogate: Kriging, answer: Any, accuracy: float
+) -> Estimate | None:
+    """The answer on the surrogate, corrected by fresh calls until it is accurate, or the calls are
+    spent; None where there are too few, or nothing fails on the surrogate.
+    """
+    base, model = answer.estimate.value, replace(evaluator, limit=None)
+    if not base or answer.draws is None:
+        return None
+    places = answer.draws.points.reshape(-1, evaluator.dimension)
+    order = random_generator(seed=evaluator.seed, task="fresh calls").permutation(len(places))
+    off, variance, block = np.empty(0), np.empty(0), LEAST_FRESH
+    value, half = 0.0, math.inf
+    while half > accuracy * value and min(evaluator.left, len(order) - off.size) >= block:
+        fresh = places[order[off.size : off.size + block]]
+        ratio = answer.draws.mixture.ratio(fresh)
+        truth = np.nan_to_num(evaluator.mass(fresh), nan=0.5)
+        off = np.append(off, (truth - model.mass(fresh, surrogate.mean(fresh))) * ratio)
+        doubt = surrogate.doubt(fresh, model.integrated) * ratio
+        variance = np.append(variance, doubt * ratio)
+        # counted changes of side, or the expected ones where fewer were counted
+        error = math.sqrt(max(float(off.var()), float(variance.mean())) / off.size)
+        shift = float(off.mean())
+        if shift:
+            shift *= shift**2 / (shift**2 + error**2)
+        value = max(base + shift, 1e-3 * base)
+        half = NORMAL * math.hypot(error, answer.estimate.std_error or 0.0)
+        block = max(LEAST_FRESH, off.size // 2)
+    if not off.size:
+        return None
+    factor = math.exp(min(half / value, 50.0))
+    high = min(value * factor, 1.0)
+    return bounded(value, value / factor, high, half / NORMAL, METHOD, evaluator.count)
+
+
+# --- the process ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
 class Kriging:
     """A Gaussian process given values at points.
 
@@ -29,7 +153,7 @@ class Kriging:
     trend : coefficients (1 + d,) of constant and slopes
     factor : lower Cholesky factor (n, n) of the correlations
     weights : correlations inverted times residuals (n,)
-    scale : standard deviation of the process
+    variance : of the process
     """
 
     points: Array
@@ -37,7 +161,7 @@ class Kriging:
     trend: Array
     factor: Array
     weights: Array
-    scale: float
+    variance: float
 
     def mean(self, points: Array) -> Array:
         """Values (m,) at points (m, d)."""
@@ -50,11 +174,19 @@ class Kriging:
         whitened = solve_triangular(self.factor, self._correlations(points).T, lower=True)
         basis = solve_triangular(self.factor, _basis(self.points), lower=True)
         # a trend that the points do not determine adds nothing that can be stated
-        of_trend = (_basis(points) - whitened.T @ basis) @ np.linalg.pinv(
-            np.linalg.qr(basis, mode="r")
-        )
-        variance = 1.0 - (whitened**2).sum(axis=0) + (of_trend**2).sum(axis=1)
-        return np.asarray(self.scale * np.sqrt(np.maximum(variance, NUGGET)))
+        slopes = np.linalg.pinv(np.linalg.qr(basis, mode="r"))
+        of_trend = (_basis(points) - whitened.T @ basis) @ slopes
+        unknown = 1.0 - (whitened**2).sum(axis=0) + (of_trend**2).sum(axis=1)
+        return np.asarray(math.sqrt(self.variance) * np.sqrt(np.maximum(unknown, NUGGET)))
+
+    def doubt(self, points: Array, integrated: bool) -> Array:
+        """The mass of failure (n,) that may stand on the wrong side at points (n, d): the expected
+        changes of side.
+        """
+        mean, sd = self.mean(points), self.sd(points)
+        if integrated:
+            return 0.5 * (special.ndtr(sd - mean) - special.ndtr(-sd - mean))
+        return special.ndtr(-np.abs(mean) / sd)
 
     def _correlations(self, points: Array) -> Array:
         first, second = points / self.lengths, self.points / self.lengths
@@ -62,13 +194,13 @@ class Kriging:
         return np.asarray(np.exp(-0.5 * np.maximum(squares, 0.0)))
 
 
-def fit_kriging(points: Array, values: Array, start: Array | None = None) -> Kriging:
+def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
     """The process of greatest likelihood through values (n,) at points (n, d), n >= 2.
 
     start : correlation lengths (d,) that the search begins with
 
     >>> x = np.linspace(-2.0, 2.0, 9)[:, None]
-    >>> process = fit_kriging(x, np.sin(x[:, 0]))
+    >>> process = fit_kriging(x, np.sin(x[:, 0]), np.ones(1))
     >>> bool(abs(process.mean(np.array([[0.3]]))[0] - np.sin(0.3)) < 1e-3)
     True
     """
@@ -76,52 +208,41 @@ def fit_kriging(points: Array, values: Array, start: Array | None = None) -> Kri
     from scipy.optimize import minimize
 
     n, d = points.shape
-    squares = (points[:, None, :] - points[None, :, :]) ** 2
-    basis = _basis(points)
+    squares, basis = (points[:, None, :] - points) ** 2, _basis(points)
 
-    def solved(shared: Array) -> tuple[Any, Array, Array, Array, float]:
-        """Cholesky factor of the correlations, its inverse, trend by generalised least squares,
-        weights, and variance.
-        """
-        nugget = NUGGET
+    def process(lengths: Array, inverse_squares: Array) -> tuple[Kriging, Array, Any]:
+        """The process of these lengths, its correlations, and the inverse of their factor."""
+        shared, nugget = np.exp(-0.5 * squares @ inverse_squares), NUGGET
         while True:
             try:
-                factor = np.linalg.cholesky(shared + nugget * np.eye(n))
+                factor: Any = np.linalg.cholesky(shared + nugget * np.eye(n))
                 break
             except np.linalg.LinAlgError:
                 nugget *= 10.0
         whitened = solve_triangular(factor, np.column_stack([basis, values]), lower=True)
-        trend = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+        trend: Any = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
         residuals, inverse = values - basis @ trend, np.linalg.inv(factor)
         weights = inverse.T @ (inverse @ residuals)
-        return factor, inverse, trend, weights, max(float(residuals @ weights) / n, 1e-300)
+        variance = max(float(residuals @ weights) / n, 1e-300)
+        fit = Kriging(points, lengths, trend, factor, weights, variance)
+        return fit, shared, inverse
 
     def loss(logs: Array) -> tuple[float, Array]:
         """Minus twice the logarithm of the likelihood over n, and its slope."""
         inverse_squares = np.exp(-2.0 * logs)
-        shared = np.exp(-0.5 * squares @ inverse_squares)
-        factor, inverse, _, weights, variance = solved(shared)
-        value = math.log(variance) + 2.0 * float(np.log(np.diag(factor)).sum()) / n
+        fit, shared, inverse = process(np.exp(logs), inverse_squares)
+        value = math.log(fit.variance) + 2.0 * float(np.log(np.diag(fit.factor)).sum()) / n
         # d loss = trace((K^-1 - w w' / variance) dK) / n
-        core = (inverse.T @ inverse - np.outer(weights, weights) / variance) * shared / n
+        outer = np.outer(fit.weights, fit.weights) / fit.variance
+        core = (inverse.T @ inverse - outer) * shared / n
         return value, np.tensordot(core, squares, axes=2) * inverse_squares
 
-    if start is None:
-        start = np.full(d, 2.0 * math.sqrt(d))
     bounds = [(math.log(SHORTEST), math.log(LONGEST))] * d
     best = minimize(
         loss, np.log(start), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20}
     )
     lengths = np.exp(best.x)
-    factor, _, trend, weights, variance = solved(np.exp(-0.5 * squares @ lengths**-2.0))
-    return Kriging(
-        points=points,
-        lengths=lengths,
-        trend=trend,
-        factor=factor,
-        weights=weights,
-        scale=math.sqrt(variance),
-    )
+    return process(lengths, lengths**-2.0)[0]
 
 
 def _basis(points: Array) -> Array:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +24,7 @@ from uqsphere.uq.estimate import (
     REPLICATES,
     Estimate,
     absent,
+    bounded,
     carriers,
     count_bound,
     probability_ends,
@@ -34,21 +34,21 @@ from uqsphere.uq.estimate import (
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 
-METHOD: Final = "importance sampling, mixture with randomised Sobol' points"
+METHOD = "importance sampling, mixture with randomised Sobol' points"
 #: least standard error on a hard limit, over that of independent points: stopping when the
 #: replicates happen to agree would make the interval too short (tests/campaigns/rare.py)
-HARD: Final = 0.7
+HARD = 0.7
 #: points of a search that must carry the probability of a failure domain inside its own: of a part
 #: with 5 % of it one in 170 such sets of points would have none
-CARRIERS: Final = 100.0
+CARRIERS = 100.0
 #: steps of expectation-maximisation in a fit: 2 to 20 do alike (tests/campaigns/rare.py)
-STEPS: Final = 5
+STEPS = 5
 #: beyond ten variables, stages at most, and equally weighted failures a variable after which no
 #: further stage is drawn (tests/campaigns/rare.py: RP63)
 MOST_STAGES, ENOUGH = 6, 5.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Mixture:
     """Gaussians: shares (K,) of sum 1, means (K, d), and lower Cholesky factors (K, d, d) of their
     covariances.
@@ -58,23 +58,15 @@ class Mixture:
     means: Array
     factors: Array
 
-    @property
-    def dimension(self) -> int:
-        return int(self.means.shape[1])
-
     def log_densities(self, points: Array) -> Array:
         """Logarithm of share times density of every component at points (n, d): (n, K)."""
-        table = np.empty((len(points), len(self.shares)))
-        for k, (share, mean, factor) in enumerate(
-            zip(self.shares, self.means, self.factors, strict=True)
-        ):
+        columns = []
+        for share, mean, factor in zip(self.shares, self.means, self.factors, strict=True):
             # the inverse of a triangle is safe here: no variance is below 1e-4
             scores = (points - mean) @ np.linalg.inv(factor).T
-            size = 0.5 * self.dimension * math.log(2.0 * math.pi) + float(
-                np.log(np.diag(factor)).sum()
-            )
-            table[:, k] = math.log(share) - 0.5 * np.einsum("ij,ij->i", scores, scores) - size
-        return table
+            size = 0.5 * mean.size * math.log(2.0 * math.pi) + np.log(np.diag(factor)).sum()
+            columns.append(math.log(share) - 0.5 * np.einsum("ij,ij->i", scores, scores) - size)
+        return np.column_stack(columns)
 
     def log_density(self, points: Array) -> Array:
         """Logarithm of the density at points (n, d).
@@ -93,8 +85,8 @@ class Mixture:
         component.
         """
         wanted = 1.0 + self.shares * (count - self.shares.size)
-        counts = np.floor(wanted).astype(int)
-        counts[np.argsort(-(wanted - counts), kind="stable")[: count - int(counts.sum())]] += 1
+        counts = np.floor(wanted)
+        counts[np.argsort(counts - wanted, kind="stable")[: count - int(counts.sum())]] += 1.0
         return replace(self, shares=counts / count)
 
     def moved(self, normals: Array) -> Array:
@@ -112,17 +104,18 @@ class Mixture:
 def equal(means: npt.ArrayLike, factors: npt.ArrayLike) -> Mixture:
     """Gaussians of equal shares."""
     centres = np.array(means)
-    shares = np.full(len(centres), 1.0 / len(centres))
-    return Mixture(shares=shares, means=centres, factors=np.array(factors))
+    return Mixture(np.full(len(centres), 1.0 / len(centres)), centres, np.array(factors))
 
 
-def joined(parts: Sequence[tuple[float, Mixture]]) -> Mixture:
+def joined(shares: Sequence[float], parts: Sequence[Mixture]) -> Mixture:
     """One mixture of several, each with its share of the whole."""
-    total = sum(share for share, _ in parts)
+    total = sum(shares)
     return Mixture(
-        shares=np.concatenate([share / total * part.shares for share, part in parts]),
-        means=np.concatenate([part.means for _, part in parts]),
-        factors=np.concatenate([part.factors for _, part in parts]),
+        np.concatenate(
+            [share / total * part.shares for share, part in zip(shares, parts, strict=True)]
+        ),
+        np.concatenate([part.means for part in parts]),
+        np.concatenate([part.factors for part in parts]),
     )
 
 
@@ -147,13 +140,14 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
     Where a variable is integrated the design points have one more coordinate than `dimension`; it
     is dropped.
     """
-    if dimension > MOST_DIMENSIONS:
-        return equal([p.point[:dimension] for p in points], [np.eye(dimension)] * len(points))
     means, factors = [], []
     for point in points:
-        beta, along = max(abs(point.beta), 0.5), point.direction
-        covariance = np.eye(along.size) - np.outer(along, along) / (1.0 + 1.0 / beta**2)
-        means.append((point.point + along / beta)[:dimension])
+        mean, covariance = point.point, np.eye(point.point.size)
+        if dimension <= MOST_DIMENSIONS:
+            beta, along = max(abs(point.beta), 0.5), point.direction
+            mean = mean + along / beta
+            covariance -= np.outer(along, along) / (1.0 + 1.0 / beta**2)
+        means.append(mean[:dimension])
         factors.append(np.linalg.cholesky(covariance[:dimension, :dimension]))
     return equal(means, factors)
 
@@ -162,11 +156,11 @@ def defended(mixture: Mixture) -> Mixture:
     """The mixture with its defensive shares: up to ten variables wider copies of its components and
     the ladder about the origin, beyond that a plain share, which no point of a sphere outweighs.
     """
-    d = mixture.dimension
+    d = mixture.means.shape[1]
     if d > MOST_DIMENSIONS:
-        return joined([(0.9, mixture), (0.1, standard_normal(d))])
+        return joined([0.9, 0.1], [mixture, standard_normal(d)])
     copies = replace(mixture, factors=1.6 * mixture.factors)
-    return joined([(0.84, mixture), (0.12, copies), (0.04, wide_mixture(d))])
+    return joined([0.84, 0.12, 0.04], [mixture, copies, wide_mixture(d)])
 
 
 # --- fitting --------------------------------------------------------------------------------------
@@ -174,77 +168,62 @@ def defended(mixture: Mixture) -> Mixture:
 
 def gaussian(points: Array, weights: Array) -> Mixture:
     """One Gaussian with the mean and the covariance of weighted points (n, d)."""
-    start = standard_normal(points.shape[1])
-    return _step(start, points, weights, np.ones((len(points), 1)))
+    return _step(standard_normal(points.shape[1]), points, weights)
 
 
 def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     """The mixture after `STEPS` of expectation-maximisation on weighted points (n, d)."""
     for _ in range(STEPS):
-        table = mixture.log_densities(points)
-        responsibilities = np.exp(table - special.logsumexp(table, axis=1)[:, None])
-        mixture = _step(mixture, points, weights, responsibilities)
+        mixture = _step(mixture, points, weights)
     return mixture
 
 
-def _step(mixture: Mixture, points: Array, weights: Array, responsibilities: Array) -> Mixture:
-    """Shares, means and covariances for given responsibilities (n, K) of the components of a
-    mixture; components that carry almost nothing are dropped.
-    """
+def _step(mixture: Mixture, points: Array, weights: Array) -> Mixture:
+    """One step of expectation-maximisation; components that carry almost nothing are dropped."""
+    table = mixture.log_densities(points)
+    responsibilities = np.exp(table - special.logsumexp(table, axis=1)[:, None])
     worth, weights = carriers(weights), weights / weights.sum()
     loads = weights @ responsibilities
-    kept = np.flatnonzero(loads > 2.0 / worth)
-    if not kept.size:
-        kept = np.array([int(loads.argmax())])
-    means = list[Array]()
-    factors = list[npt.NDArray[Any]]()
+    kept = np.flatnonzero(loads >= min(2.0 / worth, loads.max()))
+    means, factors = [], []
     for k in kept:
         share = weights * responsibilities[:, k] / loads[k]
-        number = max(loads[k] * worth, 1.0)
-        # few points underestimate a spread
-        widening = 1.0 + 2.0 / max(number - 1.0, 1.0)
-        mean = share @ points
-        if points.shape[1] > MOST_DIMENSIONS:
-            mean = _shrunk(mean, mixture.means[k], number)
-            covariance = _along_one_direction(points - mean, mean, share, widening)
-        else:
-            off = points - mean
-            values, vectors = np.linalg.eigh((share[:, None] * off).T @ off)
-            covariance = (vectors * np.clip(values * widening, 1e-4, 25.0)) @ vectors.T
+        mean, covariance = _moments(points, share, max(loads[k] * worth, 1.0), mixture.means[k])
         means.append(mean)
         factors.append(np.linalg.cholesky(covariance))
     return replace(equal(means, factors), shares=loads[kept] / loads[kept].sum())
 
 
-def _shrunk(mean: Array, before: Array, number: float) -> Array:
-    """A mean (d,) of so many points in many variables: what it has across its direction before is
-    shrunk by its noise (James and Stein 1961).
-    """
-    length = float(np.linalg.norm(before))
-    if length == 0.0:
-        return mean
-    along = before * float(mean @ before) / length**2
-    across = mean - along
-    noise = mean.size / number / max(float(across @ across), 1e-300)
-    return np.asarray(along + max(1.0 - noise, 0.0) * across)
+def _moments(points: Array, share: Array, number: float, before: Array) -> tuple[Array, Array]:
+    """Mean (d,) and covariance (d, d) of points (n, d) with shares (n,) that are worth so many.
 
-
-def _along_one_direction(off: Array, mean: Array, share: Array, widening: float) -> Array:
-    """Covariance (d, d) in many variables, where points are too few for a full one: one variance
-    along the mean and one across it.
+    Beyond ten variables points are too few for a full covariance: it has one variance along the
+    mean and one across it.  What the mean has across its direction before is shrunk by its noise
+    (James and Stein 1961).
     """
-    d = mean.size
-    direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
-    steps = off @ direction
-    along = float(np.clip(share @ steps**2 * widening, 1e-2, 25.0))
-    across = float(np.clip(share @ ((off**2).sum(axis=1) - steps**2) / (d - 1), 1e-2, 25.0))
-    return across * np.eye(d) + (along - across) * np.outer(direction, direction)
+    mean, d = share @ points, points.shape[1]
+    # few points underestimate a spread
+    widening = 1.0 + 2.0 / max(number - 1.0, 1.0)
+    if d <= MOST_DIMENSIONS:
+        off = points - mean
+        values, vectors = np.linalg.eigh((share[:, None] * off).T @ off)
+        return mean, (vectors * np.clip(values * widening, 1e-4, 25.0)) @ vectors.T
+    if before.any():
+        ahead = before * float(mean @ before) / float(np.linalg.norm(before)) ** 2
+        aside = mean - ahead
+        noise = d / number / max(float(aside @ aside), 1e-300)
+        mean = ahead + max(1.0 - noise, 0.0) * aside
+    off, direction = points - mean, mean / max(float(np.linalg.norm(mean)), 1e-300)
+    squares = (off @ direction) ** 2
+    along = np.clip(share @ squares * widening, 1e-2, 25.0)
+    across = np.clip(share @ ((off**2).sum(axis=1) - squares) / (d - 1), 1e-2, 25.0)
+    return mean, across * np.eye(d) + (along - across) * np.outer(direction, direction)
 
 
 # --- stages ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Draws:
     """Points (..., n, d) that were drawn from a mixture, with the function's answers (..., n)."""
 
@@ -259,51 +238,52 @@ def draw(
     """`count` points (n, d) of a mixture, evaluated."""
     count = max(count, mixture.shares.size)
     drawn = mixture.drawn(count)
-    points = drawn.moved(evaluator.normals(mixture.dimension, count, task, replicate))
-    return Draws(mixture=drawn, points=points, answers=evaluator.answers(points))
+    points = drawn.moved(evaluator.normals(evaluator.dimension, count, task, replicate))
+    return Draws(drawn, points, evaluator.answers(points))
 
 
-def weighted_mass(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
-    """Weights (..., n) of the points of all draws together, and of those without an answer: mass of
-    failure times the standard normal density over the density of all draws."""
-    sizes = np.array([part.answers.size for part in draws], dtype=float)
-    weights, lost = [], []
-    for part in draws:
-        points = part.points.reshape(-1, part.mixture.dimension)
-        table = np.column_stack([other.mixture.log_density(points) for other in draws])
-        whole = special.logsumexp(table, axis=1, b=sizes / sizes.sum())
-        ratio = np.exp(log_normal_density(points) - whole)
-        mass = evaluator.mass(evaluator.values(points, part.answers.ravel()))
-        weights.append((np.nan_to_num(mass) * ratio).reshape(part.answers.shape))
-        lost.append((np.isnan(mass) * ratio).reshape(part.answers.shape))
-    return np.concatenate(weights, axis=-1), np.concatenate(lost, axis=-1)
+def weighted(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array, Array]:
+    """Points (..., n, d) of all draws together, their weights (..., n), and the weights of those
+    without an answer: mass of failure times the standard normal density over the density of all
+    draws."""
+    points = np.concatenate([part.points for part in draws], axis=-2)
+    answers = np.concatenate([part.answers for part in draws], axis=-1)
+    rows = points.reshape(-1, points.shape[-1])
+    table = np.column_stack([part.mixture.log_density(rows) for part in draws])
+    sizes = np.array([part.answers.size for part in draws]) / answers.size
+    ratio = np.exp(log_normal_density(rows) - special.logsumexp(table, axis=1, b=sizes))
+    mass, ratio = (
+        evaluator.mass(rows, answers.ravel()).reshape(answers.shape),
+        ratio.reshape(answers.shape),
+    )
+    return points, np.nan_to_num(mass) * ratio, np.isnan(mass) * ratio
 
 
 def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
     """Failing points (n, d) of all draws, with their weights (n,)."""
-    weights = weighted_mass(evaluator, draws)[0]
-    points = np.concatenate([part.points for part in draws], axis=-2)
+    points, weights, _ = weighted(evaluator, draws)
     return points[weights > 0.0], weights[weights > 0.0]
 
 
-def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture, per_stage: int) -> Mixture:
+def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture:
     """The mixture after two stages of drawing from it, weighting and fitting.
 
     Beyond ten variables, where a first mixture of few failures points off by as much as they
     scatter, further stages follow until failures enough for its direction were met.
     """
-    d = evaluator.dimension
-    many, least, enough = 2, max(12.0, 2.0 * d), 0.0
+    d, count = evaluator.dimension, int(max(min(2048, evaluator.left / 6), 256))
+    stages, least, enough = 2, max(12.0, 2.0 * d), 0.0
     if d > MOST_DIMENSIONS:
-        many, least, enough = MOST_STAGES, 0.5 * d, ENOUGH * d
-    for stage in range(many):
-        if evaluator.left < per_stage:
+        stages, least, enough = MOST_STAGES, 0.5 * d, ENOUGH * d
+    for stage in range(stages):
+        if evaluator.left < count:
             break
-        draws.append(draw(evaluator, defended(mixture), per_stage, "adapt", len(draws)))
+        draws.append(draw(evaluator, defended(mixture), count, "adapt", len(draws)))
         points, weights = failures(evaluator, draws)
-        if carriers(weights) >= least:
+        worth = carriers(weights)
+        if worth >= least:
             mixture = fitted(draws[-1].mixture, points, weights)
-        if stage > 0 and carriers(weights) >= enough:
+        if stage > 0 and worth >= enough:
             break
     return mixture
 
@@ -324,8 +304,8 @@ class ImportanceAnswer:
 
     @property
     def trusted(self) -> bool:
-        """Whether no few weights decide."""
-        return self.order > 2.0 and self.heaviest < 0.1 and self.estimate.value is not None
+        """Whether there is a value, and no few weights decide."""
+        return self.order > 2.0 and self.heaviest < 0.1
 
 
 def importance_sampling(
@@ -341,62 +321,53 @@ def importance_sampling(
     >>> answer.low < 2.8665157e-07 < answer.high
     True
     """
-    begun, d = evaluator.count, mixture.dimension
+    d, done = evaluator.dimension, 0
     block = max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size)
-    drawn = mixture.drawn(block)
-    points, answers = np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0))
-    answer = ImportanceAnswer(
-        estimate=absent("the budget does not suffice for importance sampling", METHOD, 0)
-    )
-    done = 0
-    while True:
+    draws = Draws(mixture.drawn(block), np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0)))
+    nothing = absent("the budget does not suffice for importance sampling", METHOD, 0)
+    answer = ImportanceAnswer(estimate=nothing)
+    while (
+        not answer.estimate.value or answer.estimate.half_width > accuracy * answer.estimate.value
+    ):
         more = int(min(max(done // 2, 1), evaluator.left // (REPLICATES * block)))
         if more < 1:
-            return answer
+            break
         fresh = []
         for r in range(REPLICATES):
             normals = evaluator.normals(d, more * block, "importance", r, done * block)
-            fresh.append([drawn.moved(part) for part in normals.reshape(more, block, d)])
-        rows = np.array(fresh).reshape(REPLICATES, more * block, d)
-        points = np.concatenate([points, rows], axis=1)
-        values = evaluator.answers(rows.reshape(-1, d)).reshape(REPLICATES, -1)
-        answers = np.concatenate([answers, values], axis=1)
+            fresh += [draws.mixture.moved(part) for part in np.split(normals, more)]
+        rows = np.concatenate(fresh)
+        points = np.hstack([draws.points, rows.reshape(REPLICATES, -1, d)])
+        answers = np.hstack([draws.answers, evaluator.answers(rows).reshape(REPLICATES, -1)])
+        draws = Draws(draws.mixture, points, answers)
         done += more
-        draws = Draws(mixture=drawn, points=points, answers=answers)
-        answer = replace(weigh(evaluator, [draws], evaluator.count - begun), draws=draws)
-        if answer.estimate.value and answer.estimate.half_width <= accuracy * answer.estimate.value:
-            return answer
+        answer = replace(weigh(evaluator, [draws]), draws=draws)
+    return answer
 
 
-def weigh(evaluator: Evaluator, draws: Sequence[Draws], evaluations: int) -> ImportanceAnswer:
+def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
     """Mean of the weights (R, n) of draws, with Student's interval over the replicates, in
     logarithms; rows without an answer widen it."""
-    weights, lost = weighted_mass(evaluator, draws)
+    _, weights, lost = weighted(evaluator, draws)
     rows, method, extra = weights.mean(axis=1), METHOD, 0.0
     if lost.any():
         method += ", interval widened for failed rows"
-        t = student(rows.size) / math.sqrt(rows.size)
-        extra = float(lost.mean()) + t * float(lost.mean(axis=1).std(ddof=1))
+        extra = float(lost.mean()) + student(REPLICATES) * spread(lost.mean(axis=1))
     value = float(rows.mean())
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
-        none = absent("no failure among the points", method, evaluations, below=high)
-        return ImportanceAnswer(estimate=none)
+        nothing = absent("no failure among the points", method, evaluator.count, below=high)
+        return ImportanceAnswer(estimate=nothing)
     error = max(spread(rows), 1e-12 * value)
     if not evaluator.integrated:
         error = max(error, HARD * float(np.std(weights)) / math.sqrt(weights.size))
-    low, high, _ = probability_ends(value, 1.0 - value, error, rows.size, weights.size)
-    estimate = Estimate(
-        value=value,
-        low=low,
-        high=min(high + extra, 1.0),
-        std_error=error,
-        method=method,
-        evaluations=evaluations,
-    )
+    low, high, _ = probability_ends(value, 1.0 - value, error, REPLICATES, weights.size)
+    high = min(high + extra, 1.0)
     heavy = weights[weights > 0.0]
     return ImportanceAnswer(
-        estimate=estimate, heaviest=float(heavy.max() / heavy.sum()), order=hill(heavy)
+        estimate=bounded(value, low, high, error, method, evaluator.count),
+        heaviest=float(heavy.max() / heavy.sum()),
+        order=hill(heavy),
     )
 
 
@@ -406,17 +377,16 @@ def nearby(
     """Probability of a failure domain inside another one, by the draws of a search for that and
     others nearby: weighted anew, else from a mixture that is fitted to them; None where the first
     of the draws have too few failures here."""
-    reweighed = weigh(evaluator, draws, 0)
+    reweighed = weigh(evaluator, draws)
     before = reweighed.estimate
-    if before.value is None or carriers(weighted_mass(evaluator, draws[:1])[0]) < CARRIERS:
+    if before.value is None or carriers(failures(evaluator, draws[:1])[1]) < CARRIERS:
         return None
     if reweighed.trusted and before.half_width <= accuracy * before.value:
         return reweighed
     refitted = fitted(draws[0].mixture, *failures(evaluator, draws))
     anew = importance_sampling(evaluator, defended(refitted), accuracy)
     now = anew.estimate
-    if not anew.trusted or (now.low or 0.0) > (before.high or 1.0):
-        return None
-    if (before.low or 0.0) > (now.high or 1.0):
+    apart = (now.low or 0.0) > (before.high or 1.0) or (before.low or 0.0) > (now.high or 1.0)
+    if apart or not anew.trusted:
         return None
     return anew

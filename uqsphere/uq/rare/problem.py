@@ -12,19 +12,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, special
 from uqsphere.uq.points import sobol_points
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability
 #: lies there
-REACH: Final = 9.0
+REACH = 9.0
 #: variables beyond which starts are few and no mixture is fitted: a covariance would take more
 #: points than a stage has
-MOST_DIMENSIONS: Final = 10
+MOST_DIMENSIONS = 10
 
 
 class Spent(Exception):
@@ -54,7 +53,7 @@ class Evaluator:
     @property
     def size(self) -> int:
         """Variables of the space in which the limit is hard: one more where one is integrated."""
-        return self.dimension + int(self.integrated)
+        return self.dimension + self.integrated
 
     @property
     def left(self) -> float:
@@ -65,16 +64,15 @@ class Evaluator:
         self, dimension: int, count: int, task: str, replicate: int = 0, start: int = 0
     ) -> Array:
         """Quasi-random standard normal points (count, dimension)."""
-        return special.ndtri(
-            sobol_points(
-                dimension=dimension,
-                count=count,
-                start=start,
-                seed=self.seed,
-                task=task,
-                replicate=replicate,
-            )
+        points = sobol_points(
+            dimension=dimension,
+            count=count,
+            start=start,
+            seed=self.seed,
+            task=task,
+            replicate=replicate,
         )
+        return special.ndtri(points)
 
     def answers(self, points: Array) -> Array:
         """The function at points (n, dimension); nan beyond `REACH`, where nothing is evaluated.
@@ -84,17 +82,11 @@ class Evaluator:
         if len(points) > self.left:
             raise Spent
         self.count += len(points)
-        near, answers = within_reach(points), np.full(len(points), np.nan)
+        near, answers = np.abs(points).max(axis=1) <= REACH, np.full(len(points), np.nan)
         if near.any():
             answers[near] = self.function(points[near])
             self.failed += int(np.isnan(answers[near]).sum())
         return answers
-
-    def values(self, points: Array, answers: Array | None = None) -> Array:
-        """g at points (n, dimension), from their answers if there are; inf beyond `REACH`."""
-        if answers is None:
-            answers = self.answers(points)
-        return np.where(within_reach(points), self.limits(answers), np.inf)
 
     def limits(self, answers: Array) -> Array:
         """g of answers (n,)."""
@@ -102,30 +94,31 @@ class Evaluator:
             return answers
         return self.limit(answers)
 
+    def values(self, points: Array, answers: Array | None = None) -> Array:
+        """g at points (n, dimension), from their answers if there are; inf beyond `REACH`."""
+        if answers is None:
+            answers = self.answers(points)
+        return np.where(np.abs(points).max(axis=1) <= REACH, self.limits(answers), np.inf)
+
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends
         there.
         """
         values = self.values(points[:, : self.dimension])
-        values = np.where(np.isnan(values), np.inf, values)
+        values[np.isnan(values)] = np.inf
         if self.integrated:
-            values = values + points[:, self.dimension]
+            values += points[:, self.dimension]
         return values
 
-    def mass(self, values: Array) -> Array:
-        """Probability of failure given values of g: 0 or 1, or Phi(-g); nan stays nan."""
+    def mass(self, points: Array, answers: Array | None = None) -> Array:
+        """Probability of failure at points (n, dimension): 0 or 1, or Phi(-g); nan stays nan."""
+        values = self.values(points, answers)
         if self.integrated:
             return special.ndtr(-values)
         return np.where(np.isnan(values), np.nan, values < 0.0)
 
 
-def within_reach(points: Array) -> Flags:
-    """Whether points (..., d) are evaluated."""
-    return np.asarray((np.abs(points) <= REACH).all(axis=-1))
-
-
 def log_normal_density(points: Array) -> Array:
     """Logarithm of the standard normal density at points (n, d)."""
-    return np.asarray(
-        -0.5 * (points**2).sum(axis=1) - points.shape[1] * (0.5 * math.log(2.0 * math.pi))
-    )
+    constant = points.shape[1] * (0.5 * math.log(2.0 * math.pi))
+    return np.asarray(-0.5 * (points**2).sum(axis=1) - constant)
