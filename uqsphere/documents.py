@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Final, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -22,6 +22,8 @@ from uqsphere.files import read_given
 from uqsphere.units import alien, bare_number
 
 Place = tuple[str | int, ...]
+#: words in files that users bring, and what is said of them
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
 
 
 class TomlTable(BaseModel):
@@ -73,7 +75,7 @@ def path_of(place: Place) -> str:
 
 
 #: larger whole numbers are not written out
-_LARGEST_SHOWN: Final = 10**60
+_LARGEST_SHOWN = 10**60
 
 
 def shown(value: object, longest: int = 60) -> str:
@@ -120,36 +122,12 @@ def unknown(what: str, word: object, known: Iterable[str]) -> str:
 
 # --- text, syntax, lines --------------------------------------------------------------------------
 
-#: what a message of tomllib with the faulty line may have, and the way out
-_HINTS: Final = {
-    r"\n[^{}\n]*\{[^}\n]*$": (
-        "a table in braces stands on one line: { … }; or write it as a table of its own, such as "
-        "[limits.NAME.strength]"
-    ),
-    r"(?:declare|mutate) .*(?:twice|immutable)|overwrite a value": "this is written twice",
-    r"character '\\n'|Unterminated": "a text in quotes does not end on its line",
-    "\x00": "found a NUL byte, and a study is a text file",
-    "[“”„‘’]": 'quotes are straight: "…"',
-    r",\s*\}": "no comma stands before }",
-    r";\s*$": "no ; stands at the end of a line",
-    r"\n\s*//": "a comment begins with #",
-    r"\n\s*[\w.]+\s*:": "a key and its value are separated by =",
-    r"=\s*([+-]?\d+),(\d+)\s*(?=[,}#]|$)": r"a decimal point is required: \1.\2",
-    r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)": (
-        r'a value with a unit stands in quotes: "\1"'
-    ),
-    r"=\s*([Tt]rue|[Ff]alse|TRUE|FALSE)\s*(?:#.*)?$": "write true or false",
-    r"=\s*([A-Za-z_][\w.-]*)\s*(?:#.*)?$": r'a word stands in quotes: "\1"',
-    r"\\": "a backslash stands in single quotes: 'a\\\\b', or write / in its place",
-}
-
-
 #: whole numbers of a file are doubles at last
-_LARGEST_WHOLE: Final = 10**300
+_LARGEST_WHOLE = 10**300
 #: unknown keys and other faults of a table that are told
-MOST_FAULTS: Final = 50
+MOST_FAULTS = 50
 #: reading a key of many parts takes a time that grows with the square of its length
-_DOTS: Final = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
+_DOTS = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
 
 
 def read_text(path: Path) -> str:
@@ -192,7 +170,7 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
 def _hint(message: str, text: str, line: int) -> str:
     """The way out of a fault of syntax, where it is known."""
     seen = f"{message}\n{[*text.split(chr(10)), ''][line - 1]}"
-    for pattern, way in _HINTS.items():
+    for pattern, way in WORDS["syntax"].items():
         match = re.search(pattern, seen)
         if match:
             return f"; {match.expand(way)}"
@@ -341,33 +319,9 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
 
 # --- what pydantic finds, in these words ----------------------------------------------------------
 
-_MEMBER: Final = re.compile(
+_MEMBER = re.compile(
     r"\[key\]|constrained-\w+(\[.*\])?|(literal|tuple|list|dict|nullable|function-[a-z]+)\[.*\]"
 )
-_WORDS: Final = {
-    r"\w+ should ": "it must ",
-    "a valid tuple": "an array",
-    "a valid dictionary.*": "a table",
-    "a valid boolean": "true or false",
-    "a valid string": "a text in quotes",
-    " after validation.*": "",
-    "it must match pattern.*": (
-        "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
-    ),
-}
-
-
-#: keys that are often given in the place of another one, and the way out
-_SLIPS: Final = {
-    "diameter": ("radius", "give radius, which is half of it"),
-    "d": ("radius", "give radius, which is half of the diameter"),
-    "g": ("E", "give E = 2 G (1 + nu)"),
-    "shear_modulus": ("E", "give E = 2 G (1 + nu)"),
-    "youngs_modulus": ("E", "Young's modulus is the key E"),
-    "poisson": ("nu", "Poisson's ratio is the key nu"),
-    "poissons_ratio": ("nu", "Poisson's ratio is the key nu"),
-    "rho": ("density", "the density is the key density"),
-}
 
 
 def load_document(path: Path, kind: type[Kind]) -> Kind:
@@ -421,13 +375,13 @@ def _text(kind: Any, fault: Any, place: Place) -> str:
         parts = [f"{name} is missing", kind.model_fields[name].description]
         return ": ".join(filter(None, parts)).replace("`", "")
     if fault["type"] == "extra_forbidden":
-        key, way = _SLIPS.get(name.lower(), ("", ""))
+        key, way = WORDS["slips"].get(name.lower(), ("", ""))
         if key in kind.model_fields:
             return f"unknown key {shown(name)}: {way}"
         near = suggestion(name, kind.model_fields) or f"; known here: {one_of(kind.model_fields)}"
         return f"unknown key {shown(name)}{near}"
     message = fault["msg"]
-    for words, ours in _WORDS.items():
+    for words, ours in WORDS["pydantic"].items():
         message = re.sub(words, ours, message)
     near = suggestion(fault["input"], re.findall("'([^']*)'", message))
     if message.startswith("it must "):

@@ -19,70 +19,66 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, zip_longest
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.documents import suggestion
+from uqsphere.documents import WORDS, suggestion
 from uqsphere.errors import UsageError, as_text
 from uqsphere.files import TooLarge, read_given
 from uqsphere.units import SPELLED, UNITS, alien, nearest_unit, typed_units
 
-LARGEST: Final = 32 << 20
+LARGEST = 32 << 20
 #: columns of a table, characters of a line, cells and rows of a workbook
 MOST_COLUMNS, _LONGEST, _MOST_CELLS = 2_000, 100_000, 400_000
-_MOST_LINES: Final = 8
+_MOST_LINES = 8
 #: rows among which headings with units are looked for
-_PREAMBLE: Final = 40
+_PREAMBLE = 40
 #: numbers beyond this have no squares
-LARGEST_NUMBER: Final = 1e150
-_OTHER_SHEETS: Final = "other sheets"
+LARGEST_NUMBER = 1e150
+_OTHER_SHEETS = "other sheets"
 
 # --- what cells and headings look like ------------------------------------------------------------
 
-_COLUMN_UNIT: Final = re.compile(r"\s*[/,_]\s*|\s+in\s+|\s+")
-_BRACKET: Final = re.compile(r"[\[(]\s*([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)\s*[\])]")
+_COLUMN_UNIT = re.compile(r"\s*[/,_]\s*|\s+in\s+|\s+")
+_BRACKET = re.compile(r"[\[(]\s*([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)\s*[\])]")
 #: a factor before or behind a unit: x10 MPa, MPa x 10; 10 MPa, 10^3 MPa, 1e3 N
-_TIMES: Final = re.compile(r"[x×*]\s*\d[\d.^*eE+-]*(?=[\s\]):/,_]|$)")
-_FACTOR: Final = re.compile(
+_TIMES = re.compile(r"[x×*]\s*\d[\d.^*eE+-]*(?=[\s\]):/,_]|$)")
+_FACTOR = re.compile(
     r"(?<![A-Za-z0-9.^=])(?:[x×*]\s*)?(?:10+|10\s*\^\s*[+-]?\d+|10\*\*[+-]?\d+"
     rf"|\d*\.?\d+[eE][+-]?\d+|0?\.0*1)(?=[\s\]):/,_]|$)|{_TIMES.pattern}"
 )
 #: #DIV/0!, #N/A, #NAME?, #WERT!, #¡VALOR!, #NV, #GETTING_DATA
-_ERROR_VALUE: Final = re.compile(r"#(?:¡?[^\W\d_][\w/ ]*[!?]|[A-Z]+[/_][A-Z\d]+|NV|NB)")
-NOTHING: Final = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
-NUMBER: Final = {
+_ERROR_VALUE = re.compile(r"#(?:¡?[^\W\d_][\w/ ]*[!?]|[A-Z]+[/_][A-Z\d]+|NV|NB)")
+NOTHING = {"", "-", "nan", "n/a", "na", "none", "null", "#n/a"}
+NUMBER = {
     mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?", re.ASCII)
     for mark in ".,"
 }
 #: 1.234,5 and 1,234.5 and 1 234 are certainly marks of thousands, 2.830 possibly
-_MARKED: Final = re.compile(
+_MARKED = re.compile(
     r"[+-]?\d{1,3}(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:['\u00a0\u202f ]\d{3})+(?:[.,]\d*)?)"
 )
-_PERHAPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
-_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d.*|\d\d:\d\d:\d\d.*")
-_SUMMARY: Final = re.compile(
+_PERHAPS = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d.*|\d\d:\d\d:\d\d.*")
+_SUMMARY = re.compile(
     r"(mean|average|avg|median|sd|std\.?( ?dev\.?)?|standard deviation|cov|cv|var|variance|σ|ø|x̄|"
     r"mittelwert|mittel|mw|durchschnitt|standardabweichung|stabw|varianz|anzahl|moyenne|"
     r"[ée]cart[- ]type|media|promedio|desviaci[óo]n)(?!\w).*|"
     r"(min|max|minimum|maximum|sum|summe|somme|suma|total)\W*",
     re.IGNORECASE,
 )
-_NO, _YES = ("0", "no", "false", "", "nein"), ("1", "yes", "true", "ja", "x")
-_FLAGS: Final = {**dict.fromkeys(_NO, False), **dict.fromkeys(_YES, True)}
 #: keys that a study gives the unit of a column by
-_UNIT_KEYS: Final = {
+_UNIT_KEYS = {
     "force": "force_unit",
     "diameter": "diameter_unit",
     "column": "unit",
     "draws": "unit",
 }
 #: what a row of units below the headings may have; units of US customary tables that no key takes
-_ALL_UNITS: Final = {"", "-", *SPELLED} | {
-    unit for unit in chain(*UNITS.values()) if not unit.isdigit()
-}
-_FOREIGN_UNITS: Final = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
+_ALL_UNITS = {"", "-", *SPELLED} | {unit for unit in chain(*UNITS.values()) if not unit.isdigit()}
+_FOREIGN_UNITS = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
 
 
 class TableError(UsageError):
@@ -126,8 +122,8 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
 
 def factor_in_heading(heading: str) -> str:
     """The factor that a heading has beside a unit, such as x10 or 10^3; empty without one."""
-    factor = _FACTOR.search(heading) or [""]
-    return factor[0].strip()
+    factor = _FACTOR.search(heading)
+    return factor[0].strip() if factor else ""
 
 
 def _known_unit(text: str, dimension: str) -> str | None:
@@ -205,9 +201,7 @@ def _decimal_mark(texts: Iterable[str]) -> str:
 
 
 def _lines(lines: Sequence[int]) -> str:
-    if len(lines) == 1:
-        return f"line {lines[0]}"
-    text = f"lines {', '.join(map(str, lines[:_MOST_LINES]))}"
+    text = f"{'lines' if len(lines) > 1 else 'line'} {', '.join(map(str, lines[:_MOST_LINES]))}"
     if len(lines) > _MOST_LINES:
         text += f" and {len(lines) - _MOST_LINES} more"
     return text
@@ -303,42 +297,44 @@ class Table:
             contradiction.
         """
         at, column, factor = self.place(column, dimension, key), str(column), 1.0
+        heading = self.headings[at]
         if column.isdigit():
-            column = self.headings[at]
+            column = heading
         if dimension != "number":
-            factor = self._factor(self.headings[at], dimension, unit, key)
+            factor = self._factor(heading, dimension, unit, key)
         cells = self._parsed([row[at] for row in self.rows], blank)
-        for message in {cell: 0 for cell in cells if isinstance(cell, str)}:
+        for message in dict.fromkeys(cell for cell in cells if isinstance(cell, str)):
             self.refuse(key, f"{column}: {message}", np.array([cell == message for cell in cells]))
-        plain = [math.nan if isinstance(cell, str) else cell for cell in cells]
         with np.errstate(over="ignore"):
-            values: Array = factor * np.array(plain)
+            values: Array = factor * np.array(
+                [math.nan if isinstance(cell, str) else cell for cell in cells]
+            )
         self.refuse(key, f"{column}: a number is too large", np.abs(values) > LARGEST_NUMBER)
         return values
 
     def _factor(self, heading: str, dimension: str, unit: str | None, key: str) -> float:
         """The unit of a column in SI: as given or of its heading, which must agree."""
-        units, known = UNITS[dimension], typed_units(dimension)
+        units, allowed = UNITS[dimension], typed_units(dimension)
         unit_key, in_heading = _UNIT_KEYS.get(key, "units"), unit_in_heading(heading, dimension)[1]
-        if unit is not None and unit not in units:
-            near = nearest_unit(unit, dimension)
-            hint = f"; did you mean {near!r}?" if near else ""
-            raise TableError(f"{unit_key} must be one of {known}, not {unit!r}{hint}", unit_key)
-        if unit and in_heading and units[unit] != units[in_heading]:
-            raise TableError(
-                f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key
-            )
         if unit is None and in_heading is None:
             wrong = _unknown_unit(heading, dimension)
             if wrong:
-                raise TableError(f"{heading!r}: {wrong} ({known})", key)
+                raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
             first, more = next(iter(units)), ""
             if key in _UNIT_KEYS:
                 more = f', or add {unit_key} = "{first}"'
             raise TableError(
                 f"the unit of the column {heading!r} is missing. Write it in the heading, "
-                f'"{heading} [{first}]"{more} ({known})',
+                f'"{heading} [{first}]"{more} ({allowed})',
                 key,
+            )
+        if unit not in (None, *units):
+            near = nearest_unit(str(unit), dimension)
+            hint = f"; did you mean {near!r}?" if near else ""
+            raise TableError(f"{unit_key} must be one of {allowed}, not {unit!r}{hint}", unit_key)
+        if unit and in_heading and units[unit] != units[in_heading]:
+            raise TableError(
+                f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key
             )
         return units[unit or in_heading or ""]
 
@@ -346,58 +342,55 @@ class Table:
         """The number of each cell of a column, nan where there need be none, or what is wrong with
         the cell.
         """
-        certain, thousands = (
-            _decimal_mark(texts),
-            "a mark of thousands: write the number without it",
-        )
-        mark, other, asked, strange = self.decimal or certain or self._mark, "", "", ""
+        thousands = "a mark of thousands: write the number without it"
+        certain = _decimal_mark(texts)
+        mark, other, doubt = self.decimal or certain or self._mark, "", ""
         perhaps = next(filter(_PERHAPS.fullmatch, texts), "")
         if certain == ".,":
             mark, other = sorted(".,", key=lambda m: -sum(m in text for text in texts))
         elif perhaps and not self.decimal:
             whole = next((w for w in texts if w.isdigit() and (len(w) > 3 or not certain)), "")
             if mark in (".", ",") and mark not in perhaps:
-                asked = thousands
+                doubt = thousands
             elif whole:
-                asked = f"{perhaps!r} beside {whole!r}: a mark of thousands? write it without"
+                doubt = f"{perhaps!r} beside {whole!r}: a mark of thousands? write it without"
             elif not mark and "," in perhaps:
-                asked = (
+                doubt = (
                     f'{perhaps!r} can be a decimal comma or a mark of thousands: add decimal = ","'
                 )
-        number, cells = NUMBER.get(mark, NUMBER["."]), list[float | str]()
-        for k, text in enumerate(texts):
-            cell: float | str = math.nan
-            if k in self._no_data or (blank and text.lower() in NOTHING):
-                pass
-            elif asked and _PERHAPS.fullmatch(text):
-                cell = asked
-            elif number.fullmatch(text):
-                cell = float(text.replace(",", "."))
-            elif _MARKED.fullmatch(text):
-                cell = thousands
-            elif other and other in text:
-                cell = "decimal point and comma in one column: write all alike"
-            elif not text:
-                cell = "an empty cell"
-            elif text.startswith("="):
-                cell = (
+        number, strange = NUMBER.get(mark, NUMBER["."]), ""
+
+        def parsed(text: str) -> float | str:
+            nonlocal strange
+            if doubt and _PERHAPS.fullmatch(text):
+                return doubt
+            if number.fullmatch(text):
+                return float(text.replace(",", "."))
+            if _MARKED.fullmatch(text):
+                return thousands
+            if other and other in text:
+                return "decimal point and comma in one column: write all alike"
+            if not text:
+                return "an empty cell"
+            if text.startswith("="):
+                return (
                     "a formula without a stored value: save the file in a spreadsheet program, or "
                     "paste values"
                 )
-            else:
-                strange = strange or self._strange(text)
-                cell = strange
-            cells.append(cell)
-        return cells
+            if not strange:  # all that are no numbers are told by the first
+                strange = f"{as_text(text, 60)!r} is not a number{alien(text)}"
+                if _is_numeric(text):
+                    strange += f" with decimal = {self.decimal!r}"
+                if _DATE.fullmatch(text):
+                    strange += (
+                        "; a cell of a workbook in the format of a date? Change it to a number"
+                    )
+            return strange
 
-    def _strange(self, text: str) -> str:
-        """What is said of a cell that is not a number."""
-        message = f"{as_text(text, 60)!r} is not a number{alien(text)}"
-        if _is_numeric(text):
-            message += f" with decimal = {self.decimal!r}"
-        if _DATE.fullmatch(text):
-            message += "; a cell of a workbook in the format of a date? Change it to a number"
-        return message
+        def need_be_none(k: int, text: str) -> bool:
+            return k in self._no_data or (blank and text.lower() in NOTHING)
+
+        return [math.nan if need_be_none(k, text) else parsed(text) for k, text in enumerate(texts)]
 
     def refuse(self, key: str, message: str, wrong: Flags) -> None:
         """Note that rows are wrong, (n,); each line is told of once for one fault."""
@@ -406,15 +399,18 @@ class Table:
             self.faults[key, message] = list(dict.fromkeys(lines))
 
     def flags(
-        self, column: str, key: str = "", words: Mapping[str, bool] = _FLAGS, meant: str = "0 or 1"
+        self,
+        column: str,
+        key: str = "",
+        words: Mapping[str, bool] = WORDS["flags"],
+        meant: str = "0 or 1",
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]
-        strange = {k: text for k, text in enumerate(texts) if text not in words}
-        strange = {k: text for k, text in strange.items() if k not in self._no_data}
-        for text in [*strange.values()][:1]:
-            wrong = np.array([k in strange for k in range(len(self))])
-            self.refuse(key, f"{column}: {as_text(text, 60)!r} is not {meant}", wrong)
+        wrong = [text not in words and k not in self._no_data for k, text in enumerate(texts)]
+        if any(wrong):
+            text = as_text(texts[wrong.index(True)], 60)
+            self.refuse(key, f"{column}: {text!r} is not {meant}", np.array(wrong))
         return np.array([words.get(text, False) for text in texts], dtype=bool)
 
     def check(self) -> None:
@@ -423,9 +419,7 @@ class Table:
         for k, message in self._no_data.items():
             faults["", message] = [*faults.get(("", message), []), self.lines[k]]
         if faults:
-            messages = [
-                f"{self.name}: {_lines(lines)}: {message}" for (_, message), lines in faults.items()
-            ]
+            messages = [f"{self.name}: {_lines(at)}: {text}" for (_, text), at in faults.items()]
             raise TableError("\n".join(messages), next(iter(faults))[0])
 
     def finish(self) -> None:
@@ -453,25 +447,21 @@ class Table:
         One behind an empty line needs a single column for that, and may be another measure; so does
         one of the last two rows of a single column of fine digits.
         """
-        columns = [
-            [text.replace(",", ".") for text in cells] for cells in zip(*self.rows, strict=True)
-        ]
-        columns = [
-            column
-            for column in columns
-            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column))
-        ]
-        rows = len(self)
-        if not columns or rows < 5:
+        columns, rows = list[list[str]](), len(self)
+        for cells in zip(*self.rows, strict=True):
+            column = [text.replace(",", ".") for text in cells]
+            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
+                columns.append(column)
+        if not columns:
             return
         digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
         values, steps = np.array(columns, dtype=float), 10.0 ** -np.array(digits)
-        for k in range(max(3, rows - 8), rows):
+        for k in range(max(3, rows - 8), rows if rows >= 5 else 0):
             above, step, apart = values[:, :k], steps[:, k], self.lines[k] in self.apart
-            sums = {"mean": above.mean(axis=1), "sd": above.std(axis=1, ddof=1)}
+            sd = above.std(axis=1, ddof=1)
+            sums = {"mean": above.mean(axis=1), "sd": sd}
             for name in ("sum", *(("median", "min", "max") if apart else ())):
                 sums[name] = getattr(np, name)(above, axis=1)
-            sd = sums["sd"]
             fine = len(columns) == 1 and k >= rows - 2 and steps[0].min() <= 0.02 * sd[0]
             least = 1 if apart or fine else max(2, len(columns) - 1)
             for name, total in sums.items():
@@ -529,8 +519,7 @@ def _other_sheets(notes: Iterable[str]) -> str:
 
 def _trimmed(row: list[str]) -> list[str]:
     """A row without the empty cells at its end."""
-    last = max((place for place, cell in enumerate(row, 1) if cell), default=0)
-    return row[:last]
+    return row[: max((length for length, cell in enumerate(row, 1) if cell), default=0)]
 
 
 def _place_of_headings(rows: Sequence[list[str]]) -> int:

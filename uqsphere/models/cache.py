@@ -13,20 +13,17 @@ import hashlib
 import sqlite3
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import AccessError, as_text
 
-_TABLE: Final = (
-    "CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, answer BLOB) WITHOUT ROWID"
-)
+_TABLE = "CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, answer BLOB) WITHOUT ROWID"
 #: seconds that another run is waited for
-_WAIT: Final = 30.0
-#: bytes of the checksum at the end of a record
-_CHECKSUM: Final = 16
+_WAIT = 30.0
+#: bytes of a key, and of the checksum at the end of a record
+_CHECKSUM = 16
 
 
 class Cache:
@@ -66,19 +63,13 @@ class Cache:
                 f"{as_text(self.path)} cannot be used ({as_text(error)}). --fresh starts without it"
             ) from error
 
+    def _digest(self, *parts: bytes) -> bytes:
+        return hashlib.blake2b(b"".join(parts), key=self._about, digest_size=_CHECKSUM).digest()
+
     def _keys(self, rows: Array) -> list[bytes]:
         """What rows (n, inputs) are stored by."""
         numbers = np.ascontiguousarray(rows + 0.0, dtype="<f8")  # + 0.0: -0 is 0
-        return [
-            hashlib.blake2b(row.tobytes(), key=self._about, digest_size=16).digest()
-            for row in numbers
-        ]
-
-    def _record(self, key: bytes, answer: bytes) -> bytes:
-        """An answer with its checksum."""
-        return (
-            answer + hashlib.blake2b(key + answer, key=self._about, digest_size=_CHECKSUM).digest()
-        )
+        return [self._digest(row.tobytes()) for row in numbers]
 
     def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,
@@ -92,7 +83,7 @@ class Cache:
                 for place, key in enumerate(self._keys(rows)):
                     for (record,) in self._database.execute(query, (key,)):
                         answer = record[:size] if isinstance(record, bytes) else b""
-                        if len(answer) < size or record != self._record(key, answer):
+                        if len(answer) < size or record != answer + self._digest(key, answer):
                             self.damaged += 1
                             continue
                         answers.append(answer)
@@ -101,10 +92,10 @@ class Cache:
 
     def write(self, rows: Array, answers: Array) -> None:
         """Store answers (n, outputs) to rows (n, inputs)."""
-        values = np.asarray(answers, dtype="<f8")
+        values = [row.tobytes() for row in np.asarray(answers, dtype="<f8")]
         records = [
-            (key, self._record(key, row.tobytes()))
-            for key, row in zip(self._keys(rows), values, strict=True)
+            (key, answer + self._digest(key, answer))
+            for key, answer in zip(self._keys(rows), values, strict=True)
         ]
         with self._access(), self._database:
             self._database.executemany("INSERT OR REPLACE INTO answers VALUES (?, ?)", records)

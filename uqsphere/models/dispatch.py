@@ -8,29 +8,28 @@ from __future__ import annotations
 import sys
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError
 from uqsphere.models.rows import Died, NoAnswer, where_of
-from uqsphere.models.worker import Timed
-from uqsphere.models.workers import result
+from uqsphere.models.workers import Timed, result
 
 if TYPE_CHECKING:
     from uqsphere.models.cache import Cache
     from uqsphere.models.model import Model
 
 #: most rows of one call, and calls that the rows of a slow black box are split into
-LARGEST_CALL: Final = 16_384
-CALLS: Final = 64
+LARGEST_CALL = 16_384
+CALLS = 64
 #: seconds between two looks at `stop` while answers are waited for
-_LOOK: Final = 0.1
+_LOOK = 0.1
 #: seconds without an answer of an executor after which the user is asked about it
-_SILENCE: Final = 60.0
+_SILENCE = 60.0
 #: rows that ended their process, more than were answered, after which the model is given up
-_DEATHS: Final = 8
+_DEATHS = 8
 
 
 def answer_rows(

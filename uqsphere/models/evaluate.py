@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: how far outside its usual range a single number is worth a warning
-_FAR: Final = 10.0
+_FAR = 10.0
 #: the highest grade of a check
-_FAILURE: Final = 3
+_FAILURE = 3
 #: most rows whose validity is checked
-_CHECKED: Final = 4096
+_CHECKED = 4096
 
 
 def evaluate(

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -26,14 +26,14 @@ from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
 
 #: seconds of work that are worth starting processes for
-_WORTH: Final = 2.0
+_WORTH = 2.0
 #: seconds per row below which to evaluate again costs less than to store, and more rows in a call
 #: less than more calls
-_QUICK: Final = 1e-4
+_QUICK = 1e-4
 #: relative difference at which half of the digits of a double agree
-_HALF_OF_THE_DIGITS: Final = float(np.sqrt(np.finfo(float).eps))
+_HALF_OF_THE_DIGITS = float(np.sqrt(np.finfo(float).eps))
 #: a larger answer has failed: the squares of a few are no numbers
-_LARGEST_ANSWER: Final = 1e150
+_LARGEST_ANSWER = 1e150
 
 
 @dataclass(eq=False)

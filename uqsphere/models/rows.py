@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 
 #: status of a row that a black box has no answer to; 1 to 5 are those of the impact model
-FAILED: Final = 6
+FAILED = 6
 #: inputs that a note names
-_MOST_NAMED: Final = 6
+_MOST_NAMED = 6
 
 
 class Interrupted(Exception):

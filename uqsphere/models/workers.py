@@ -11,9 +11,14 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Final, cast
+from functools import lru_cache
+from typing import Any, TypeAlias, cast
 from weakref import WeakSet
+
+from threadpoolctl import threadpool_limits
 
 from uqsphere.arrays import Array
 from uqsphere.errors import (
@@ -24,15 +29,51 @@ from uqsphere.errors import (
     UsageError,
     as_text,
 )
+from uqsphere.models.black_box import ModelFile, call_black_box, describe_error
 from uqsphere.models.rows import Died, NoAnswer
-from uqsphere.models.worker import Task, Timed, answer
 
+#: a black box, its inputs and its outputs
+Task: TypeAlias = tuple[Any, Sequence[str], Sequence[str]]
+#: answers (n, outputs), and the seconds that they took
+Timed: TypeAlias = tuple[Array, float]
 #: calls that an executor of the user is given at once, about
-_MANY: Final = 512
+_MANY = 512
 #: what a process runs: modules are found where this process finds them, not in its working folder
-_PROGRAM: Final = (
-    "import sys; sys.path[:] = {path!r}; from uqsphere.models.worker import serve; serve({parent})"
+_PROGRAM = (
+    "import sys; sys.path[:] = {path!r}; from uqsphere.models.workers import serve; serve({parent})"
 )
+
+
+def answer(task: Task | bytes, rows: Array) -> Timed:
+    """Answers of a black box to rows (n, inputs).
+
+    Raises ModelRaised where the model raises, ModelError where it returns something of the wrong
+    form or cannot be loaded, UsageError where the task cannot be used in this process.
+    """
+    try:
+        box, inputs, outputs = unpack(task) if isinstance(task, bytes) else task
+        began = time.perf_counter()
+        return call_black_box(box, inputs, rows, outputs), time.perf_counter() - began
+    except KeyboardInterrupt as error:
+        if not isinstance(task, bytes):
+            raise
+        # nobody presses keys in a process of the model
+        raise ModelRaised("the model raised KeyboardInterrupt") from error
+
+
+@lru_cache(maxsize=4)
+def unpack(packed: bytes) -> Task:
+    """The task that a process was sent; a file is loaded once in the life of the process."""
+    try:
+        box, inputs, outputs = pickle.loads(packed)
+    except Exception as error:
+        raise UsageError(
+            f"the model cannot be used in another process ({describe_error(error)}). Give it as "
+            "FILE.py:FUNCTION"
+        ) from error
+    if isinstance(box, ModelFile):
+        box = box.load()
+    return box, inputs, outputs
 
 
 def pack(task: Task) -> bytes:
@@ -76,6 +117,53 @@ def _lost(error: BaseException) -> ExecutorLost:
         f"the executor was lost ({reason}). Answers so far are stored; the same command with a new "
         "executor continues from there"
     )
+
+
+def serve(parent: int) -> None:
+    """What a process does: answer what comes by the standard input, on what was the standard
+    output, until the parent closes its end or is gone.
+
+    Messages are pickles: the task, then rows; for each message of rows its answers go back.
+    """
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    # both ways to the parent are out of the model's reach: it reads nothing, and prints to stderr
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    with contextlib.suppress(OSError):
+        os.dup2(2, 1)
+
+    def send(message: object) -> None:
+        pickle.dump(message, replies)
+        replies.flush()
+
+    def end_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os.killpg(0, signal.SIGKILL)  # and what the model has started
+
+    if hasattr(os, "killpg"):
+        threading.Thread(target=end_with_parent, daemon=True).start()
+    try:
+        send("started")
+        packed = pickle.load(requests)
+        with contextlib.suppress(UqsphereError):  # the first call reports it again
+            unpack(packed)
+        # one thread of linear algebra: sums in a fixed order, and no threads that wait for others
+        threadpool_limits(limits=1, user_api="blas")
+        reply: object = "ready"
+        while True:
+            send(reply)
+            rows = pickle.load(requests)
+            try:
+                reply = answer(packed, rows)
+            except UqsphereError as error:
+                reply = error
+            except Exception as error:
+                reply = ModelError(f"the model could not be called ({describe_error(error)})")
+    except EOFError:
+        return
+    except BrokenPipeError:
+        os._exit(0)  # the parent is gone: nothing is left to flush
 
 
 class _Process:

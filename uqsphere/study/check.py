@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from pydantic import ValidationError
@@ -49,19 +48,19 @@ from uqsphere.uq import Dependence, Law, LawError, make_joint
 
 Faults = Iterator[Fault]
 #: which materials of the library a table may name; partners take any
-_KINDS: Final = {
+_KINDS = {
     "sphere": ("sphere",),
     "bars": ("bars",),
     "striker": ("bars",),
     "insert": ("plates", "bars"),
 }
-_NO_SPHERE: Final = (
+_NO_SPHERE = (
     "Real particles are not spheres: angular or flaky ones break at other, often lower, forces and "
     "energies than a sphere of equal mass. Enter a measured ratio (breaking load of the sphere / "
     "of the particle) as limits.NAME.model_factor, which multiplies the demand."
 )
 #: keys of tables that are no numbers of the scene, as `uqsphere.mechanics.forms` has those
-FORMS: Final[Mapping[str, Mapping[str, str]]] = {
+FORMS = {
     **forms.FORMS,
     "rod": {"": "E nu density diameter length"},
     "pulse": {**forms.FORMS["pulse"], "measured": "file; sheet columns units factor gain"},
@@ -624,7 +623,7 @@ def _margins(draft: Draft) -> Faults:
 
 
 #: checks that are run together, of a scene and of a black box
-STAGES: Final = (
+STAGES = (
     (tables,),
     (_rig, _library),
     (_words,),
@@ -632,4 +631,4 @@ STAGES: Final = (
     (_limits, _analysis),
     (_dependence, _margins, warn_of_slips),
 )
-BOX_STAGES: Final = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))
+BOX_STAGES = ((tables,), (_box,), (_limits, _analysis), (_dependence, _margins))

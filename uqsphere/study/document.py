@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from uqsphere.study.study import Limit
 
 #: what loads the sphere, and the tables that belong to each rig
-RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
+RIG_TABLES = {
     name: (*rig.tables, "insert") if rig.by_wave else rig.tables for name, rig in RIGS.items()
 }
 #: tables that have numbers of `uqsphere.quantities.INPUTS`
-SCENE: Final = (
+SCENE = (
     "sphere",
     "contact",
     "rig",
@@ -292,7 +292,7 @@ class LimitTable(TomlTable):
         return self
 
 
-_KEYS: Final = {"lower", "upper"}.union(*(family.keys for family in FAMILIES.values()))
+_KEYS = {"lower", "upper"}.union(*(family.keys for family in FAMILIES.values()))
 _of_laws: dict[str, Any] = {
     "dist": (Literal[*FAMILIES] | Annotated[str, Field(pattern=r"^scipy\.\w+$")], None),
     **dict.fromkeys(("values", "weights"), (tuple[float | str, ...], None)),
@@ -484,7 +484,7 @@ class Words(TomlTable):
 
 
 #: the tables of the scene: their words stand above, their numbers are those of `INPUTS`
-_kinds: Final = {
+_kinds = {
     name: _with_numbers(name, table_in(Words.model_fields[name].annotation)) for name in SCENE
 }
 _scene: dict[str, Any] = {name: (kind, kind.model_construct()) for name, kind in _kinds.items()}

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -29,12 +29,12 @@ from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
 
 #: the energy that a strength in J/kg is based on, and the demand that is compared with it
-_ENERGIES: Final = {
+_ENERGIES = {
     "contact": "specific_energy",
     "sphere": "specific_energy_sphere",
     "input": "specific_impact_energy",
 }
-_PRESSURES: Final = (
+_PRESSURES = (
     'strength_is is missing. Set it to "hertz" if the strength was computed from a failure force '
     'by Hertz, as nearly all tabulated contact strengths are, or to "pressure" if it is a true '
     "pressure, which never exceeds the hardness. The probabilities can differ by decades"
@@ -43,11 +43,11 @@ _PRESSURES: Final = (
 #: law is required
 _SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
 #: a criterion increases at least with this power of the force
-_RISES: Final = 0.05
+_RISES = 0.05
 #: a demand at which every sphere breaks, over its bound
-_BEYOND: Final = 1e9
+_BEYOND = 1e9
 #: at equal strength the force goes with this power of the diameter, without flaws (default: 2)
-_POWERS: Final = {
+_POWERS = {
     "ring_crack": 1.0,
     "ring_crack_toughness": 1.0,
     "energy": 0.2,
@@ -55,17 +55,15 @@ _POWERS: Final = {
     "P_max": 0.0,
 }
 #: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
-_USUAL: Final = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
-_CONTACT: Final = (3e7, 1e11)
+_USUAL = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
+_CONTACT = (3e7, 1e11)
 #: usual 0.9 P/D² of brittle spheres [Pa]; of a material how far from its tensile strength
 _TENSION, _FAR = (2e5, 5e8), 20.0
 #: units that a file of tests may have been in
 _LENGTHS, _FORCES = ("um", "mm", "cm", "m"), ("N", "kN", "MN")
 #: 0.9 P/D² of a test over the median, or the other way round, above which its unit is asked about
-_SLIP: Final = 300.0
-_FACTOR: Final = replace(
-    plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0)
-)
+_SLIP = 300.0
+_FACTOR = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
 
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
@@ -469,18 +467,13 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     modulus = float(np.mean([partner.modulus[0] for partner in draft.scene.there]))
     sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / modulus - (1.0 - nu * nu) / E}
     # the platens may be the partner in the rig; then the same body yields, else the sphere
-    alike = [
-        partner
-        for partner in draft.scene.there
-        if np.allclose(draft.elastic(partner.table), platens, rtol=1e-9)
-    ]
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0
-    if alike:
-        face, takes = alike[0].face, float(alike[0].takes[0])
-    if not draft.plastic or face is None:
-        return sphere
-    law = [float(value[0]) for value in (face.onset, face.hardness, face.pile_up)]
-    if not np.isfinite(law).all():
-        return sphere
-    return {**sphere, **dict(zip(LAW, law, strict=True)), "takes": takes}
+    for partner in reversed(draft.scene.there):
+        if np.allclose(draft.elastic(partner.table), platens, rtol=1e-9):
+            face, takes = partner.face, float(partner.takes[0])
+    if draft.plastic and face is not None:
+        law = [float(value[0]) for value in (face.onset, face.hardness, face.pile_up)]
+        if np.isfinite(law).all():
+            return {**sphere, **dict(zip(LAW, law, strict=True)), "takes": takes}
+    return sphere

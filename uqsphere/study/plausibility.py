@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -25,25 +25,25 @@ from uqsphere.uq import Law
 #: the library's range of a property, and of which solids
 Range: TypeAlias = tuple[float, float, str]
 #: a factor off the library's range that is told
-_FAR: Final = 3.0
+_FAR = 3.0
 #: numbers that are alike in all samples of a material, and a factor off its range that is told
-_ALIKE: Final = ("E", "density")
-_NEAR: Final = 1.25
+_ALIKE = ("E", "density")
+_NEAR = 1.25
 #: Weibull moduli of strengths
-_MODULI: Final = (1.5, 25.0)
+_MODULI = (1.5, 25.0)
 #: numbers of a material that are held against the library's
-_KEYS: Final = ("E", "nu", "density", "yield_strength", "onset_pressure", "hardness")
+_KEYS = ("E", "nu", "density", "yield_strength", "onset_pressure", "hardness")
 #: words of a title, or of a partner's name, by which a sphere of no named material is of a class
-_CLASSES: Final = {
+_CLASSES = {
     "rocks": "rock stone ore pellet mineral gravel lump granite gneiss limestone marble sandstone "
     "basalt quartz quartzite magnetite",
     "glass": "glass glasses",
     "ceramics": "ceramic alumina zirconia porcelain",
 }
 #: brittle solids of the library that are not among its spheres
-_BRITTLE: Final = ("pmma", "concrete", "tungsten_carbide")
+_BRITTLE = ("pmma", "concrete", "tungsten_carbide")
 #: relative difference of the contact moduli of tests and rig that is told
-_STIFFER: Final = 0.05
+_STIFFER = 0.05
 
 
 def warn_of_slips(draft: Draft) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 #: failure probability that is allowed where a study says nothing at all
-DEFAULT_TARGET: Final = 0.01
+DEFAULT_TARGET = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,13 +13,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.documents import (
+    WORDS,
     Fault,
     Place,
     TomlTable,
@@ -53,25 +54,13 @@ if TYPE_CHECKING:
     from uqsphere.study.document import Draft, PulseTable
 
 #: a share of a law outside what has a meaning that is worth a warning
-NOTABLE: Final = 1e-6
+NOTABLE = 1e-6
 #: fewer observations than these are worth a warning
-_FEW: Final = 10
+_FEW = 10
 #: keys that a column or tests need, with an example
-_EXAMPLES: Final = {"file": "tests.csv", "column": "strength", "force": "F", "diameter": "D"}
-#: other names of distributions and of their parameters
-_SYNONYMS: Final = {
-    "gaussian": "normal",
-    "gauss": "normal",
-    "rectangular": "uniform",
-    "log-uniform": "loguniform",
-    "min": "lower",
-    "max": "upper",
-    "mu": "mean",
-    "sigma": "sd",
-    "std": "sd",
-}
+_EXAMPLES = {"file": "tests.csv", "column": "strength", "force": "F", "diameter": "D"}
 #: a fit less likely than this is worth a warning
-_UNLIKELY: Final = 0.01
+_UNLIKELY = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +167,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     if isinstance(kind, str):
         family = family_named(kind)
     if family is None:
-        near = suggestion(_SYNONYMS.get(str(kind), ""), FAMILIES)
+        near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
         raise Fault(unknown("distribution", kind, FAMILIES) + near, "dist")
     keys = (*family.keys, "lower", "upper")
     parameters: dict[str, float] = {}
@@ -186,7 +175,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         if key not in keys:
             raise Fault(
                 f"{shown(key)} is not a parameter of the distribution {family.name}, which takes "
-                f"{one_of(keys)}{suggestion(_SYNONYMS.get(key, key), keys)}",
+                f"{one_of(keys)}{suggestion(WORDS['synonyms'].get(key, key), keys)}",
                 key,
             )
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
@@ -292,7 +281,7 @@ class Discrete(TomlTable):
 
 
 #: keys that go with draws, forces of tests, and a column
-_TAKEN: Final = {
+_TAKEN = {
     "draws": "unit",
     "column": "file unit censored count modulus fit unbiased lower upper",
     "force": (
@@ -458,7 +447,7 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
 
 
 #: columns of draws and their dimensions; an empty one is that of the strength
-_DRAWN: Final = {
+_DRAWN = {
     "least": "",
     "scale": "",
     "shape": "number",
@@ -607,7 +596,7 @@ def warn_of_rows(
 
 # --- the pulse of a clean record ------------------------------------------------------------------
 
-_MENDED: Final = "To cut and mend a record, use uqsphere shpb records"
+_MENDED = "To cut and mend a record, use uqsphere shpb records"
 
 
 def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
