@@ -20,14 +20,14 @@ def distributions(design: Design, tables: Tables) -> Answers:
     answers = Answers()
     runs = tables.runs if design.drawn.names else 1
     for name in design.described:
-        found = described(design, tables, name)
-        unit = lookup(name).unit
-        answers.add(name, "mean", "", found.mean, unit=unit, runs=runs)
-        answers.add(name, "sd", "", found.sd, unit=unit, runs=runs)
-        for p, estimate in found.quantiles.items():
+        description, unit = described(design, tables, name), lookup(name).unit
+        answers.add(name, "mean", "", description.mean, unit=unit, runs=runs)
+        answers.add(name, "sd", "", description.sd, unit=unit, runs=runs)
+        for p, estimate in description.quantiles.items():
             answers.add(name, "quantile", p, estimate, unit=unit, runs=runs)
         if tables.sample.late(name).any():
-            answers.add(name, "censored_share", "", found.censored_share, unit="", runs=runs)
+            share = description.censored_share
+            answers.add(name, "censored_share", "", share, unit="", runs=runs)
     return answers
 
 
@@ -48,19 +48,14 @@ def density(values: Array) -> list[list[float]] | None:
     if flat.size < 16 or not flat[-1] - flat[0] > 1e-9 * abs(flat[-1]):
         return None
     low, high = np.quantile(flat, [0.0005, 0.9995])
-    spread = min(
-        float(flat.std()), float(np.subtract(*np.quantile(flat, [0.75, 0.25]))) / 1.349
-    ) or float(flat.std())
-    width = 0.9 * spread * flat.size**-0.2
-    if not width > 0.0:
-        return None
+    sd = float(flat.std())
+    first, third = np.quantile(flat, [0.25, 0.75])
+    width = 0.9 * (min(sd, (third - first) / 1.349) or sd) * flat.size**-0.2
     places = np.linspace(low - 2.0 * width, high + 2.0 * width, 160)
     # counts in cells much finer than the kernel, so that the cost does not grow with the rows
-    counts, edges = np.histogram(
-        flat, bins=2048, range=(places[0] - 3.0 * width, places[-1] + 3.0 * width)
-    )
+    ends = places[0] - 3.0 * width, places[-1] + 3.0 * width
+    counts, edges = np.histogram(flat, bins=2048, range=ends)
     middles = 0.5 * (edges[1:] + edges[:-1])
-    kernel = np.exp(-0.5 * ((places[:, None] - middles) / width) ** 2) / (
-        width * np.sqrt(2.0 * np.pi)
-    )
+    kernel = np.exp(-0.5 * ((places[:, None] - middles) / width) ** 2)
+    kernel /= width * np.sqrt(2.0 * np.pi)
     return [places.tolist(), (kernel @ counts / flat.size).tolist()]

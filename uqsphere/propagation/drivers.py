@@ -27,44 +27,38 @@ STEP = 1e-3
 
 def drivers(design: Design, tables: Tables) -> Answers:
     """The drivers of every limit of the study, among them its own strength."""
-    answers = Answers()
-    names = design.drawn.names
+    answers, names = Answers(), design.drawn.names
     if not names:
         return answers
-    sample = tables.sample.head(min(tables.sample.count, MOST))
+    sample, origin = tables.sample.head(MOST), {"unit": "1", "runs": tables.runs}
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
     for limit in design.judged.limits:
         state, subject = state_of(design, limit, sample), design.subject(limit)
         moved, tie = np.zeros(gradients.shape), state.tie
-        for k, column in enumerate(tie.columns if tie is not None else ()):
-            assert tie is not None
+        if tie is not None:
             # a strength that depends on an input stays where it was while the input moves
-            small = np.where(np.arange(len(tie.columns)) == k, STEP, 0.0)
-            below, above = (
-                failure_given_inputs(
-                    replace(state, tie=replace(tie, scores=tie.scores + way)), limit.aim
+            for step, column in zip(STEP * np.eye(len(tie.columns)), tie.columns, strict=True):
+                below, above = (
+                    failure_given_inputs(replace(state, tie=replace(tie, scores=at)), limit.aim)
+                    for at in (tie.scores - step, tie.scores + step)
                 )
-                for way in (-small, small)
-            )
-            moved[:, :, column] = (below - above) / (2.0 * STEP)
+                moved[:, :, column] = (below - above) / (2.0 * STEP)
         changes = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
-                answers.add(subject, "driver", name, estimate, unit="1", runs=tables.runs)
+                answers.add(subject, "driver", name, estimate, **origin)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
-            below, above = law.tails(state.demands)
-            rows = []
-            for step in (-STEP, STEP):
-                score = state.score_given_inputs(score_of(below, above) + step)
-                if limit.aim == "break":
-                    score = -score
-                rows.append(special.ndtr(score).mean(axis=1))
-            change = from_replicates((rows[0] - rows[1]) / (2.0 * STEP), "difference", tables.runs)
-            answers.add(
-                subject, "driver", strength_name(limit.name), change, unit="1", runs=tables.runs
+            score, sign = score_of(*law.tails(state.demands)), 1.0
+            if limit.aim == "break":
+                sign = -1.0
+            low, high = (
+                special.ndtr(sign * state.score_given_inputs(score + step)).mean(axis=1)
+                for step in (-STEP, STEP)
             )
+            change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
+            answers.add(subject, "driver", strength_name(limit.name), change, **origin)
     return answers
 
 

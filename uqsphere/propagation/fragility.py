@@ -7,8 +7,9 @@ and their spread is the interval.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.study import Limit
-from uqsphere.uq import Estimate
+from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 
@@ -32,42 +33,28 @@ def fragility(design: Design, tables: Tables) -> Answers:
     answers, margins = Answers(), design.study.margins
     if margins is None or (margins.limit is None and not tables.line):
         return answers
-    unit = lookup(margins.solve).unit
+    unit, runs, planned = lookup(margins.solve).unit, tables.line_runs, planned_value(design)
+    plain: dict[str, Any] = {"unit": "1", "method": METHOD, "runs": runs}
     for limit in design.judged.limits:
-        subject, runs = design.subject(limit), tables.line_runs
-        fitted = curve_of(design, tables, limit)
-        for value, p, low, high in fitted.curve:
-            answers.row(subject, "curve", value, p, low, high, unit="1", method=METHOD, runs=runs)
+        subject, fitted = design.subject(limit), curve_of(design, tables, limit)
+        for row in fitted.curve:
+            answers.row(subject, "curve", *row, **plain)
         for p, estimate in fitted.values.items():
             answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
-        allowed, planned = fitted.values.get(limit.allowable), planned_value(design)
-        if allowed is not None and allowed.value and planned and limit.has_target:
-            factor, *ends = (
-                _safety_factor(value, planned, limit)
-                for value in (allowed.value, allowed.low, allowed.high)
-            )
-            if limit.aim != "survive":
-                ends.reverse()
-            answers.row(
-                subject,
-                "safety_factor",
-                margins.solve,
-                factor,
-                *ends,
-                unit="1",
-                method=METHOD,
-                runs=runs,
-            )
+        allowed = fitted.values.get(limit.allowable)
+        if allowed is None or not allowed.value or not planned or not limit.has_target:
+            continue
+        # the free number over its planned value, or the inverse for a limit that must break
+        factors: list[float | None] = []
+        for value in (allowed.value, allowed.low, allowed.high):
+            factor = None
+            if value is not None and value > 0.0:
+                factor = value / planned if limit.aim == "survive" else planned / value
+            factors.append(factor)
+        if limit.aim != "survive":
+            factors[1], factors[2] = factors[2], factors[1]
+        answers.row(subject, "safety_factor", margins.solve, *factors, **plain)
     return answers
-
-
-def _safety_factor(value: float | None, planned: float, limit: Limit) -> float | None:
-    """The free number over its planned value, or the inverse for a limit that must break."""
-    if value is None or not value > 0.0:
-        return None
-    if limit.aim == "survive":
-        return value / planned
-    return planned / value
 
 
 def planned_value(design: Design) -> float | None:
@@ -82,55 +69,50 @@ def planned_value(design: Design) -> float | None:
 
 
 def curve_of(
-    design: Design,
-    tables: Tables,
-    limit: Limit,
-    targets: Sequence[float] = (),
+    design: Design, tables: Tables, limit: Limit, targets: Sequence[float] = ()
 ) -> Fragility:
     """The curve of a limit, with the free number at the study's probabilities and the target, or at
     others.
     """
-    margins = design.study.margins
+    margins, sample = design.study.margins, tables.sample
     assert margins is not None
     folds: Array | None = None
-    if margins.limit is None:  # all values at once
-        values, counts = [*tables.line], [sample.count for sample in tables.line.values()]
-        parts = _along(design, tables, limit)
+    if margins.limit is None:
+        values, counts = [*tables.line], [rows.count for rows in tables.line.values()]
+        means = _along(design, tables.line, limit)
         if tables.fold_line:
-            by_folds = _along(design, replace(tables, line=tables.fold_line), limit)
-            folds = np.array([part.mean(axis=1) for part in by_folds])
+            folds = np.array(_along(design, tables.fold_line, limit))
     else:
-        values, state = grid(margins, VALUES), state_of(design, limit, tables.sample)
-        counts = [tables.sample.count] * len(values)
-        factors = [demand_factor(margins, limit, value) for value in values]
-        parts = [
-            failure_given_inputs(replace(state, demands=state.demands * factor), "survive")
-            for factor in factors
-        ]
+        values, state = grid(margins, VALUES), state_of(design, limit, sample)
+        counts, means = [sample.count] * len(values), []
+        for value in values:
+            demands = state.demands * demand_factor(margins, limit, value)
+            exceeded = failure_given_inputs(replace(state, demands=demands), "survive")
+            means.append(exceeded.mean(axis=1))
     return fragility_of(
         np.array(values),
-        np.clip(np.array([part.mean(axis=1) for part in parts]), 0.0, 1.0),
+        np.clip(np.array(means), 0.0, 1.0),
         targets or sorted({*margins.for_probability, limit.allowable}),
         samples=min(counts),
-        evaluations=tables.sample.replicates * sum(counts),
+        evaluations=sample.replicates * sum(counts),
         folds=folds,
     )
 
 
-def _along(design: Design, tables: Tables, limit: Limit) -> list[Array]:
-    """Probabilities (R, n) of exceedance of a limit at each value of the line."""
-    exceeded = failure_given_inputs(state_of(design, limit, tables.along), "survive")
-    ends = np.cumsum([sample.count for sample in tables.line.values()])[:-1]
-    return np.split(exceeded, ends, axis=1)
+def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> list[Array]:
+    """Mean probabilities (R,) of exceedance of a limit at each value of a line, all at once."""
+    first, *others = line.values()
+    exceeded = failure_given_inputs(state_of(design, limit, first.join(*others)), "survive")
+    ends = np.cumsum([sample.count for sample in line.values()])[:-1]
+    return [part.mean(axis=1) for part in np.split(exceeded, ends, axis=1)]
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
     """The free number at the target, and half of what the curve takes from 16 to 84 %: what its
     accuracy is held to.
     """
-    wanted = limit.allowable
-    values = curve_of(design, tables, limit, sorted({0.16, wanted, 0.84})).values
+    values = curve_of(design, tables, limit, sorted({0.16, limit.allowable, 0.84})).values
     low, high = values[0.16].value, values[0.84].value
     if low is None or high is None or low == high:
-        return values[wanted], None
-    return values[wanted], 0.5 * abs(high - low)
+        return values[limit.allowable], None
+    return values[limit.allowable], 0.5 * abs(high - low)

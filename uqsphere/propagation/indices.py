@@ -25,11 +25,9 @@ def indices(design: Design, tables: Tables) -> Answers:
             runs = tables.runs
             if name in tables.pairs:
                 runs += tables.pairs[name].size
-            orders = ["sobol_first", "sobol_total"]
-            if "," in label:
-                orders = ["sobol_second"]
+            orders = ("second",) if "," in label else ("first", "total")
             for order, estimate in zip(orders, row, strict=True):
-                answers.add(name, order, label, estimate, unit="1", runs=runs)
+                answers.add(name, f"sobol_{order}", label, estimate, unit="1", runs=runs)
     return answers
 
 
@@ -42,36 +40,34 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     own, which a slow model is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
 
-    answers, inputs = Answers(), design.joint_inputs
-    methods = [name for name in SALIB_METHODS if name in design.study.analysis.measures]
-    source = source_of(design, tables)
-    sample = source.rows
-    order = [sample.names.index(name) for name in design.inputs]
-    if not design.inputs:
+    answers, inputs, names = Answers(), design.joint_inputs, design.inputs
+    if not names:
         return answers
-    for method in methods:
-        reason = ""
+    source, seed = source_of(design, tables), design.study.seed
+    sample = source.rows
+    scores = np.stack([sample.scores[..., sample.names.index(name)].ravel() for name in names])
+    given = special.ndtr(scores[:, :GIVEN].T)
+    for method in SALIB_METHODS:
+        if method not in design.study.analysis.measures:
+            continue
+        reason, uniforms = "", given
         columns = {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
-        uniforms = special.ndtr(sample.scores[:, :, order].reshape(-1, len(order))[:GIVEN])
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"
         elif method == "morris" and source.refusal:
             reason = source.refusal
         elif method == "morris":
-            uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=design.study.seed)
-            answered = model.evaluate(design.inputs, rows, design.described)
+            uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=seed)
+            answered = model.evaluate(names, rows, design.described)
             values = np.where(answered.good[:, None], answered.values, np.nan)
-            columns = {name: values[:, k] for k, name in enumerate(design.described)}
+            columns = dict(zip(design.described, values.T, strict=True))
         for name, outputs in columns.items():
-            if reason:
-                row = [absent(reason, f"SALib {method}", 0)] * len(inputs.names)
-            else:
-                row = salib_measures(
-                    method, uniforms, outputs, inputs.names, seed=design.study.seed
-                )
-            for label, estimate in zip(inputs.names, row, strict=True):
-                # mu* is the change of the quantity over the whole range of an input
-                unit = lookup(name).unit if method == "morris" else "1"
+            row = [absent(reason or "none", f"SALib {method}", 0)] * len(names)
+            if not reason:
+                row = salib_measures(method, uniforms, outputs, names, seed=seed)
+            # mu* is the change of the quantity over the whole range of an input
+            unit = lookup(name).unit if method == "morris" else "1"
+            for label, estimate in zip(names, row, strict=True):
                 answers.add(name, method, label, estimate, unit=unit, runs=len(uniforms))
     return answers
 

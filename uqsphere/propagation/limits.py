@@ -26,30 +26,20 @@ def limits(design: Design, tables: Tables) -> Answers:
     answers = Answers()
     for limit in design.judged.limits:
         subject, runs = design.subject(limit), tables.runs
-        failed = failure(design, tables, limit)
+        failed = exceeded = failure(design, tables, limit)
         if limit.name in tables.rare:
             runs += tables.rare[limit.name].estimate.evaluations
-        exceeded = failed
         if limit.aim != "survive":
             exceeded = complement(failed)
-        answers.add(subject, "exceedance_probability", "", exceeded, unit="1", runs=runs)
-        answers.add(subject, "failure_probability", "", failed, unit="1", runs=runs)
-        index = reliability_index(failed.value)
+        origin = {"unit": "1", "runs": runs}
+        answers.add(subject, "exceedance_probability", "", exceeded, **origin)
+        answers.add(subject, "failure_probability", "", failed, **origin)
+        index, high, low = map(reliability_index, (failed.value, *failed.outer))
         if index is not None:
-            high, low = (reliability_index(end) for end in failed.outer)
-            answers.row(
-                subject,
-                "reliability_index",
-                "",
-                index,
-                low,
-                high,
-                unit="1",
-                method=failed.method,
-                runs=runs,
-            )
+            how = failed.method
+            answers.row(subject, "reliability_index", "", index, low, high, method=how, **origin)
         ratio = safety_factor(state_of(design, limit, tables.sample))
-        answers.add(subject, "safety_factor", "strength over demand", ratio, unit="1", runs=runs)
+        answers.add(subject, "safety_factor", "strength over demand", ratio, **origin)
     return answers
 
 
@@ -61,12 +51,8 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     sampled = failure_of_aim(state, limit.aim)
     if limit.name in tables.rare:
         return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
-    if (
-        not design.drawn.names
-        and sampled.value is not None
-        and not state.late.any()
-        and not state.broken.any()
-    ):
+    lost = state.late.any() or state.broken.any()
+    if not design.drawn.names and sampled.value is not None and not lost:
         return exact(sampled.value)
     return source_of(design, tables).probability(
         column_of(limit),
@@ -98,9 +84,7 @@ def _searched(searched: Estimate, sampled: Estimate, rows: int) -> Estimate:
 def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     """Probability (R, n) that the aim is missed given the inputs."""
     below, above = tails(state)
-    if aim == "break":
-        return above
-    return below
+    return above if aim == "break" else below
 
 
 def state_of(
@@ -111,8 +95,7 @@ def state_of(
     """
     if strength is None:
         strength = strength_of(limit)
-    column = column_of(limit)
-    policy = design.study.analysis.policy
+    column, policy = column_of(limit), design.study.analysis.policy
     state = LimitState(
         demands=demands_of(limit, sample),
         strength=strength,
@@ -120,13 +103,10 @@ def state_of(
         failed=sample.lost(column),
         on_failure="drop" if policy == "abort" else policy,
     )
-    name = strength_name(limit.name)
-    if (
-        name not in design.joint.names
-        or not design.study.dependence
-        or not isinstance(state.strength, Law)
-    ):
+    name, names = strength_name(limit.name), design.drawn.names
+    tied = bool(design.study.dependence) and name in design.joint.names
+    if not tied or not isinstance(strength, Law):
         return state
-    names = design.drawn.names
-    scores = design.drawn.scores(sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
-    return replace(state, tie=design.joint.tie(name, names, scores))
+    scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
+    tie = design.joint.tie(name, names, scores.reshape(sample.scores.shape))
+    return replace(state, tie=tie)

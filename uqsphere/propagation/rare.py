@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.chaos import MOST_LEFT, values_at
 from uqsphere.propagation.demands import strength_of, with_test_forces
-from uqsphere.propagation.design import Design, at_normals, by_force, number
+from uqsphere.propagation.design import Design, at_normals, by_force, is_strength, number
 from uqsphere.propagation.limits import failure, state_of
 from uqsphere.propagation.tables import Searched, Tables, evaluate
 from uqsphere.quantities import lookup
@@ -109,7 +109,7 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
     if not design.drawn.names:
         return []
     required = design.study.analysis.accuracy.probability
-    waiting = []
+    waiting: list[tuple[float, float, int, Limit]] = []
     for limit in design.limits:
         estimate = failure(design, tables, limit)
         if is_negligible(estimate, limit):
@@ -123,14 +123,10 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
             out_of_reach = rows_by_sampling(estimate, required) > rows_left + tables.sample.size
             waits = is_left_to_search(design, estimate) or out_of_reach
         if waits:
-            waiting.append((limit, estimate.value or 0.0))
-    waiting.sort(key=lambda pair: (-pair[1], _rank(pair[0])))
-    return [limit for limit, _ in waiting]
-
-
-def _rank(limit: Limit) -> float:
-    """The order of limits that no row of the sample fails: by how far their strength is out."""
-    return number(strength_of(limit)) * _sign(limit)
+            # those that no row of the sample fails: by how far their strength is out
+            rank = number(strength_of(limit)) * _sign(limit)
+            waiting.append((-(estimate.value or 0.0), rank, len(waiting), limit))
+    return [limit for *_, limit in sorted(waiting)]
 
 
 def _sign(limit: Limit) -> float:
@@ -143,16 +139,9 @@ def design_points(design: Design, tables: Tables) -> Answers:
     answers = Answers()
     for limit in design.limits:
         for name, value in design_point(design, tables, limit).items():
-            unit = lookup(limit.quantity if name.endswith(".strength") else name).unit
-            answers.row(
-                design.subject(limit),
-                "design_point",
-                name,
-                value,
-                unit=unit,
-                method="FORM",
-                runs=tables.runs,
-            )
+            unit = lookup(limit.quantity if is_strength(name) else name).unit
+            origin: dict[str, Any] = {"unit": unit, "method": "FORM", "runs": tables.runs}
+            answers.row(design.subject(limit), "design_point", name, value, **origin)
     return answers
 
 
@@ -196,21 +185,22 @@ def _problem(
     def sample(normals: Array) -> Sample:
         return answered(at_normals(design.drawn, normals[None]))
 
-    law = isinstance(strength_of(limit), Law)
-    if design.study.dependence or by_force(limit) or isinstance(limit.model_factor, Law):
-        return Evaluator(
-            lambda normals: left(state_of(design, limit, sample(normals))),
-            len(design.drawn.names),
-            integrated=law,
-            budget=budget,
-            seed=design.study.seed,
-        )
-    factor = limit.model_factor
+    def margin(normals: Array) -> Array:
+        return left(state_of(design, limit, sample(normals)))
+
+    def outputs(normals: Array) -> Array:
+        return sample(normals).outputs(limit.quantity)
+
+    def of_outputs(y: Array) -> Array:
+        return left(LimitState(demands=number(limit.model_factor) * y[None], strength=strength))
+
+    strength = strength_of(limit)
+    whole = design.study.dependence or by_force(limit) or isinstance(limit.model_factor, Law)
     return Evaluator(
-        lambda normals: sample(normals).outputs(limit.quantity),
+        margin if whole else outputs,
         len(design.drawn.names),
-        integrated=law,
-        limit=lambda y: left(LimitState(demands=factor * y[None], strength=strength_of(limit))),
+        integrated=isinstance(strength, Law),
+        limit=None if whole else of_outputs,
         budget=budget,
         seed=design.study.seed,
     )

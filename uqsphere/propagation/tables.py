@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -147,12 +146,6 @@ class Tables:
     def worst(self) -> float:
         """The largest error over its requirement; 0 where nothing is required."""
         return max((error.reached / error.required for error in self.errors), default=0.0)
-
-    @cached_property
-    def along(self) -> Sample:
-        """The rows of the line, value by value."""
-        first, *others = self.line.values()
-        return first.join(*others)
 
 
 def input_rows(

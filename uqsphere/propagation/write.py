@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
-import sys
+import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from uqsphere.propagation.checks import Check
 from uqsphere.propagation.demands import number_of_tests
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import density
-from uqsphere.propagation.failure_modes import AssumedMode, breaks_by, means_fracture
+from uqsphere.propagation.failure_modes import breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
@@ -57,7 +58,7 @@ MOST_ROWS: Final = 16_384
 MOST_HELD_OUT: Final = 160
 #: quantities whose correlation is stored, in pairs
 MOST_CORRELATED: Final = 4
-PACKAGES: Final = (
+PACKAGES: Final = [
     "numpy",
     "scipy",
     "numba",
@@ -66,11 +67,10 @@ PACKAGES: Final = (
     "SALib",
     "pydantic",
     "matplotlib",
-)
+]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cost:
+class Cost(NamedTuple):
     """What a run cost: model runs, those of them from the cache, and run time [s]."""
 
     runs: int
@@ -88,7 +88,13 @@ def results_of(
 ) -> Results:
     """What results.json holds."""
     study = design.study
-    inputs = (*study.fixed, *study.random, *_factors(design))
+    limits, modes = {}, {}
+    for limit in design.limits:
+        points = points_of_tests(design, tables, limit)
+        limits[limit.name] = _limit(limit, assumed=False, source="study", test_points=points)
+    for mode in design.modes:
+        source, checked = mode.entry.source, mode.entry.seen
+        modes[mode.called] = _limit(mode.limit, assumed=True, source=source, source_checked=checked)
     return Results(
         study=StudyEntry(
             title=study.title,
@@ -100,13 +106,13 @@ def results_of(
             overrides=list(study.overrides),
             warnings=list(study.warnings),
             quantities={name: _quantity(design, tables, name) for name in design.described},
-            limits={limit.name: _with_tests(design, tables, limit) for limit in design.limits},
-            modes={mode.called: _assumed(mode) for mode in design.modes},
+            limits=limits,
+            modes=modes,
             not_judged=dict(design.not_judged),
             dependence=[_dependence(tie) for tie in study.dependence],
             correlations=_correlations(design, tables),
         ),
-        inputs={name: _input(design, name) for name in inputs},
+        inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
         answers=answers.rows,
         decisions=list(decisions),
         evidence=list(design.evidence),
@@ -129,17 +135,14 @@ def _description(design: Design) -> list[str]:
     """What was studied, in two lines: rock, size and rig; strength with its tests."""
     study = design.study
     if study.black_box:
-        first = (
-            f"Black box of {len(study.fixed) + len(study.random)} inputs: "
-            f"{', '.join(study.outputs)}"
-        )
+        count = len(study.fixed) + len(study.random)
+        first = f"Black box of {count} inputs: {', '.join(study.outputs)}"
     else:
-        means = study.at_means()
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
-        size = f"{2e3 * means['sphere.radius']:.3g} mm"
+        size = f"{2e3 * study.at_means()['sphere.radius']:.3g} mm"
         scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
-        sphere = f"{rock[:1].upper()}{rock[1:]}, {size}"
-        first = f"{sphere}, {RIGS[study.rig].title}; random inputs: {scatter}"
+        rig = RIGS[study.rig].title
+        first = f"{rock[:1].upper()}{rock[1:]}, {size}; {rig}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
         text, tests = f"{limit.name}: {_strength_text(limit)}", number_of_tests(limit.strength)
@@ -171,11 +174,10 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
     source = source_of(design, tables)
     values = source.values(name)
     finite = values[np.isfinite(values)]
-    ends = np.quantile(finite, [0.05, 0.5, 0.95]) if finite.size else np.full(3, np.nan)
-    low, median, high = (float(end) for end in ends)
-    onset = left = pairs = None
-    if name == "p_max":
-        onset = onset_of(design.study)
+    low = median = high = math.nan
+    if finite.size:
+        low, median, high = np.quantile(finite, [0.05, 0.5, 0.95]).tolist()
+    left = pairs = None
     slow = tables.surrogate
     if name in tables.expansions:
         expansion = tables.expansions[name]
@@ -190,7 +192,7 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         range=(low, median, high),
         method_of_indices=source.index_method(name) if design.inputs else "",
         density=density(values),
-        onset=onset,
+        onset=onset_of(design.study) if name == "p_max" else None,
         expansion_error=left,
         held_out=pairs,
     )
@@ -199,8 +201,8 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
 def _some(outputs: Array, predicted: Array) -> list[list[float]]:
     """Outputs of some model runs, and what an expansion that was not fitted to them predicts."""
     pairs = np.stack([outputs.ravel(), predicted.ravel()])
-    chosen = pairs[:, :: max(pairs.shape[1] // MOST_HELD_OUT, 1)]
-    return [[float(f"{number:.5g}") for number in row] for row in chosen[:, :MOST_HELD_OUT]]
+    chosen = pairs[:, :: max(pairs.shape[1] // MOST_HELD_OUT, 1)][:, :MOST_HELD_OUT]
+    return [[float(f"{number:.5g}") for number in row] for row in chosen]
 
 
 def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
@@ -216,12 +218,19 @@ def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
     return entries
 
 
-def _with_tests(design: Design, tables: Tables, limit: Limit) -> LimitEntry:
-    points = points_of_tests(design, tables, limit)
-    return _limit(limit).model_copy(update={"test_points": points})
-
-
-def _limit(limit: Limit) -> LimitEntry:
+def _limit(limit: Limit, **origin: Any) -> LimitEntry:
+    """A limit with the `origin` of its strength."""
+    tested, platens, size_law = limit.tested, "", []
+    if tested is not None and tested.forces:
+        modulus = tested.platens[0]
+        platens = "rigid platens"
+        if math.isfinite(modulus):
+            platens = f"platens with E = {1e-9 * modulus:.3g} GPa"
+    # how the strength of tested spheres follows their size, and the rate of loading
+    if tested is not None and tested.exponent:
+        size_law.append(f"force at failure ~ diameter^{tested.exponent:.3g}")
+    if "rate_0" in limit.parameters:
+        size_law.append(f"doubled at a strain rate of {limit.parameters['rate_0']:.3g} 1/s")
     return LimitEntry(
         mode=mode_name(breaks_by(limit)),
         quantity=limit.quantity,
@@ -231,55 +240,26 @@ def _limit(limit: Limit) -> LimitEntry:
         allowable=limit.allowable,
         criterion=limit.criterion,
         fracture=means_fracture(limit),
-        assumed=False,
         tests=number_of_tests(limit.strength),
         strength=_strength(limit),
-        source="study",
-        platens=_platens(limit),
-        size_law=_size_law(limit),
+        platens=platens,
+        size_law=", ".join(size_law),
+        **origin,
     )
-
-
-def _platens(limit: Limit) -> str:
-    """Platens of the crushing tests behind a strength."""
-    if limit.tested is None or not limit.tested.forces:
-        return ""
-    modulus = limit.tested.platens[0]
-    if math.isinf(modulus):
-        return "rigid platens"
-    return f"platens with E = {1e-9 * modulus:.3g} GPa"
-
-
-def _size_law(limit: Limit) -> str:
-    """How the strength of tested spheres follows their size, and the rate of loading."""
-    texts = []
-    if limit.tested is not None and limit.tested.exponent:
-        texts.append(f"force at failure ~ diameter^{limit.tested.exponent:.3g}")
-    if "rate_0" in limit.parameters:
-        texts.append(f"doubled at a strain rate of {limit.parameters['rate_0']:.3g} 1/s")
-    return ", ".join(texts)
-
-
-def _assumed(mode: AssumedMode) -> LimitEntry:
-    library = {"assumed": True, "source": mode.entry.source, "source_checked": mode.entry.seen}
-    return _limit(mode.limit).model_copy(update=library)
 
 
 def _strength(limit: Limit) -> Strength:
-    law, unit = limit.strength, display_unit(limit.quantity)[0]
-    if not isinstance(law, Law):
-        value = float(law)
-        text = _strength_text(limit)
-        return Strength(text=text, unit=unit, median=value, p05=value, p95=value)
-    p05, median, p95 = (float(x) for x in law.ppf([0.05, 0.5, 0.95]))
-    density = None
-    if not law.is_steps:
-        low, high = (float(x) for x in law.ppf([0.001, 0.999]))
-        places = np.linspace(low, high, 160)
-        density = [places.tolist(), law.pdf(places).tolist()]
-    return Strength(
-        text=_strength_text(limit), unit=unit, median=median, p05=p05, p95=p95, density=density
-    )
+    law, density = limit.strength, None
+    if isinstance(law, Law):
+        p05, median, p95 = law.ppf([0.05, 0.5, 0.95]).tolist()
+        if not law.is_steps:
+            low, high = law.ppf([0.001, 0.999])
+            places = np.linspace(low, high, 160)
+            density = [places.tolist(), law.pdf(places).tolist()]
+    else:
+        p05 = median = p95 = float(law)
+    text, unit = _strength_text(limit), display_unit(limit.quantity)[0]
+    return Strength(text=text, unit=unit, median=median, p05=p05, p95=p95, density=density)
 
 
 def _strength_text(limit: Limit) -> str:
@@ -287,7 +267,7 @@ def _strength_text(limit: Limit) -> str:
     if not isinstance(law, Law):
         return format_value(float(law), limit.quantity)
     mean, sd = law.mean(), law.sd()
-    text = f"{law.family.name.replace('_', ' ').capitalize()}"
+    text = law.family.name.replace("_", " ").capitalize()
     if mean is not None:
         text += f", mean {format_value(mean, limit.quantity)}"
     if law.family.name == "weibull" and "modulus" in law.parameters:
@@ -298,34 +278,25 @@ def _strength_text(limit: Limit) -> str:
 
 
 def _dependence(tie: Dependence) -> DependenceEntry:
-    if tie.spearman is not None:
-        text = f"Spearman's rank correlation {tie.spearman:g}"
-    else:
+    text = f"Spearman's rank correlation {tie.spearman or 0.0:g}"
+    if tie.kendall is not None:
         text = f"Kendall's rank correlation {tie.kendall:g}"
     if tie.copula != "gaussian":
         text += f", Student t copula of {tie.dof:g} degrees of freedom"
     return DependenceEntry(of=list(tie.of), text=text)
 
 
-def _factors(design: Design) -> list[str]:
-    """Random factors on the demands of limits."""
-    return [name for name in design.drawn.names if name not in design.study.random]
-
-
-def _input(design: Design, name: str) -> InputEntry:
-    study = design.study
-    source = study.sources.get(name)
-    law = study.laws().get(name)
-    if law is None:
-        value = study.fixed[name]
-        mean, sd, ends, distribution = value, 0.0, (value, value), "fixed"
-    else:
-        mean, sd = law.mean(), law.sd()
-        low, high = law.ppf([0.05, 0.95])
-        ends, distribution = (float(low), float(high)), _distribution_text(law, name)
+def _input(study: Study, name: str) -> InputEntry:
+    source, law = study.sources.get(name), study.laws().get(name)
     reference, checked = "study", True
     if source:
         reference, checked = source.source, source.seen
+    if law is None:
+        mean = p05 = p95 = study.fixed[name]
+        sd, distribution = 0.0, "fixed"
+    else:
+        mean, sd, distribution = law.mean(), law.sd(), _distribution_text(law, name)
+        p05, p95 = law.ppf([0.05, 0.95]).tolist()
     return InputEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
@@ -333,8 +304,8 @@ def _input(design: Design, name: str) -> InputEntry:
         source_checked=checked,
         mean=mean,
         sd=sd,
-        p05=ends[0],
-        p95=ends[1],
+        p05=p05,
+        p95=p95,
         fixed=law is None,
         distribution=distribution,
     )
@@ -346,13 +317,13 @@ def _distribution_text(law: Law, name: str) -> str:
     for key in ("modulus", "shape", "dof"):
         if key in law.parameters:
             parts.append(f"{key} {law.parameters[key]:.3g}")
-    low, high = (
-        None if math.isinf(end) else format_value(end, name) for end in (law.lower, law.upper)
-    )
-    if low and high:
+    low, high = (format_value(end, name) for end in (law.lower, law.upper))
+    if math.isfinite(law.lower) and math.isfinite(law.upper):
         parts.append(f"{low} to {high}")
-    elif low or high:
-        parts.append(f"from {low}" if low else f"up to {high}")
+    elif math.isfinite(law.lower):
+        parts.append(f"from {low}")
+    elif math.isfinite(law.upper):
+        parts.append(f"up to {high}")
     return ", ".join(parts)
 
 
@@ -360,23 +331,17 @@ def versions() -> dict[str, str]:
     """Versions of Python, of this package and of those that it computes with."""
     from uqsphere import __version__
 
-    numbers = {
-        "python": ".".join(str(part) for part in sys.version_info[:3]),
-        "uqsphere": __version__,
-    }
+    numbers = {"python": platform.python_version(), "uqsphere": __version__}
     for name in PACKAGES:
-        try:
+        with contextlib.suppress(PackageNotFoundError):
             numbers[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return numbers
 
 
 def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
     """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
     sample = tables.rows
-    count = max(min(sample.count, MOST_ROWS // sample.replicates), 1)
-    head = sample.head(count)
+    head = sample.head(max(MOST_ROWS // sample.replicates, 1))
     table: dict[str, Array | Flags] = {name: head.input(name).ravel() for name in head.names}
     generator = random_generator(seed=design.study.seed, task="strengths of samples")
     for limit in design.limits:
@@ -384,10 +349,7 @@ def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
         if isinstance(state.strength, Law):
             drawn = state.score_drawn(generator.standard_normal(state.demands.shape))
             table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
-    table |= {
-        name: np.where(head.lost(name), np.nan, head.answer(name)).ravel()
-        for name in head.quantities
-    }
+    table |= {name: head.outputs(name) for name in head.quantities}
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()
     return table
@@ -395,8 +357,6 @@ def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
 
 def cells_of(column: Array | Flags) -> list[Any]:
     """A column as cells of a table: a number that is not known is left empty."""
-    if column.dtype == bool or not np.isnan(column).any():
-        return list(column.tolist())
     return [None if math.isnan(number) else number for number in column.tolist()]
 
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Final, Required, TypedDict, Unpack
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.results.types import Answer, Kind
+from uqsphere.results.types import Answer
 from uqsphere.uq import Estimate
 
 if TYPE_CHECKING:
@@ -19,23 +19,11 @@ if TYPE_CHECKING:
 COLUMNS: Final = tuple(Answer.model_fields)
 
 
-class Origin(TypedDict, total=False):
-    """Unit of an answer and where it comes from."""
-
-    unit: Required[str]
-    method: str
-    runs: int
-    note: str
-
-
 class Answers:
     """Rows of answers, looked up by subject, answer and place."""
 
     def __init__(self, rows: Iterable[Answer] = ()) -> None:
         self.rows = list(rows)
-        #: rows by subject and answer, of the first so many
-        self.places: dict[tuple[str, str], list[Answer]] = {}
-        self.seen = 0
 
     def __iadd__(self, other: Answers) -> Answers:
         self.rows += other.rows
@@ -50,29 +38,16 @@ class Answers:
         answer: str,
         at: float | str,
         estimate: Estimate,
-        *,
-        unit: str,
-        runs: int,
+        **origin: Any,
     ) -> None:
-        """An estimate; one without a value leaves its reason as the note."""
-        low_unseen, high_unseen = estimate.outer
-        self.rows.append(
-            Answer(
-                subject=subject,
-                answer=Kind(answer),
-                at=at if isinstance(at, str) else float(at),
-                value=estimate.value,
-                low=estimate.low,
-                high=estimate.high,
-                low_unseen=low_unseen,
-                high_unseen=high_unseen,
-                std_error=estimate.std_error,
-                unit=unit,
-                method=estimate.method,
-                runs=runs,
-                note=estimate.reason or "",
-            )
-        )
+        """An estimate, with its unit and runs; one without a value leaves its reason as the
+        note.
+        """
+        ends = estimate.low, estimate.high
+        low, high = estimate.outer
+        origin |= {"method": estimate.method, "note": estimate.reason or ""}
+        origin |= {"low_unseen": low, "high_unseen": high, "std_error": estimate.std_error}
+        self.row(subject, answer, at, estimate.value, *ends, **origin)
 
     def row(
         self,
@@ -82,22 +57,15 @@ class Answers:
         value: float | None,
         low: float | None = None,
         high: float | None = None,
-        **origin: Unpack[Origin],
+        **origin: Any,
     ) -> None:
-        """A row of plain numbers; what is not finite is left empty."""
-        self.rows.append(
-            Answer(
-                subject=subject,
-                answer=Kind(answer),
-                at=at if isinstance(at, str) else float(at),
-                value=value,
-                low=low,
-                high=high,
-                low_unseen=low,
-                high_unseen=high,
-                **origin,
-            )
-        )
+        """A row of plain numbers, with its unit and further columns; what is not finite is left
+        empty.
+        """
+        cells = {"low_unseen": low, "high_unseen": high, **origin}
+        place = at if isinstance(at, str) else float(at)
+        cells |= {"subject": subject, "answer": answer, "at": place}
+        self.rows.append(Answer(value=value, low=low, high=high, **cells))
 
     def get(self, subject: str, answer: str, at: float | str = "") -> Answer | None:
         """The row of an answer, None where there is none."""
@@ -105,32 +73,21 @@ class Answers:
 
     def where(self, subject: str, answer: str) -> list[Answer]:
         """All rows of an answer, in the order of their places."""
-        for row in self.rows[self.seen :]:
-            self.places.setdefault((row.subject, row.answer), []).append(row)
-        self.seen = len(self.rows)
-        return self.places.get((subject, answer), [])
-
-    def frame(self) -> pd.DataFrame:
-        """The table as pandas has it; empty numbers are nan."""
-        return frame_of(self.rows)
+        return [row for row in self.rows if row.subject == subject and row.answer == answer]
 
 
-def frame_of(rows: Sequence[Answer]) -> pd.DataFrame:
-    """Rows as a table with the columns in their order."""
+def frame_of(rows: Iterable[Answer]) -> pd.DataFrame:
+    """Rows as a table with the columns in their order; empty numbers are nan."""
     import pandas as pd
 
-    table = pd.DataFrame(
-        [{**vars(row), "answer": row.answer.value} for row in rows], columns=list(COLUMNS)
-    )
+    table = pd.DataFrame([row.model_dump(mode="json") for row in rows], columns=list(COLUMNS))
     numbers = ["value", "low", "high", "low_unseen", "high_unseen", "std_error"]
-    table[numbers] = table[numbers].astype(float)
-    return table
+    return table.astype(dict.fromkeys(numbers, float))
 
 
-def answers_csv(rows: Sequence[Answer]) -> str:
+def answers_csv(rows: Iterable[Answer]) -> str:
     """Rows as the text of answers.csv."""
-    cells = ({**vars(row), "answer": row.answer.value} for row in rows)
-    return csv_text(COLUMNS, ([row[name] for name in COLUMNS] for row in cells))
+    return csv_text(COLUMNS, (row.model_dump(mode="json").values() for row in rows))
 
 
 def csv_text(names: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
