@@ -1,7 +1,7 @@
 """What a sample of a cheap model answers: descriptions, indices and failure probabilities.
 
-A slow model has an object with the same questions (`uqsphere.propagation.surrogate`): analyses ask
-`source_of` for the one that a run has.
+A slow model has an object that answers the same questions (`uqsphere.propagation.slow`): analyses
+ask `source_of` for the one that a run has.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.propagation import chaos
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.tables import Indices, Source, Tables
+from uqsphere.propagation.slow import Slow
+from uqsphere.propagation.tables import Indices, Tables
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
 from uqsphere.uq.describe import Description, describe, describe_controlled, heavy_tail
@@ -33,7 +34,7 @@ SAMPLED: Final = "sample"
 CONTROLLED: Final = "sample, chaos as control variate"
 
 
-def source_of(design: Design, tables: Tables) -> Source:
+def source_of(design: Design, tables: Tables) -> Slow | Sampled:
     """What answers the questions of the analyses."""
     return tables.surrogate or Sampled(design=design, tables=tables)
 
@@ -53,9 +54,8 @@ class Sampled:
 
     def describe(self, name: str) -> Description:
         """The description of a quantity; an accurate expansion is its control variate."""
-        design, sample = self.design, self.tables.sample
-        analysis = design.study.analysis
-        if not design.drawn.names and not sample.late(name).any() and not sample.failed.any():
+        sample, analysis = self.tables.sample, self.design.study.analysis
+        if not self.design.drawn.names and not sample.late(name).any() and not sample.failed.any():
             value = exact(float(sample.answer(name)[0, 0]))
             return Description(
                 mean=value,
@@ -69,16 +69,15 @@ class Sampled:
             return describe_controlled(
                 sample.answer(name)[1:],
                 expansion.values,
-                self._many(expansion)[1:],
+                self.values(name)[1:],
                 quantiles=analysis.quantiles,
                 method=CONTROLLED,
             )
-        policy = "drop" if analysis.policy == "abort" else analysis.policy
         return describe(
             sample.answer(name),
             censored=sample.late(name),
             failed=sample.lost(name),
-            on_failure=policy,
+            on_failure="drop" if analysis.policy == "abort" else analysis.policy,
             quantiles=analysis.quantiles,
             method=SAMPLED,
         )
@@ -88,24 +87,22 @@ class Sampled:
         expansion = self.tables.expansions.get(name)
         if expansion is None or expansion.left >= chaos.CONTROL:
             return None
-        if self.tables.sample.count >= MOST_MANY:
-            return None
-        return expansion
-
-    def _many(self, expansion: chaos.Expansion) -> Array:
-        """Values (R, m) of an expansion at the sample's points continued, `MANY` for each."""
-        count = min(MANY * self.tables.sample.count, MOST_MANY)
-        return chaos.values_at(self.design, expansion)(self.design.many_normals(count))
+        return expansion if self.tables.sample.count < MOST_MANY else None
 
     def values(self, name: str) -> Array:
+        """Values (R, n) that stand for the distribution of a quantity: of its control variate at
+        the sample's points continued, `MANY` for each.
+        """
         expansion = self._control(name)
         if expansion is None:
             return self.tables.sample.answer(name)
-        return self._many(expansion)
+        count = min(MANY * self.tables.sample.count, MOST_MANY)
+        return chaos.values_at(self.design, expansion)(self.design.many_normals(count))
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
     ) -> Estimate:
+        """The failure probability of the sample; only a bound where too few rows carry it."""
         sample = self.tables.sample
         if sampled.value is None or not 0.0 < sampled.value < 1e-3:
             return sampled
@@ -113,20 +110,21 @@ class Sampled:
             return sampled
         bound = max(sampled.high or 0.0, 3.0 / sample.size)
         reason = "fewer than 20 effective samples contribute to it; only a bound is given"
-        none = absent(reason, sampled.method, sampled.evaluations)
-        return replace(none, low=0.0, high=min(bound, 1.0))
+        return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
 
     # --- indices ----------------------------------------------------------------------------------
 
     def index_method(self, name: str) -> IndexMethod:
+        """Where the indices of a quantity come from."""
         if name in self.tables.pairs:
             return "pairs"
         return "chaos" if name in self.tables.expansions else ""
 
     def indices(self, name: str) -> Indices:
+        """First and total indices of a quantity for independent inputs, and second ones."""
         reason = heavy_tail(self.tables.sample.outputs(name), certain=True)
         if not reason and name in self.tables.pairs:
-            return _by_pairs(self.design, self.tables, name)
+            return _by_pairs(self.design, self.tables.pairs[name])
         if not reason and name in self.tables.expansions:
             return by_chaos(self.design, self.tables.expansions[name])
         reason = reason or "the quantity does not vary, or has no plain value at every point"
@@ -140,7 +138,7 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     active = form.multi_indices > 0
     many = active.sum(axis=1)
     everything = (expansion.residuals**2).mean(axis=1)
-    rows: dict[str, tuple[Estimate, ...]] = {}
+    indices: dict[str, tuple[Estimate, ...]] = {}
     for k, name in enumerate(design.inputs):
         least, most = expansion.explained[:, :, k]
         part = expansion.projection(active[:, k] & (many == 1), float(integrals.first[k]))
@@ -150,17 +148,17 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
-        rows[name] = first, total
-    if design.study.analysis.second_order:
-        for i, j in combinations(range(len(design.inputs)), 2):
-            which = active[:, i] & active[:, j] & (many == 2)
-            share = 0.0
-            if integrals.sd > 0.0:
-                share = float((form.coefficients[which] ** 2).sum()) / integrals.sd**2
-            part = expansion.projection(which, share)
-            index = _index(expansion, part, np.zeros_like(everything), everything)
-            rows[f"{design.inputs[i]},{design.inputs[j]}"] = (index,)
-    return rows
+        indices[name] = first, total
+    if not design.study.analysis.second_order:
+        return indices
+    for (i, one), (j, other) in combinations(enumerate(design.inputs), 2):
+        which, share = active[:, i] & active[:, j] & (many == 2), 0.0
+        if integrals.sd > 0.0:
+            share = float((form.coefficients[which] ** 2).sum()) / integrals.sd**2
+        part = expansion.projection(which, share)
+        index = _index(expansion, part, np.zeros_like(everything), everything)
+        indices[f"{one},{other}"] = (index,)
+    return indices
 
 
 def _index(
@@ -195,22 +193,22 @@ def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
     return widest <= design.study.analysis.accuracy.sobol
 
 
-def _by_pairs(design: Design, tables: Tables, name: str) -> dict[str, tuple[Estimate, ...]]:
-    """Indices of the pairs; points of which any run has no value are left out."""
-    values = tables.pairs[name]
-    whole = np.asarray(np.isfinite(values).all(axis=2))
+def _by_pairs(design: Design, values: Array) -> dict[str, tuple[Estimate, ...]]:
+    """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
+    whole, names = np.asarray(np.isfinite(values).all(axis=2)), design.inputs
     least = int(whole.sum(axis=1).min())
     if least < 2:
         nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
-        return dict.fromkeys(design.inputs, (nothing, nothing))
+        return dict.fromkeys(names, (nothing, nothing))
     kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
     sampled = sampled_indices(np.stack(kept), design.blocks)
-    orders = [sampled.first, sampled.total]
+    first, total = sampled.first, sampled.total
     if not whole.all():
         text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
-        orders = [[replace(e, method=e.method + text) for e in order] for order in orders]
+        first, total = (
+            [replace(index, method=index.method + text) for index in order]
+            for order in (first, total)
+        )
     indices: dict[str, tuple[Estimate, ...]] = {}
-    indices |= zip(design.inputs, zip(*orders, strict=True), strict=True)
-    for (i, j), estimate in sampled.second.items():
-        indices[f"{design.inputs[i]},{design.inputs[j]}"] = (estimate,)
-    return indices
+    indices |= zip(names, zip(first, total, strict=True), strict=True)
+    return indices | {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -16,8 +15,9 @@ from uqsphere.models.rows import EvaluatedRows
 from uqsphere.propagation.chaos import Expansion
 from uqsphere.propagation.demands import with_test_forces
 from uqsphere.propagation.design import Design
+from uqsphere.propagation.slow import Slow
 from uqsphere.quantities import format_probability
-from uqsphere.results.types import IndexMethod, Stop
+from uqsphere.results.types import Stop
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.describe import Description
 
@@ -44,44 +44,6 @@ class Searched:
 
 #: first and total index by input, and second ones by "input,input"
 Indices = Mapping[str, tuple[Estimate, ...]]
-
-
-class Source(Protocol):
-    """What answers questions on the outputs of a study: a sample, or expansions of a slow model.
-
-    rows : rows of the model
-    dropped : share of the rows that failed and were left out
-    refusal : why the model is not called for designs of single methods; empty where it is
-    """
-
-    @property
-    def rows(self) -> Sample: ...
-    @property
-    def dropped(self) -> float: ...
-    @property
-    def refusal(self) -> str: ...
-
-    def describe(self, name: str) -> Description:
-        """Mean, standard deviation and quantiles of a quantity."""
-
-    def indices(self, name: str) -> Indices:
-        """First and total indices of a quantity for independent inputs."""
-
-    def index_method(self, name: str) -> IndexMethod:
-        """Where its indices come from: "chaos", "pairs" or nothing."""
-
-    def probability(
-        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
-    ) -> Estimate:
-        """A failure probability.
-
-        column : what the limit is held against
-        sampled : the probability of the sample
-        chance : the failure probability (R, n) given the inputs and outputs of a sample
-        """
-
-    def values(self, name: str) -> Array:
-        """Values (R, n) that stand for the distribution of a quantity."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +77,7 @@ class Tables:
     reached: Sequence[tuple[int, float]] = ()
     stopped: Stop = ""
     failures: Mapping[str, Estimate] = field(default_factory=dict)
-    surrogate: Source | None = None
+    surrogate: Slow | None = None
     predicted_from: int = 0
     fold_line: Mapping[float, Sample] = field(default_factory=dict)
 

@@ -26,7 +26,6 @@ from uqsphere.propagation.failure_modes import breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.surrogate import Slow
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.tested import points_of_tests
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
@@ -183,7 +182,7 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         expansion = tables.expansions[name]
         left = expansion.left
         pairs = _some(tables.sample.answer(name)[1:], expansion.values)
-    elif isinstance(slow, Slow) and slow.predicted is not None:
+    elif slow is not None and slow.predicted is not None:
         response = slow.responses[name]
         left, pairs = response.error, _some(response.outputs, response.levels)
     return QuantityEntry(

@@ -1,0 +1,122 @@
+"""What the rows of a slow model answer, with the expansions that are fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from uqsphere.arrays import Array
+from uqsphere.propagation.design import Design
+from uqsphere.results.types import IndexMethod
+from uqsphere.uq import Estimate, Sample, absent
+from uqsphere.uq.corrected import Corrected, indices_of
+from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.response import Response, unseen
+
+ROUGH: Final = "runs of the model"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slow:
+    """What answers the questions that `uqsphere.propagation.sampled.Sampled` answers of a cheap
+    model.
+
+    Attributes
+    ----------
+    rows : (1, N) as evaluated
+    responses : the expansions by quantity; none where a row has no plain values
+    sample : the table: predictions with residuals on them, or the rows in blocks
+    predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
+        a column are too rough
+    dropped : share of the rows that failed and were left out
+    refusal : why the model is not called for designs of single methods
+    """
+
+    design: Design
+    rows: Sample
+    responses: Mapping[str, Response]
+    sample: Sample
+    predicted: Sample | None = None
+    dropped: float = 0.0
+    refusal: str = "the model is too slow for a design of its own"
+
+    def corrected(self, name: str) -> Corrected | None:
+        """The predictions of a quantity, corrected by its rows; None where it has none."""
+        if self.predicted is None:
+            return None
+        table = self.predicted.answer(name)
+        return Corrected(response=self.responses[name], table=table, dropped=self.dropped)
+
+    def values(self, name: str) -> Array:
+        """Values (R, n) that stand for the distribution of a quantity."""
+        return self.sample.answer(name)
+
+    def describe(self, name: str) -> Description:
+        """Mean, standard deviation and quantiles of a quantity."""
+        analysis, corrected = self.design.study.analysis, self.corrected(name)
+        if corrected is not None:
+            return corrected.describe(analysis.quantiles)
+        return describe(
+            self.sample.answer(name),
+            censored=self.sample.late(name),
+            failed=self.sample.lost(name),
+            on_failure="bound" if analysis.policy == "bound" else "drop",
+            quantiles=analysis.quantiles,
+            method=f"{self.rows.size} {ROUGH}{self._kept}; {unseen(self.rows.size)}",
+        )
+
+    @property
+    def _kept(self) -> str:
+        if not self.dropped:
+            return ""
+        return f", the {100.0 * (1.0 - self.dropped):.3g} % of rows that answered"
+
+    def probability(
+        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
+    ) -> Estimate:
+        """A failure probability.
+
+        column : what the limit is held against
+        sampled : the probability of the sample
+        chance : the failure probability (R, n) given the inputs and outputs of a sample
+        """
+        corrected, predicted = self.corrected(column), self.predicted
+        if corrected is None or predicted is None:
+            sampled = replace(sampled, method=sampled.method + self._kept)
+            if sampled.high is None:
+                return sampled
+            return replace(sampled, high=max(sampled.high, 3.0 / self.rows.size))
+        place, table = predicted.quantities.index(column), predicted
+
+        def moved(sample: Sample, values: Array) -> Array:
+            answers = sample.answers.copy()
+            answers[:, :, place] = values
+            return chance(sample.with_answers(sample.quantities, answers))
+
+        return corrected.probability(
+            rows=chance(self.rows)[0],
+            left_out=moved(self.rows, self.responses[column].levels)[0],
+            table=lambda residual: moved(table, table.answers[:, :, place] + residual),
+        )
+
+    def index_method(self, name: str) -> IndexMethod:
+        """Where the indices of a quantity come from."""
+        return "chaos" if name in self.responses else ""
+
+    def indices(self, name: str) -> Mapping[str, tuple[Estimate, ...]]:
+        """First and total indices of a quantity for independent inputs."""
+        runs, inputs = self.rows.size, self.design.inputs
+        if name in self.responses:
+            orders = indices_of(self.responses[name]).values()
+            return {
+                label: tuple(replace(index, method=index.method + self._kept) for index in row)
+                for label, row in zip(inputs, zip(*orders, strict=True), strict=True)
+            }
+        reason = f"some of the {runs} model runs have no plain value"
+        if self.dropped:
+            reason = "the runs that failed lie apart from the others: see on_failure"
+        elif self.rows.failed.any():
+            reason += '; analysis.on_failure = "drop" gives the indices of those that do'
+        nothing = absent(reason, ROUGH, runs)
+        return dict.fromkeys(inputs, (nothing, nothing))
