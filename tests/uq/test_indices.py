@@ -12,7 +12,7 @@ import pytest
 from scipy.special import ndtri
 
 from tests.campaigns.intervals import CoverageModel, coverage_models
-from uqsphere.propagation.drivers import change_per_sd
+from uqsphere.propagation.limits import change_per_sd
 from uqsphere.uq.chaos import germ_points, germs_of
 from uqsphere.uq.foreign import joint_of
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, sampled_indices

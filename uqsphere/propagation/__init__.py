@@ -26,12 +26,11 @@ from uqsphere.propagation.chaos import MOST_ROWS
 from uqsphere.propagation.checks import checks
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import distributions
-from uqsphere.propagation.drivers import drivers
 from uqsphere.propagation.fracture import fracture
 from uqsphere.propagation.fragility import fragility
 from uqsphere.propagation.grow import grow, pair_rows
 from uqsphere.propagation.indices import indices, salib_indices
-from uqsphere.propagation.limits import limits
+from uqsphere.propagation.limits import drivers, limits
 from uqsphere.propagation.progress import Progress, watched
 from uqsphere.propagation.rare import design_points
 from uqsphere.propagation.tables import Tables

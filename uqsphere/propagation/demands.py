@@ -65,32 +65,6 @@ def _factor(limit: Limit, sample: Sample) -> Array | float:
     return number(limit.model_factor)
 
 
-def _law(limit: Limit, moving: Mapping[str, Array], sample: Sample) -> list[str]:
-    """Numbers of what yields in the tests that scatter from row to row."""
-    if limit.tested is None:
-        return []
-    sphere = limit.tested.sphere
-    keys = [key for key in LAW if key in sphere]
-    names = [f"contact.{key}" for key in keys]
-    if sphere.get("takes"):
-        names = [f"sphere.{key}" for key in keys] + names
-    return [name for name in names if name in moving or name in sample.names]
-
-
-def _test_force(limit: Limit, value: Array, sphere: Mapping[str, Array], radius: Array) -> Array:
-    """The force (n,) [N] in the limit's tests that is worth a row's value, carried to their size by
-    the size law.
-
-    Of draws it is the value itself, in the size that they hold for.  So one law of size serves
-    rows, curves and the free number: `Tested.exponent`.
-    """
-    tested = limit.tested
-    assert tested is not None
-    if tested.law is not None:
-        value = force_at(value, limit.demand, {**tested.sphere, **sphere}, radius, tested.platens)
-    return value * (tested.diameter / (2.0 * radius)) ** tested.exponent
-
-
 def with_test_forces(
     design: Design,
     sample: Sample,
@@ -102,20 +76,32 @@ def with_test_forces(
 
     `moving` are values (R, n) of numbers in place of the sample's or the study's.
     """
-    means = design.study.at_means()
     shape = sample.scores.shape[:2]
-
     drawn = {name: sample.input(name) for name in sample.names}
-    values: dict[str, Array | float] = {**means, **drawn, **moving}
-    for limit in filter(by_force, limits or design.judged.limits):
-        value = sample.answer(limit.quantity) * _factor(limit, sample)
-        finite = np.isfinite(value)
-        names = dict.fromkeys([*SPHERE, "sphere.radius", *_law(limit, moving, sample)])
+    values: dict[str, Array | float] = {**design.study.at_means(), **drawn, **moving}
+    for limit in limits or design.judged.limits:
+        tested = limit.tested
+        if tested is None or not by_force(limit):
+            continue
+        # numbers of what yields in the tests count where they scatter from row to row
+        keys = [key for key in LAW if key in tested.sphere]
+        parts = ("sphere", "contact") if tested.sphere.get("takes") else ("contact",)
+        yielding = [f"{part}.{key}" for part in parts for key in keys]
+        scattering = [name for name in yielding if name in moving or name in drawn]
+        names = [*SPHERE, "sphere.radius", *scattering]
+        demand = sample.answer(limit.quantity) * _factor(limit, sample)
+        finite = np.isfinite(demand)
         sphere = {
             name.partition(".")[2]: np.broadcast_to(values[name], shape)[finite] for name in names
         }
+        radius, worth = sphere.pop("radius"), demand[finite]
+        if tested.law is not None:
+            numbers = {**tested.sphere, **sphere}
+            worth = force_at(worth, limit.demand, numbers, radius, tested.platens)
+        # one law of size serves rows, curves and the free number; of draws the value itself is the
+        # force, in the size that they hold for
         force = np.full(shape, np.nan)
-        force[finite] = _test_force(limit, value[finite], sphere, sphere.pop("radius"))
+        force[finite] = worth * (tested.diameter / (2.0 * radius)) ** tested.exponent
         late = sample.late(limit.quantity)
         sample = replace(
             sample,

@@ -24,17 +24,19 @@ def values_at(margins: Margins, shares: Values) -> Array:
     [0.1, 1.0, 10.0]
     """
     low, high = margins.between
+    values: Array = low + (high - low) * np.asarray(shares)
     if low > 0.0:
-        return np.asarray(np.clip(low * (high / low) ** np.asarray(shares), low, high))
-    return np.asarray(low + (high - low) * np.asarray(shares))
+        values = np.clip(low * (high / low) ** np.asarray(shares), low, high)
+    return values
 
 
 def shares_of(margins: Margins, values: Values) -> Array:
     """The share of the way at which values lie."""
     low, high = margins.between
+    shares: Array = (np.asarray(values) - low) / (high - low)
     if low > 0.0:
-        return np.asarray(np.log(np.asarray(values) / low) / math.log(high / low))
-    return np.asarray((np.asarray(values) - low) / (high - low))
+        shares = np.log(np.asarray(values) / low) / math.log(high / low)
+    return shares
 
 
 def grid(margins: Margins, count: int) -> list[float]:

@@ -91,7 +91,7 @@ def grow(
         if tables.stopped:
             return tables
         took = time.monotonic() - started
-        history.append({(error.subject, error.answer): error.reached for error in tables.errors})
+        history.append({error[:2]: error.reached for error in tables.errors})
         runs, worst = model.evaluations + model.reused, tables.worst
         tables = replace(tables, reached=(*tables.reached, (runs, worst)))
         if progress is not None:
@@ -129,8 +129,7 @@ def _is_stuck(
     """
     if error.answer == "failure_probability" and error.subject.partition(".")[2] in tables.rare:
         return True
-    answer = error.subject, error.answer
-    before = max((errors.get(answer, 0.0) for errors in history[:-2]), default=math.inf)
+    before = max((errors.get(error[:2], 0.0) for errors in history[:-2]), default=math.inf)
     return error.reached > 0.95 * before > 0.0
 
 
@@ -265,7 +264,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
 def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
     """The accuracy of every answer that the study has a requirement for."""
     required = design.study.analysis.accuracy
-    reached: list[tuple[str, str, float, float]] = []
+    errors: list[Accuracy] = []
     for name in design.study.analysis.quantities:
         description = described(design, tables, name)
         scale = description.scale
@@ -273,14 +272,14 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
             continue
         least = 1e-13 * abs(description.mean.value) / scale
         half = description.mean.half_width
-        reached.append((name, "mean", half / scale - least, required.mean))
+        errors.append(Accuracy(name, "mean", half / scale - least, required.mean))
         for p, estimate in description.quantiles.items():
             if estimate.value is not None:
                 error = estimate.half_width / scale - least
-                reached.append((name, f"quantile {p:g}", error, required.quantile))
+                errors.append(Accuracy(name, f"quantile {p:g}", error, required.quantile))
         for label, row in of_quantity(design, tables, name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
-            reached.append((name, f"sobol {label}", widest, required.sobol))
+            errors.append(Accuracy(name, f"sobol {label}", widest, required.sobol))
     for limit in design.limits:
         estimate, subject = failure(design, tables, limit), f"limits.{limit.name}"
         searched = limit.name in tables.rare
@@ -289,17 +288,15 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
         if not searched and rare.is_left_to_search(design, estimate):
             continue
         error = estimate.half_width / estimate.value
-        reached.append((subject, "failure_probability", error, required.probability))
+        errors.append(Accuracy(subject, "failure_probability", error, required.probability))
         room = limit.target - (estimate.high or 1.0)
         if limit.has_target and searched and room > 0.0:
             # failures that the search did not aim at must not turn the verdict
-            reached.append((subject, "unseen_failures", count_bound(tables.sample.size), room))
+            errors.append(
+                Accuracy(subject, "unseen_failures", count_bound(tables.sample.size), room)
+            )
     for limit_name, (margin, width) in tables.margins.items():
         if margin.value is not None and width is not None:
             error = margin.half_width / width
-            reached.append((f"limits.{limit_name}", "margin", error, required.probability))
-    return tuple(
-        Accuracy(subject=subject, answer=answer, reached=error, required=tolerance)
-        for subject, answer, error, tolerance in reached
-        if math.isfinite(tolerance)
-    )
+            errors.append(Accuracy(f"limits.{limit_name}", "margin", error, required.probability))
+    return tuple(error for error in errors if math.isfinite(error.required))

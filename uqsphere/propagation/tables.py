@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,24 +23,22 @@ from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.describe import Description
 
 
-@dataclass(frozen=True, kw_only=True)
-class Accuracy:
+class Accuracy(NamedTuple):
     """How accurate an answer is, and how accurate it is required to be: half-widths in the unit of
     the requirement.
     """
 
     subject: str
     answer: str
-    required: float
     reached: float
+    required: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Searched:
+class Searched(NamedTuple):
     """A failure probability by a search, with its design point (SI) by variable."""
 
     estimate: Estimate
-    design_point: Mapping[str, float] = field(default_factory=dict)
+    design_point: Mapping[str, float]
 
 
 #: first and total index by input, and second ones by "input,input"

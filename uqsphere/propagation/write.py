@@ -19,7 +19,7 @@ from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.propagation.checks import Check
-from uqsphere.propagation.demands import number_of_tests
+from uqsphere.propagation.demands import demands_of, number_of_tests, strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import density
 from uqsphere.propagation.failure_modes import breaks_by, means_fracture
@@ -27,7 +27,6 @@ from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
-from uqsphere.propagation.tested import points_of_tests
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results import Answers, Run
 from uqsphere.results.answers import answers_csv, csv_text
@@ -89,7 +88,7 @@ def results_of(
     study = design.study
     limits, modes = {}, {}
     for limit in design.limits:
-        points = points_of_tests(design, tables, limit)
+        points = _test_points(design, tables, limit)
         limits[limit.name] = _limit(limit, assumed=False, source="study", test_points=points)
     for mode in design.modes:
         source, checked = mode.entry.source, mode.entry.seen
@@ -121,7 +120,7 @@ def results_of(
             required=study.analysis.accuracy.model_dump(),
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],
             stopped=tables.stopped,
-            inaccurate=[Shortfall(**asdict(answer)) for answer in tables.inaccurate],
+            inaccurate=[Shortfall(**answer._asdict()) for answer in tables.inaccurate],
             runs=cost.runs,
             reused=cost.reused,
             seconds=round(cost.seconds, 2),
@@ -141,7 +140,7 @@ def _description(design: Design) -> list[str]:
         size = f"{2e3 * study.at_means()['sphere.radius']:.3g} mm"
         scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
         rig = RIGS[study.rig].title
-        first = f"{rock[:1].upper()}{rock[1:]}, {size}; {rig}; random inputs: {scatter}"
+        first = f"{rock[:1].upper()}{rock[1:]}, {size}, {rig}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
         text, tests = f"{limit.name}: {_strength_text(limit)}", number_of_tests(limit.strength)
@@ -245,6 +244,41 @@ def _limit(limit: Limit, **origin: Any) -> LimitEntry:
         size_law=", ".join(size_law),
         **origin,
     )
+
+
+def _test_points(design: Design, tables: Tables, limit: Limit) -> list[list[float]] | None:
+    """Tests of a limit along the free number: values, shares broken, and 1 for right-censored ones.
+
+    A test lies where the median demand is what its specimen bore; its share is that of Kaplan and
+    Meier, in the middle of its step.  Tests beyond the range of the free number are left out.  None
+    for a strength without tests, and without [margins].
+    """
+    law = strength_of(limit)
+    if not isinstance(law, Law) or not law.data or len(tables.line) < 2:
+        return None
+    strengths = np.array([*law.data, *law.censored])
+    stopped = np.arange(len(strengths)) >= len(law.data)
+    values = np.array(sorted(tables.line))
+    demands = np.array([np.nanmedian(demands_of(limit, tables.line[x])) for x in values])
+    if not (np.isfinite(demands).all() and (np.diff(demands) > 0.0).all() and demands[0] > 0.0):
+        return None
+    logs = np.interp(np.log(strengths), np.log(demands), values, np.nan, np.nan)
+    order = np.lexsort((stopped, strengths))
+    shares = np.empty(len(strengths))
+    shares[order] = _kaplan_meier(stopped[order])
+    points = np.array([logs, shares, stopped.astype(float)])[:, order]
+    shown: list[list[float]] = points[:, np.isfinite(points[0])].tolist()
+    if not shown[0]:
+        return None
+    return shown
+
+
+def _kaplan_meier(stopped: Array) -> Array:
+    """Share broken at each of some tests in rising order, in the middle of its step."""
+    left = len(stopped) - np.arange(len(stopped))
+    survival = np.cumprod(np.where(stopped, 1.0, 1.0 - 1.0 / left))
+    before = np.concatenate([[1.0], survival[:-1]])
+    return np.asarray(1.0 - 0.5 * (before + survival))
 
 
 def _strength(limit: Limit) -> Strength:
