@@ -29,20 +29,18 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos import projections
 from uqsphere.uq.describe import Description, heavy_tail
-from uqsphere.uq.estimate import Estimate, absent, distances, fold_spread, share, student
+from uqsphere.uq.estimate import Estimate, absent, bounded, distances, fold_spread, share, student
 from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
-NODES: Final = 17
-PLACES: Final = 2048
+NODES, PLACES = 17, 2048
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,23 +112,15 @@ class Corrected:
     def mean(self) -> Estimate:
         """The mean by (1)."""
         levels, sampling = self._table_moment(1)
-        value = float(levels.mean() + self.response.residuals.mean())
-        down, up = distances(self.response.residuals)
-        low, high = value - math.hypot(down, sampling), value + math.hypot(up, sampling)
-        return self._estimate(value, low, high)
+        residuals = self.response.residuals
+        value, (down, up) = float(levels.mean() + residuals.mean()), distances(residuals)
+        return self._estimate(
+            value, value - math.hypot(down, sampling), value + math.hypot(up, sampling)
+        )
 
     def _estimate(self, value: float, low: float, high: float) -> Estimate:
         """An estimate with its ends; absent where one is not finite."""
-        if not all(map(math.isfinite, (value, low, high))):
-            return absent("the answer is beyond floating point", self.method, self.runs)
-        return Estimate(
-            value=value,
-            low=low,
-            high=high,
-            std_error=0.25 * (high - low),
-            method=self.method,
-            evaluations=self.runs,
-        )
+        return bounded(value, low, high, 0.25 * (high - low), self.method, self.runs)
 
     def sd(self) -> Estimate:
         """The standard deviation by (1), or of the rows alone where these know it better.
@@ -142,17 +132,15 @@ class Corrected:
         influence = (outputs - centre) ** 2 - (levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
         sampling = math.hypot(sampling, float(fold_spread(squares)))
-        down, up = distances(influence)
         variance = float(squares.mean() + influence.mean())
-        ends = variance - math.hypot(down, sampling), variance + math.hypot(up, sampling)
+        down, up = (math.hypot(part, sampling) for part in distances(influence))
         rows = (outputs - outputs.mean()) ** 2
         alone = distances(rows)
-        if sum(alone) < ends[1] - ends[0] or variance <= 0.0:
-            variance = float(rows.mean())
-            ends = variance - alone[0], variance + alone[1]
-        value, low, high = (math.sqrt(max(end, 0.0)) for end in (variance, *ends))
-        estimate = self._estimate(value, low, high)
-        reason = heavy_tail(self.table) or heavy_tail(self.response.outputs, certain=True)
+        if sum(alone) < variance + up - (variance - down) or variance <= 0.0:
+            variance, (down, up) = float(rows.mean()), alone
+        ends = (variance, variance - down, variance + up)
+        estimate = self._estimate(*(math.sqrt(max(end, 0.0)) for end in ends))
+        reason = heavy_tail(self.table) or heavy_tail(outputs, certain=True)
         if reason and estimate.value is not None:
             return replace(estimate, high=None, reason=reason)
         return estimate
@@ -169,24 +157,23 @@ class Corrected:
         rows, left_out : (n,) g of the outputs of all rows, and of their predictions
         table : g (R, m) of the predictions of the table, where a residual is added to all of them
         """
-        predicted = table(0.0)
-        nodes, weights = self.nodes
+        predicted, (nodes, weights) = table(0.0), self.nodes
         changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
-        means = predicted.mean(axis=1)
-        counted = bool(np.isin(predicted, (0.0, 1.0)).all())
-        # a replicate knows what it counts to one cell
-        sampling = self.table_error(means, 1.0 / predicted.shape[1] if counted else 0.0)
-        expected = np.asarray(weights @ np.array(changes))
-        value, low, high = self._ends(means.mean(), rows - left_out, expected, sampling)
-        ends = float(low), float(high)
-        outer = max(ends[0] - 3.0 / self.runs, 0.0), min(ends[1] + 3.0 / self.runs, 1.0)
-        if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and ends[1] * predicted.size < 3.0):
+        means, cell = predicted.mean(axis=1), 0.0
+        if np.isin(predicted, (0.0, 1.0)).all():
+            cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
+        expected, sampling = weights @ np.array(changes), self.table_error(means, cell)
+        ends = self._ends(means.mean(), rows - left_out, expected, sampling)
+        value, low, high = map(float, ends)
+        missed = 3.0 / self.runs
+        estimate = self._estimate(value, low, high)
+        if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
-            none = absent(reason, self.method, self.runs)
-            estimate = replace(none, low=ends[0], high=ends[1])
-        else:
-            estimate = self._estimate(float(value), *ends)
-        return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
+            nothing = absent(reason, self.method, self.runs)
+            estimate = replace(nothing, low=low, high=high)
+        return replace(
+            estimate, low_unseen=max(low - missed, 0.0), high_unseen=min(high + missed, 1.0)
+        )
 
     def _ends(
         self, table: Array, influence: Array, expected: Array, sampling: Array
@@ -199,40 +186,38 @@ class Corrected:
         The value has a correction that is shrunk by its own noise; the interval is that of the
         whole correction.
         """
-        n = len(influence)
-        correction = influence.mean(axis=0)
-        counted = influence.var(axis=0, ddof=1)
-        noise = np.maximum(counted, expected) / n
+        n, correction = len(influence), influence.mean(axis=0)
+        noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
         half = np.hypot(student(n) * np.sqrt(noise), sampling)
-        low = np.clip(table + correction - half, 0.0, 1.0)
-        high = np.clip(table + correction + half, 0.0, 1.0)
+        whole = table + correction
+        low, high = np.clip(whole - half, 0.0, 1.0), np.clip(whole + half, 0.0, 1.0)
         return np.clip(table + _shrunk(correction, noise), low, high), low, high
 
     @cached_property
     def _distribution(self) -> tuple[Array, Array, Array, Array]:
         """Places (g,), and P(y <= place) with both ends (g,) of its interval, all rising."""
-        pooled = np.sort(self.table, axis=None)
+        pooled, outputs = np.sort(self.table, axis=None), self.response.outputs
         step = max(len(pooled) // PLACES, 1)
         # not at the rows and at their predictions: between the two a row would count, however close
-        rows = np.quantile(self.response.outputs, [0.0, 1.0])
-        places = np.unique(np.concatenate([pooled[::step], pooled[-1:], rows]))
-        table = np.empty((len(self.table), len(places)))
-        for r, values in enumerate(self.table):
-            table[r] = np.searchsorted(np.sort(values), places, side="right") / len(values)
-        below = np.searchsorted(pooled, places, side="right") / len(pooled)
-        expected = np.zeros(len(places))
-        for node, weight in zip(*self.nodes, strict=True):
-            moved = np.searchsorted(pooled, places - node, side="right") / len(pooled)
-            expected += weight * np.abs(moved - below)
-        sides = [self.response.outputs[:, None] <= places, self.response.levels[:, None] <= places]
-        influence = np.subtract(*sides, dtype=float)
+        ends = [outputs.min(), outputs.max()]
+        places = np.unique(np.concatenate([pooled[::step], pooled[-1:], ends]))
+
+        def below(values: Array, shift: float = 0.0) -> Array:
+            return np.searchsorted(values, places - shift, side="right") / len(values)
+
+        expected = sum(
+            weight * np.abs(below(pooled, node) - below(pooled))
+            for node, weight in zip(*self.nodes, strict=True)
+        )
+        table = np.stack([below(np.sort(values)) for values in self.table])
+        influence = np.subtract(
+            outputs[:, None] <= places, self.response.levels[:, None] <= places, dtype=float
+        )
         sampling = self.table_error(table, 1.0 / self.table.shape[1])
         value, low, high = self._ends(table.mean(axis=0), influence, expected, sampling)
         up, down = np.maximum.accumulate, np.minimum.accumulate
         value = 0.5 * (up(value) + down(value[::-1])[::-1])
-        low = np.minimum(up(low), value)
-        high = np.maximum(down(high[::-1])[::-1], value)
-        return places, value, low, high
+        return places, value, np.minimum(up(low), value), np.maximum(down(high[::-1])[::-1], value)
 
     def quantile(self, p: float) -> Estimate:
         """The quantile at p: where the distribution function of (1) reaches it."""
@@ -246,17 +231,16 @@ class Corrected:
             place = int(np.searchsorted(levels, p - 1e-12))
             return float(places[place]) if place < len(places) else math.inf
 
-        at = below(value)
-        ends = min(below(high), at), max(above(low), at)
-        if math.isinf(ends[1]) or p <= high[0]:
+        at, missed = below(value), 3.0 / self.runs
+        upper = max(above(low), at)
+        if math.isinf(upper) or p <= high[0]:
             reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"
             return absent(reason, self.method, self.runs)
-        missed = 3.0 / self.runs
-        outer = min(below(high + missed), at), max(above(low - missed), at)
+        outer = min(below(high + missed), at)
         if p <= high[0] + missed:
-            outer = -math.inf, outer[1]
-        estimate = self._estimate(at, *ends)
-        return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
+            outer = -math.inf
+        estimate = self._estimate(at, min(below(high), at), upper)
+        return replace(estimate, low_unseen=outer, high_unseen=max(above(low - missed), at))
 
     def describe(self, quantiles: Sequence[float]) -> Description:
         """Mean, standard deviation and quantiles."""
@@ -287,11 +271,12 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
 
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
-    of all rows, each with its own fold.  The last part of the first indices is that of `explained`;
-    of the total ones it lies between that of the first index and all of r^2.  The value takes the
-    middle of the former, and as much of r^2 as S_f is of the expansion; its correction 2 r P_j is
-    shrunk by its noise, as that of a probability is.  Without expansions that can be trusted f is
-    the mean.  Where the variance of the rows may be infinite, every interval is from 0 to 1.
+    of all rows, each with its own fold.  The last part of the first indices is that of
+    `block_parts`; of the total ones it lies between that of the first index and all of r^2.  The
+    value takes the middle of the former, and as much of r^2 as S_f is of the expansion; its
+    correction 2 r P_j is shrunk by its noise, as that of a probability is.  Without expansions that
+    can be trusted f is the mean.  Where the variance of the rows may be infinite, every interval is
+    from 0 to 1.
     """
     y, n, d = response.outputs, response.count, len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
@@ -327,52 +312,42 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     shrunk = expanded / whole + _shrunk(values - expanded / whole, noise)
     orders: dict[str, list[Estimate]] = {"first": [], "total": []}
     for j in range(d):
-        by_blocks = explained(response.points[used, j], residual)
-        least, most, error = (part / whole for part in by_blocks)
-        for row, order in enumerate(orders):
-            value, share = float(values[row, j]), float(expanded[row, j])
-            down, up = distances(influences[row, j])
-            rest = (least, most, error)
-            if order == "total":
-                rest = 0.0, most_left, 0.0
-            low = value + rest[0] - math.hypot(down, spread[row, j], rest[2]) - rounding
-            high = value + rest[1] + math.hypot(up, spread[row, j], rest[2]) + rounding
-            best = float(shrunk[row, j]) + 0.5 * (least + most)
-            if order == "total":
-                best = float(shrunk[row, j]) + share * left
+        by_blocks = block_parts(response.points[used, j], residual)
+        least, most = (float(part.mean()) / whole for part in by_blocks)
+        error = max(distances(part)[1] for part in by_blocks) / whole
+        # of the residuals' variance: the least, the most, their half-width, and what is likeliest
+        rests = (
+            (least, most, error, 0.5 * (least + most)),
+            (0.0, most_left, 0.0, float(expanded[1, j]) * left),
+        )
+        for row, (least, most, error, likely) in enumerate(rests):
+            value, (down, up) = float(values[row, j]), distances(influences[row, j])
+            low = value + least - math.hypot(down, spread[row, j], error) - rounding
+            high = value + most + math.hypot(up, spread[row, j], error) + rounding
             low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
             if unbounded:
                 low, high = 0.0, 1.0
-            estimate = Estimate(
-                value=min(max(best, low), high),
-                low=low,
-                high=high,
-                std_error=0.25 * (high - low),
-                method=method,
-                evaluations=n,
-                reason=unbounded or None,
-            )
-            orders[order].append(estimate)
+            best = min(max(float(shrunk[row, j]) + likely, low), high)
+            estimate = bounded(best, low, high, 0.25 * (high - low), method, n)
+            orders[("first", "total")[row]].append(replace(estimate, reason=unbounded or None))
     if not folds:
-        orders["total"] = _bounded_totals(orders["first"])
+        # no less than the first index, and at most what the others leave
+        lows = [each.low or 0.0 for each in orders["first"]]
+        bounds = absent("bounded by the first indices", method, n)
+        orders["total"] = [
+            replace(bounds, low=low, high=min(max(1.0 - (sum(lows) - low), low), 1.0))
+            for low in lows
+        ]
     return orders
 
 
-def explained(column: Array, residual: Array) -> tuple[float, float, float]:
-    """What an input (n,) explains of the mean square of residuals (n,): least, most, half-width.
-
-    The rows are cut into blocks of about sqrt(n) in the order of the input.  The products of
-    different rows of a block have the mean E[E[r | x]^2] where the other inputs are random.  Where
-    these are stratified, as in a quasi-random design, the square of the block's mean has it.
-    """
-    pairs, squares = block_parts(column, residual)
-    error = max(distances(part)[1] for part in (pairs, squares))
-    return float(pairs.mean()), float(squares.mean()), error
-
-
 def block_parts(column: Array, residual: Array) -> tuple[Array, Array]:
-    """Of each block (about sqrt(n),) of `explained`: the mean product of different rows, and the
-    square of the mean.
+    """What an input (n,) explains of the mean square of residuals (n,): of each block (about
+    sqrt(n),) the mean product of different rows, and the square of the mean.
+
+    The rows are cut into blocks in the order of the input.  The products have the mean E[E[r |
+    x]^2] where the other inputs are random; where these are stratified, as in a quasi-random
+    design, the square of the block's mean has it.
     """
     n = len(column)
     edges = np.linspace(0, n, round(math.sqrt(n)) + 1).astype(int)
@@ -381,14 +356,3 @@ def block_parts(column: Array, residual: Array) -> tuple[Array, Array]:
     means = np.add.reduceat(ordered, edges[:-1]) / counts
     second = np.add.reduceat(ordered**2, edges[:-1]) / counts
     return (counts * means**2 - second) / (counts - 1), means**2
-
-
-def _bounded_totals(first: Sequence[Estimate]) -> list[Estimate]:
-    """Total indices where only first ones are known: no less, and at most what the others leave."""
-    lows = [estimate.low or 0.0 for estimate in first]
-    totals = []
-    for estimate, low in zip(first, lows, strict=True):
-        high = min(max(1.0 - (sum(lows) - low), low), 1.0)
-        none = absent("bounded by the first indices", estimate.method, estimate.evaluations)
-        totals.append(replace(none, low=low, high=high))
-    return totals

@@ -14,21 +14,21 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Values, special
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law
 
 Indices: TypeAlias = npt.NDArray[np.int64]
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11
-HIGHEST_DEGREE: Final = 15
+HIGHEST_DEGREE = 15
 #: values of a law at most that has a polynomial for each of them
-MOST_STEPS: Final = HIGHEST_DEGREE + 1
+MOST_STEPS = HIGHEST_DEGREE + 1
 #: normal scores between which the values of a law are tabled (2e-33 lies beyond either end), and
 #: the knots of the table
 REACH, KNOTS = 12.0, 2401
@@ -154,10 +154,9 @@ def highest_degrees(germs: Sequence[GermLike], points: Array) -> Indices:
     highest = []
     for germ, column in zip(germs, points.T, strict=True):
         different = len(np.unique(values_of(germ, column).round(12)))
-        if isinstance(germ, Germ):
-            different = min(different, germ.recurrence.shape[1])
-        highest.append(max(min(different - 1, HIGHEST_DEGREE), 0))
-    return np.array(highest, dtype=np.int64)
+        most = recurrence_of(germ, HIGHEST_DEGREE).shape[1]
+        highest.append(max(min(different, most) - 1, 0))
+    return np.array(highest)
 
 
 def _own_polynomials(law: Law) -> bool:
@@ -194,9 +193,7 @@ def _own_germ(
     scores = np.linspace(-REACH, REACH, KNOTS)
     values, weights = law.from_normal(scores), np.exp(-0.5 * scores**2)
     least = float(law.ppf(0.0))
-    low, high = (
-        float(end if math.isfinite(end) else values[k]) for k, end in ((0, least), (-1, upper))
-    )
+    low, high = np.where(np.isfinite([least, upper]), [least, upper], values[[0, -1]]).tolist()
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
     standard = (values - centre) / half
     recurrence = stieltjes(standard, weights / weights.sum())
@@ -213,20 +210,22 @@ def _own_germ(
 
 
 def orthonormal_values(germ: GermLike, points: Array, degree: int) -> Array:
-    """Values (degree + 1, n) of the orthonormal polynomials of a germ at points (n,).
+    """Values (degree + 1, n) of the orthonormal polynomials of a germ at points (n,)."""
+    return np.stack(orthonormal(germ, degree, values_of(germ, points)))
+
+
+def orthonormal(germ: GermLike, degree: int, x: Values) -> list[Any]:
+    """The orthonormal polynomials of a germ up to a degree at its values, or of a polynomial x.
 
     sqrt(b_(k+1)) p_(k+1) = (x - a_k) p_k - sqrt(b_k) p_(k-1), with the monic coefficients a, b.
     """
     a, b = recurrence_of(germ, degree)
-    degree = min(degree, len(a) - 1)
-    points = values_of(germ, points)
-    values = np.empty((degree + 1, points.size))
-    values[0] = 1.0
-    for k in range(degree):
-        values[k + 1] = (points - a[k]) * values[k]
+    values = [x**0]
+    for k in range(min(degree, len(a) - 1)):
+        value = (x - a[k]) * values[k]
         if k:
-            values[k + 1] -= math.sqrt(b[k]) * values[k - 1]
-        values[k + 1] /= math.sqrt(b[k + 1])
+            value -= math.sqrt(b[k]) * values[k - 1]
+        values.append(value / math.sqrt(b[k + 1]))
     return values
 
 
@@ -251,13 +250,9 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    costs, rows, used = (
-        np.arange(degree + 1.0) ** norm,
-        np.zeros((1, 0), dtype=np.int64),
-        np.zeros(1),
-    )
+    rows, used = np.zeros((1, 0), dtype=np.int64), np.zeros(1)
     for _ in range(dimension):
-        total = used[:, None] + costs
+        total = used[:, None] + np.arange(degree + 1.0) ** norm
         heads, last = np.nonzero(total <= degree**norm + 1e-9)
         if len(heads) > most:
             return None
@@ -275,7 +270,7 @@ def nested(
     The rows are ordered so that the set of every degree comes first.  None where degree 1 has too
     many.
     """
-    sets: list[Indices] = []
+    sets = list[Indices]()
     for degree in range(1, highest + 1):
         indices = hyperbolic_indices(dimension, degree, norm, most)
         if indices is None:
@@ -303,12 +298,12 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
         new = set(_below(waiting.pop())) - base
         base |= new
         waiting += new
-    rank: dict[tuple[int, ...], float] = {}
+    rank = dict[tuple[int, ...], float]()
     for row in base:
-        for j in range(len(row)):
-            above = (*row[:j], row[j] + 1, *row[j + 1 :])
+        for j, k in enumerate(row):
+            above = _with(row, j, k + 1)
             lower = _below(above)
-            if row[j] < highest and above not in base and base.issuperset(lower):
+            if k < highest and above not in base and base.issuperset(lower):
                 rank[above] = max(ranks.get(low, 0.0) for low in lower)
     inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
     outer = sorted(rank, key=lambda row: (-rank[row], sum(row), row))
@@ -317,7 +312,11 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
 
 def _below(row: tuple[int, ...]) -> list[tuple[int, ...]]:
     """Degrees with one less in one input."""
-    return [(*row[:j], k - 1, *row[j + 1 :]) for j, k in enumerate(row) if k]
+    return [_with(row, j, k - 1) for j, k in enumerate(row) if k]
+
+
+def _with(row: tuple[int, ...], j: int, degree: int) -> tuple[int, ...]:
+    return (*row[:j], degree, *row[j + 1 :])
 
 
 def skipping(active: Indices, highest: int) -> Indices:
@@ -329,13 +328,11 @@ def skipping(active: Indices, highest: int) -> Indices:
     >>> skipping(np.array([[0, 0], [1, 0], [1, 2]]), 4).tolist()
     [[1, 4], [3, 0], [3, 2]]
     """
-    rows = set(map(tuple, active.tolist()))
-    above = set[tuple[int, ...]]()
-    for row in rows:
-        above |= {
-            (*row[:j], k + 2, *row[j + 1 :]) for j, k in enumerate(row) if 0 < k < highest - 1
-        }
-    return np.array(sorted(above - rows), dtype=np.int64).reshape(-1, active.shape[1])
+    places = np.argwhere((active > 0) & (active < highest - 1))
+    above = active[places[:, 0]]
+    above[np.arange(len(above)), places[:, 1]] += 2
+    rows = set(map(tuple, above.tolist())) - set(map(tuple, active.tolist()))
+    return np.array(sorted(rows), dtype=np.int64).reshape(-1, active.shape[1])
 
 
 def products(tables: Sequence[Array], terms: Indices) -> Array:
@@ -352,8 +349,5 @@ def products(tables: Sequence[Array], terms: Indices) -> Array:
 
 def rows_of(germs: Sequence[GermLike], points: Array, terms: Indices) -> Array:
     """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
-    highest = terms.max(axis=0)
-    return products(
-        [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(germs)],
-        terms,
-    )
+    triples = zip(germs, points.T, terms.max(axis=0).tolist(), strict=True)
+    return products([orthonormal_values(*triple) for triple in triples], terms)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from uqsphere.uq.chaos.basis import (
     germ_points,
     highest_degrees,
     nested,
-    recurrence_of,
+    orthonormal,
     rows_of,
     steps_of,
 )
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 #: rows whose values stay in the processor's cache
-BLOCK: Final = 4096
+BLOCK = 4096
 #: terms of a plain form at most: its points are 17 times as many
-PLAIN: Final = 240
+PLAIN = 240
 #: randomisations of the pairs that integrate ln y, and the base points of each; `Integrals.error`
 #: is what they leave
 PAIRS_REPLICATES, PAIRS = 8, 256
@@ -119,13 +119,15 @@ class Chaos:
 
         chaospy = load_chaospy()
         import numpoly
+        from numpy.polynomial import Polynomial
 
         names = [f"q{k}" for k in range(len(self.germs))]
         highest = self.multi_indices.max(axis=0)
-        powers = [_powers(germ, int(top)) for germ, top in zip(self.germs, highest, strict=True)]
+        x, pairs = Polynomial([0.0, 1.0]), zip(self.germs, highest.tolist(), strict=True)
+        powers = [orthonormal(germ, top, x) for germ, top in pairs]
         entries = list[tuple[tuple[int, ...], int, float]]()
         for term, degrees in enumerate(self.multi_indices):
-            rows = [power[n].tolist() for power, n in zip(powers, degrees, strict=True)]
+            rows = [power[n].coef.tolist() for power, n in zip(powers, degrees, strict=True)]
             for exponent in product(*map(range, degrees + 1)):
                 value = math.prod(row[k] for row, k in zip(rows, exponent, strict=True))
                 if value:
@@ -134,15 +136,11 @@ class Chaos:
         exponents, places = np.unique(np.array(keys), axis=0, return_inverse=True)
         table = np.zeros((len(exponents), len(self.coefficients)))
         table[places, np.array(terms)] = values
-        make = numpoly.ndpoly.from_attributes
-        expansion = make(
-            exponents=exponents, coefficients=list(table), names=names, retain_names=True
-        )
-        polynomial = make(
-            exponents=exponents,
-            coefficients=list(table @ self.coefficients),
-            names=names,
-            retain_names=True,
+        polynomial, expansion = (
+            numpoly.ndpoly.from_attributes(
+                exponents=exponents, coefficients=list(part), names=names, retain_names=True
+            )
+            for part in (table @ self.coefficients, table)
         )
         germs = [_germ_of_chaospy(chaospy, germ) for germ in self.germs]
         joint = germs[0] if len(germs) == 1 else chaospy.J(*germs)
@@ -155,13 +153,11 @@ class Chaos:
         """
         if not self.log:
             return self
-        inputs = np.flatnonzero((self.multi_indices > 0).any(axis=0))
+        inputs = np.flatnonzero(self.multi_indices.any(axis=0))
         sets = nested(len(inputs), 0.75, 10, PLAIN)
-        small = np.zeros((1, len(inputs)), dtype=np.int64)
-        if sets is not None:
-            small = sets[0]
-        terms = np.zeros((len(small), len(self.germs)), dtype=np.int64)
-        terms[:, inputs] = small
+        terms = np.zeros((sets[1][-1] if sets else 1, len(self.germs)), dtype=np.int64)
+        if sets:
+            terms[:, inputs] = sets[0]
         points = law_points(self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
         values = predict(self, points)
@@ -191,25 +187,8 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     )
 
 
-def _powers(germ: GermLike, degree: int) -> Array:
-    """Coefficients (degree + 1, degree + 1) of the powers of the orthonormal polynomials of a
-    germ.
-    """
-    a, b = recurrence_of(germ, degree)
-    table = np.zeros((degree + 1, degree + 1))
-    table[0, 0] = 1.0
-    for k in range(degree):
-        table[k + 1, 1:] = table[k, :-1]
-        table[k + 1] -= a[k] * table[k]
-        if k:
-            table[k + 1] -= math.sqrt(b[k]) * table[k - 1]
-        table[k + 1] /= math.sqrt(b[k + 1])
-    return table
-
-
 def predict(fit: Chaos, points: Array) -> Array:
     """Values (n,) of the expansion at germ points (n, d)."""
-    points = np.asarray(points, dtype=float)
     rows = [
         fit.coefficients @ rows_of(fit.germs, points[k : k + BLOCK], fit.multi_indices)
         for k in range(0, max(len(points), 1), BLOCK)
@@ -279,21 +258,16 @@ def integrals(fit: Chaos) -> Integrals:
     (total_s, _), (total_p, _) = (jansen_total(*part) for part in parts)
     middle = (pairs[0] - pairs[1])[:, :, [0, -1]].mean(axis=(1, 2))
     scale = whole + v - w - (middle**2)[:, None]
-    shares = [
-        ratio_of_means(first + first_s - first_p, scale),
-        ratio_of_means(total + total_s - total_p, scale),
-    ]
-
-    def half(replicates: Array) -> float:
-        return student(PAIRS_REPLICATES) * spread(replicates)
-
+    first, first_off = ratio_of_means(first + first_s - first_p, scale)
+    total, total_off = ratio_of_means(total + total_s - total_p, scale)
+    t = student(PAIRS_REPLICATES)
     return Integrals(
         mean=mean + unit * float(middle.mean()),
         sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
-        first=shares[0][0],
-        total=shares[1][0],
-        error=max(half(column) for _, off in shares for column in off.T),
-        moment_errors=(unit * half(middle), unit**2 * half(scale[:, 0])),
+        first=first,
+        total=total,
+        error=max(t * spread(column) for column in (*first_off.T, *total_off.T)),
+        moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
     )
 
 

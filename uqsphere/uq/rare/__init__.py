@@ -136,7 +136,7 @@ def failure_probability(
         # points far out in all directions; the three most probable failures among them are starts
         look = draw(evaluator, wide_mixture(d), count, "wide look")
         pool.append(look)
-        limit = 2.0 * evaluator.integrated
+        limit = 2.0 if evaluator.integrated else 0.0
         failing = look.points[evaluator.values(look.points, look.answers) < limit]
         starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
         if evaluator.integrated:
