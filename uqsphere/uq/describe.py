@@ -10,13 +10,12 @@ cancellation, whatever the offset of the quantity.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Cells, Flags, special
 from uqsphere.uq.estimate import (
     CELL,
     Estimate,
@@ -31,7 +30,7 @@ from uqsphere.uq.estimate import (
 
 #: samples that must lie beyond a quantile for it to be estimated at all: their count is known to
 #: half of itself
-LEAST_BEYOND: Final = 5
+LEAST_BEYOND = 5
 #: share of the variance that one of so many samples may make: where it is s the squares have a tail
 #: of order 1 - s, the mean of their sum over the largest being 1/s (D. A. Darling, Trans. Amer.
 #: Math. Soc. 73, 1952, 95), the samples 1.2; of a thousand normal variables the largest makes a
@@ -70,9 +69,7 @@ def hill(outputs: Array) -> float:
     if away[count] <= 0.0:
         return math.inf
     mean = float(np.mean(np.log(away[:count] / away[count])))
-    if mean > 0.0:
-        return 1.0 / mean
-    return math.inf
+    return 1.0 / mean if mean > 0.0 else math.inf
 
 
 def _tail_count(size: int) -> int:
@@ -168,22 +165,15 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         two, three = (float((parts**k).sum()) / total for k in (2, 3))
     mean = from_replicates(means, method, evaluations, centre)
     sd = from_replicates(deviations, method, evaluations, deviation)
-    if (
-        sd.low is not None
-        and sd.high is not None
-        and sd.std_error is not None
-        and two > 1.0 + 1e-12
-    ):
+    if sd.low is not None and sd.high is not None and sd.std_error and two > 1.0 + 1e-12:
         # A sample that lacks the rare large values has too small a deviation and too narrow an
         # interval at once.  The upper end is moved up by the term of the third moment in Johnson's
         # t (J. Am. Stat. Assoc. 73, 1978, 536), g (1 + 2 t²)/(6 sqrt(R)), g the skewness of the
         # squares of a replicate.
-        skewness = (three - 3.0 * two + 2.0) / (two - 1.0) ** 1.5 / math.sqrt(total / len(samples))
-        moved = (
-            max(skewness, 0.0)
-            * (1.0 + 2.0 * student(len(samples)) ** 2)
-            / (6.0 * math.sqrt(len(samples)))
-        )
+        replicates = len(samples)
+        skewness = (three - 3.0 * two + 2.0) / (two - 1.0) ** 1.5 / math.sqrt(total / replicates)
+        moved = max(skewness, 0.0) * (1.0 + 2.0 * student(replicates) ** 2)
+        moved /= 6.0 * math.sqrt(replicates)
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + moved * sd.std_error)
     largest = float(parts.max()) / total
     if largest > DOMINANT and total >= CONVERGES:
@@ -213,8 +203,7 @@ def quantile_estimates(
     The replicates' distribution functions at the pooled quantile give the standard error of its
     probability.
     """
-    total, bound = samples.size, on_failure == "bound" and bool(failed.any())
-    kept = ~failed | bound
+    total, kept = samples.size, ~failed | (on_failure == "bound")
     # doubtful samples at the least and at the largest value they may have had
     least = np.where(failed, -math.inf, samples)
     read = sample_reader(np.sort(least[kept]))
@@ -231,10 +220,8 @@ def quantile_estimates(
         error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / samples.shape[1])
         answers[p] = quantile([read, upper], p, error, len(samples), method, total)
         if answers[p].value is None:
-            shares = {"censored": float(censored.mean()), "failed": float((failed & kept).mean())}
-            parts = [
-                f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares.items() if part
-            ]
+            shares = ("censored", censored.mean()), ("failed", (failed & kept).mean())
+            parts = [f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares if part]
             answers[p] = absent("beyond " + " and ".join(parts), method, total)
     return answers
 
@@ -270,12 +257,15 @@ def describe_controlled(
     mean = from_replicates(
         (expensive - cheap).mean(axis=1) + cheap_many.mean(axis=1), method, total
     )
+
+    def controlled(parts: Iterable[Cells]) -> Array:
+        exact, other, more = (part.mean(axis=1) for part in parts)
+        return np.asarray(exact - other + more)
+
     # about one centre for all replicates, so that their means are not taken for scatter of the
     # quantity
-    squares = [
-        ((rows - (mean.value or 0.0)) ** 2).mean(axis=1) for rows in (expensive, cheap, cheap_many)
-    ]
-    variances = squares[0] - squares[1] + squares[2]
+    models, centre = (expensive, cheap, cheap_many), mean.value or 0.0
+    variances = controlled((rows - centre) ** 2 for rows in models)
     scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
     # the standard deviation moves by half of what the variance does, over itself
     sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
@@ -284,12 +274,11 @@ def describe_controlled(
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        exact, other, more = (
-            (rows <= read(p)).mean(axis=1) for rows in (expensive, cheap, cheap_many)
-        )
+        at = read(p)
+        below = controlled(rows <= at for rows in models)
         # a cell of the many, and one row in which the models may disagree
         cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
-        error = math.hypot(spread(exact - other + more), cell, CELL / total)
+        error = math.hypot(spread(below), cell, CELL / total)
         answers[p] = quantile([read], p, error, len(expensive), method, total)
     if sd.low is not None:
         sd = replace(sd, low=max(0.0, sd.low))
@@ -307,13 +296,12 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
     and at the rows the steps of the expensive one up and of the cheap one down.  Unbiased wherever
     they differ, at kinks of the model too.
     """
-    places = np.concatenate([part.ravel() for part in (more, expensive, cheap)])
-    weights = ((more.size, 1.0), (expensive.size, 1.0), (cheap.size, -1.0))
-    steps = np.concatenate([np.full(size, sign / size) for size, sign in weights])
+    parts = (more, 1.0), (expensive, 1.0), (cheap, -1.0)
+    places = np.concatenate([part.ravel() for part, _ in parts])
+    steps = np.concatenate([np.full(part.size, sign / part.size) for part, sign in parts])
     order = np.argsort(places, kind="stable")
     below = np.cumsum(steps[order])
     # a distribution function never falls: half-way between the running maximum and the running
     # minimum from the right
     below = 0.5 * (np.maximum.accumulate(below) + np.minimum.accumulate(below[::-1])[::-1])
-    ordered = places[order]
-    return lambda p: float(ordered[min(int(np.searchsorted(below, p)), len(ordered) - 1)])
+    return lambda p: float(places[order[min(int(np.searchsorted(below, p)), len(order) - 1)]])

@@ -89,36 +89,36 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
         rows = rows.to_frame().T  # a Series: one row, its index the names
     if hasattr(rows, "columns") or isinstance(rows, Mapping):
         labels = list(map(str, getattr(rows, "columns", rows)))
-        for what, wrong in (
-            ("is missing", [n for n in names if n not in labels]),
-            ("is no input", [n for n in labels if n not in names]),
-            ("is there twice", [n for n in labels if labels.count(n) > 1]),
-        ):
-            if wrong:
-                raise UsageError(f"column {wrong[0]!r} {what}; the inputs are {', '.join(names)}")
-        columns = [_series(rows[n]) for n in names]
-        masked = [n for n in names if isinstance(rows[n], np.ma.MaskedArray)]
-        if masked:
-            raise UsageError(f"column {masked[0]!r} is masked: leave out the rows that are masked")
-        index = index_of(rows)
-        for k, column in enumerate(columns):
+        wrong = [f"{n!r} is missing" for n in names if n not in labels]
+        wrong += [f"{n!r} is no input" for n in labels if n not in names]
+        wrong += [f"{n!r} is there twice" for n in labels if labels.count(n) > 1]
+        if wrong:
+            raise UsageError(f"column {wrong[0]}; the inputs are {', '.join(names)}")
+        index, columns = index_of(rows), []
+        for name in names:
+            column = _series(rows[name])
+            if isinstance(column, np.ma.MaskedArray):
+                raise UsageError(f"column {name!r} is masked: leave out the rows that are masked")
             if index is not None and hasattr(column, "reindex") and not column.index.equals(index):
-                columns[k] = in_order_of(column, index, f"the column {names[k]!r}")
+                column = in_order_of(column, index, f"the column {name!r}")
+            columns.append(column)
         try:
             rows = np.stack(np.broadcast_arrays(*map(np.atleast_1d, columns)), axis=-1)
         except ValueError as error:
             sizes = ", ".join(str(np.size(column)) for column in columns)
             raise UsageError(f"the columns differ in length: {sizes}") from error
     try:
-        if np.iscomplexobj(x := np.asarray(rows)):
+        x = np.asarray(rows)
+        if np.iscomplexobj(x):
             raise TypeError("complex numbers")
         x = x.astype(float)
     except (TypeError, ValueError) as error:
         raise UsageError(f"the rows are no columns of numbers: {error}") from error
     if x.ndim != 2 or x.shape[1] != len(names):
         raise UsageError(f"rows of shape (n, {len(names)}) are required, found {x.shape}")
-    if (bad := np.argwhere(~np.isfinite(x.T))).size:
-        raise UsageError(f"column {names[bad[0, 0]]!r} has no finite number in row {bad[0, 1] + 1}")
+    if not np.isfinite(x).all():
+        column, row = np.argwhere(~np.isfinite(x.T))[0].tolist()
+        raise UsageError(f"column {names[column]!r} has no finite number in row {row + 1}")
     return x
 
 
@@ -260,8 +260,8 @@ class Expansion:
         """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output
         (or ln of it).
         """
-        points = _points(self.joint, self.fit.germs, columns_of(rows, self.names))
-        return np.column_stack(list(map(values_of, self.fit.germs, points.T)))
+        points = _points(self.joint, self.germs, columns_of(rows, self.names))
+        return np.column_stack(list(map(values_of, self.germs, points.T)))
 
     def predict(self, rows: Any, level: float = LEVEL, *, outside: str = "raise") -> Prediction:
         """What the model would answer to rows, with the interval that holds the answer at this
@@ -289,29 +289,20 @@ class Expansion:
             raise UsageError(
                 f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'"
             )
-        points = _points(self.joint, self.fit.germs, x)
-        value = predict(self.fit, points)
-        half = np.full(len(x), math.inf)
-        if self.response is not None:
-            scores = np.sort(self._scores)
-            rank = math.ceil(level * (scores.size + 1))
-            if rank <= scores.size:
-                error = self._slope(value) * np.sqrt(1.0 + self._leverage(points))
-                half = scores[rank - 1] * error
+        points = _points(self.joint, self.germs, x)
+        value, half = predict(self.fit, points), np.full(len(x), math.inf)
+        inverse, scores = self._scores
+        rank = math.ceil(level * (scores.size + 1))
+        if rank <= scores.size:
+            leverage = _leverage(inverse, self._rows(points))
+            half = scores[rank - 1] * (self._slope(value) * np.sqrt(1.0 + leverage))
         value = np.where(inside, value, np.nan)
         return Prediction(
             value=value, low=value - half, high=value + half, index=index_of(rows, self.names)
         )
 
-    @cached_property
-    def _inverse(self) -> Array:
-        assert self.response is not None
-        rows = rows_of(self.fit.germs, self.response.points, self.fit.multi_indices)
-        return np.asarray(np.linalg.pinv(rows @ rows.T), dtype=np.float64)
-
-    def _leverage(self, points: Array) -> Array:
-        rows = rows_of(self.fit.germs, points, self.fit.multi_indices)
-        return np.asarray(np.einsum("pn,pq,qn->n", rows, self._inverse, rows))
+    def _rows(self, points: Array) -> Array:
+        return rows_of(self.germs, points, self.multi_indices)
 
     def _slope(self, value: Array) -> Array:
         """What the output moves by where the fitted polynomial moves by one."""
@@ -320,12 +311,17 @@ class Expansion:
         return np.ones_like(value)
 
     @cached_property
-    def _scores(self) -> Array:
-        """What each row is off by, over its standard error without itself."""
-        assert self.response is not None
-        leverage = np.minimum(self._leverage(self.response.points), 1.0 - 1e-9)
+    def _scores(self) -> tuple[Array, Array]:
+        """(P'P)⁻¹ of the rows, and what each of them is off by, over its standard error without
+        itself, by size; empty where there are no rows.
+        """
+        if self.response is None:
+            return np.empty((0, 0)), np.empty(0)
+        rows = self._rows(self.response.points)
+        inverse: Any = np.linalg.pinv(rows @ rows.T)
+        leverage = np.minimum(_leverage(inverse, rows), 1.0 - 1e-9)
         error = self._slope(self.response.levels) * np.sqrt(1.0 / (1.0 - leverage))
-        return np.asarray(np.abs(self.response.residuals) / np.maximum(error, 1e-300))
+        return inverse, np.sort(np.abs(self.response.residuals) / np.maximum(error, 1e-300))
 
     # --- what it says of the output ---------------------------------------------------------------
 
@@ -342,7 +338,7 @@ class Expansion:
 
         rng = random_generator(seed=seed, task="expansion")
         x = self.joint.physical(rng.standard_normal((count, len(self.names))))
-        value = predict(self.fit, _points(self.joint, self.fit.germs, x))
+        value = predict(self.fit, _points(self.joint, self.germs, x))
         return DataFrame(x, columns=list(self.names)).assign(output=value)
 
     def quantiles(self, p: ArrayLike, *, count: int = 1 << 17, seed: int = 0) -> Array:
@@ -391,6 +387,10 @@ class Expansion:
         log was taken.
         """
         return self.fit.chaospy()
+
+
+def _leverage(inverse: Any, rows: Array) -> Array:
+    return np.asarray(np.einsum("pn,pq,qn->n", rows, inverse, rows))
 
 
 def fit_expansion(
