@@ -14,9 +14,9 @@ from uqsphere.models.model import Model
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.grow import paired
 from uqsphere.propagation.limits import _searched
-from uqsphere.propagation.tables import Tables, evaluate
+from uqsphere.propagation.tables import Accuracy, Tables, evaluate
 from uqsphere.study import Study, load_study
-from uqsphere.uq import Estimate
+from uqsphere.uq import Estimate, Sample
 
 grow = sys.modules["uqsphere.propagation.grow"]
 STUDY = """
@@ -139,3 +139,12 @@ def test_failures_that_a_search_misses_and_the_sample_meets_are_in_the_interval(
     alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536), 65_536)
     assert alone.high == 3.1e-6
     assert alone.high_unseen == pytest.approx(3.1e-6 + 3.0 / 65_536, rel=0.01)
+
+
+def test_an_error_that_has_stopped_falling_is_stuck_whatever_it_fell_by_before():
+    sample = Sample.at((), np.zeros((16, 1, 0)), np.zeros((16, 1, 0)))
+    error = Accuracy(subject="y", answer="mean", required=0.01, reached=0.1)
+    falls = [{("y", "mean"): reached} for reached in (0.8, 0.4, 0.2, 0.1)]
+    stays = [{("y", "mean"): reached} for reached in (0.8, 0.101, 0.1, 0.1)]
+    assert not grow._is_stuck(Tables(sample=sample), falls, error)
+    assert grow._is_stuck(Tables(sample=sample), stays, error)

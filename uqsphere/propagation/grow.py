@@ -1,9 +1,9 @@
 """The loop of a run: one size n, doubled until every answer is accurate enough, or the budget, the
 time or the user ends it.
 
-Three tables grow together: `sample`, n points in each of `REPLICATES` randomisations; `line`, a
-sixteenth of the same points at each of 25 values of the free number, and more where a margin needs
-them; and `pairs`, n/4 points of the design of Sobol' indices, only for quantities whose polynomial
+Three tables grow: `sample`, n points in each of `REPLICATES` randomisations; `line`, a sixteenth of
+the first n points at each of 25 values of the free number, and more where a margin needs them; and
+`pairs`, n/4 points of the design of Sobol' indices, only for quantities whose polynomial
 chaos is not accurate enough.  A probability too small for n is left to one search for rare events.
 """
 
@@ -97,14 +97,20 @@ def grow(
         if progress is not None:
             text = f"{count:,} points in {REPLICATES} randomisations, error / tolerance {worst:.2g}"
             progress(runs, share_done(worst), text)
-        # the next doubling adds as many rows to the sample and the line; pairs take what is left
-        doubling = tables.sample.size + sum(sample.size for sample in tables.line.values())
+        by_line = [bool(tables.line) and e.answer == "margin" for e in tables.inaccurate]
+        # the next size doubles the sample, and the line about margins: at most all of it; pairs
+        # take what is left
+        further = 0
+        if any(by_line):
+            further = sum(sample.size for sample in tables.line.values())
+        if not all(by_line):
+            further += tables.sample.size
         stopped: Stop = ""
         if not tables.inaccurate or not design.drawn.names:
             stopped = "accurate"
         elif count >= MOST:
             stopped = "cap"
-        elif runs + doubling > budget:
+        elif runs + further > budget:
             stopped = "budget"
         elif all(_is_stuck(tables, history, error) for error in tables.inaccurate):
             stopped = "no gain"
@@ -117,7 +123,7 @@ def grow(
             if not tables.inaccurate and tables.stopped in ("budget", "cap", "no gain"):
                 tables = replace(tables, stopped="accurate")
             return tables
-        if not tables.line or any(error.answer != "margin" for error in tables.inaccurate):
+        if not all(by_line):
             count *= 2
 
 
@@ -129,8 +135,9 @@ def _is_stuck(
     """
     if error.answer == "failure_probability" and error.subject.partition(".")[2] in tables.rare:
         return True
-    before = max((errors.get(error[:2], 0.0) for errors in history[:-2]), default=math.inf)
-    return error.reached > 0.95 * before > 0.0
+    if len(history) < 3:
+        return False
+    return error.reached > 0.95 * history[-3].get(error[:2], math.inf)
 
 
 def first_count(study: Study) -> int:
