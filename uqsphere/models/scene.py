@@ -241,10 +241,7 @@ def onset_of(study: Study) -> float | None:
         return None
     scene = scene_of(study, {}, 1)
     onsets = [float(law_of(scene.columns, partner.body).onset[0]) for partner in scene.there]
-    lowest = min(onsets, default=math.inf)
-    if not math.isfinite(lowest):
-        return None
-    return lowest
+    return min(filter(math.isfinite, onsets), default=None)
 
 
 def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:

@@ -30,13 +30,12 @@ from uqsphere.documents import (
     within,
 )
 from uqsphere.errors import as_text
-from uqsphere.materials import MATERIAL_KINDS, Material, library
+from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW, RIGS
-from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import format_value, lookup, plain_quantity
 from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
@@ -135,39 +134,13 @@ def tables(draft: Draft) -> Faults:
     except ValidationError as error:
         yield from faults_of(Document, error)
         return
-    draft.rig, law = draft.document.rig.kind, draft.document.contact.law
-    draft.law_given = law is not None
+    draft.rig, draft.law_given = draft.document.rig.kind, draft.document.contact.law is not None
     draft.quantities = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
     for table in [name for name in draft.data if name in SCENE]:
         for key in draft.data[table]:
             number = getattr(getattr(draft.document, table), key)
             if isinstance(number, Number):
                 draft.numbers[numbers_of(table)[key].name] = number
-    draft.plastic = law == "plastic" or (law is None and _yielding_is_known(draft))
-
-
-def _yielding_is_known(draft: Draft) -> bool:
-    """Whether the study or the library says at which pressure a contact yields, and the model can
-    follow it.
-    """
-    model = draft.document.model
-    if draft.box or model.fidelity != "full" or model.compare_with_paper:
-        return False
-    for table in SCENE:
-        key = "onset_pressure" if table == "sphere" else "yield_strength"
-        name, materials = _material(draft, table)
-        if f"{table}.{key}" in draft.numbers or (
-            name in materials and key in materials[name].properties
-        ):
-            return True
-    return "contact.onset_pressure" in draft.numbers
-
-
-def _material(draft: Draft, table: str) -> tuple[str, dict[str, Material]]:
-    """The material of a table, and those of the library that it may name."""
-    kinds = _KINDS.get(table, MATERIAL_KINDS)
-    materials = dict(chain(*(library()[kind].items() for kind in kinds)))
-    return getattr(getattr(draft.document, table), "material", None) or "", materials
 
 
 # --- 2: which tables and numbers there are --------------------------------------------------------
@@ -227,12 +200,19 @@ def _box(draft: Draft) -> Faults:
 
 
 def _library(draft: Draft) -> Faults:
-    """Numbers that a material gives and the file does not."""
+    """Numbers that a material gives and the file does not, and the law of the contacts: plastic
+    where study or library say at which pressure one yields, and the model can follow it.
+    """
+    document, numbers, sources = draft.document, draft.numbers, draft.sources
+    known = "contact.onset_pressure" in numbers
     for table in SCENE:
-        name, materials = _material(draft, table)
+        onset = "onset_pressure" if table == "sphere" else "yield_strength"
+        known |= f"{table}.{onset}" in numbers
+        name = getattr(getattr(document, table), "material", None) or ""
         if not name and "material" not in draft.data.get(table, ()):
             continue
         kinds = _KINDS.get(table, MATERIAL_KINDS)
+        materials = dict(chain(*(library()[kind].items() for kind in kinds)))
         if name not in materials:
             near = suggestion(name, materials)
             for kind in MATERIAL_KINDS[::-1]:
@@ -246,15 +226,21 @@ def _library(draft: Draft) -> Faults:
             continue
         if table != "insert":
             draft.materials[table] = name
-        properties, numbers = materials[name].properties, numbers_of(table)
+        properties, entries = materials[name].properties, numbers_of(table)
+        known |= onset in properties
         for key, entry in properties.items():
-            elastic = key in LAW and not (table == "sphere" and draft.plastic)
-            if key in numbers and numbers[key].name not in draft.numbers and not elastic:
-                draft.numbers[numbers[key].name] = Number(value=entry.value)
-                draft.sources[numbers[key].name] = entry
+            path = getattr(entries.get(key), "name", None)
+            if path and path not in numbers and (table == "sphere" or key not in LAW):
+                numbers[path], sources[path] = Number(value=entry.value), entry
         E = properties.get("E")
         if E is not None and E.value < 1e8:
             draft.warn((table, "material"), f"{name} is not an elastic solid: {E.note}")
+    law, model = document.contact.law, document.model
+    follows = model.fidelity == "full" and not model.compare_with_paper
+    draft.plastic = law == "plastic" or (law is None and known and follows)
+    if not draft.plastic:
+        for path in sources.keys() & {f"sphere.{key}" for key in LAW}:
+            del numbers[path], sources[path]
 
 
 # --- 3: what each table needs by its kind ---------------------------------------------------------
@@ -309,11 +295,10 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
     for table in FORMS.keys() & draft.data.keys():
         kind, entries = kinds.get(table, ""), numbers_of(table)
         of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
-        takes = {form: re.findall(r"\w+", keys) for form, keys in FORMS[table].items()}
         present = {key for key, entry in entries.items() if entry.name in draft.numbers}
         for key in draft.data[table]:
             present.add(key)
-            homes = [form for form, keys in takes.items() if key in keys]
+            homes = [form for form, keys in FORMS[table].items() if key in re.findall(r"\w+", keys)]
             if homes and kind not in homes:
                 only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
                 yield Fault(f"{key} is not a key of {of}{only}. Remove it", table, key)
@@ -403,22 +388,21 @@ def _scene(draft: Draft) -> Faults:
             draft.record = pulse_of(draft.document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
 
-    def with_faces() -> tuple[Scene, dict[str, Face]]:
-        """The scene, and its faces that yield by the table of the softer body."""
-        scene = scene_with(columns, options, model, record=draft.record)
-        return scene, {
-            "sphere" if partner.takes[0] else partner.table: partner.face
-            for partner in scene.there
-            if isinstance(partner.face, Face)
-        }
-
     try:
-        draft.scene, faces = with_faces()
-        valid = faces and all(face.valid[0] for face in faces.values())
-        if draft.plastic and not draft.law_given and not valid:
-            del options["contact.law"]
-            draft.plastic = False
-            draft.scene, faces = with_faces()
+        while draft.scene is None:
+            scene = scene_with(columns, options, model, record=draft.record)
+            # by the table of the softer body
+            faces = {
+                "sphere" if partner.takes[0] else partner.table: partner.face
+                for partner in scene.there
+                if isinstance(partner.face, Face)
+            }
+            valid = faces and all(face.valid[0] for face in faces.values())
+            if draft.plastic and not draft.law_given and not valid:
+                del options["contact.law"]
+                draft.plastic = False
+            else:
+                draft.scene = scene
     except ValueError as error:
         raise Fault(
             f"{error}. Remove these keys, or set pulse.shape to "
@@ -426,7 +410,7 @@ def _scene(draft: Draft) -> Faults:
             "striker",
         ) from None
     if draft.plastic and not faces:
-        bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in draft.scene.there)
+        bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in scene.there)
         names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
         yield Fault(
             f"the plastic law needs the pressure at which a contact yields. Add {names}",

@@ -60,10 +60,7 @@ def warn_of_slips(draft: Draft) -> None:
         for key in _KEYS:
             number = draft.numbers.get(getattr(numbers_of(table).get(key), "name", ""))
             if number is not None:
-                quantity, usual = f"{table}.{key}", like.range_of(key)
-                _compare(draft, (table, key), quantity, number.mean, usual)
-                if key in _ALIKE:
-                    _warn_of_unusual(draft, (table, key), quantity, number.mean, usual)
+                _compare(draft, (table, key), f"{table}.{key}", number.mean, like.range_of(key))
     for limit in draft.limits.values():
         _warn_of_modulus(draft, limit)
         _warn_of_partners(draft, limit)
@@ -117,41 +114,26 @@ def _class_of(draft: Draft) -> Like:
     return Like(called="brittle solids", materials=brittle)
 
 
-def _far(value: float, usual: Range, factor: float) -> bool:
-    """Whether a value is more than a factor off a range."""
-    return not usual[0] / factor <= value <= usual[1] * factor
-
-
-def _span(usual: Range, quantity: str) -> str:
-    low, high = (format_value(x, quantity) for x in usual[:2])
-    if low == high:
-        return low
-    return f"{low} to {high}"
-
-
-def _warn_of_unusual(
-    draft: Draft, place: Place, quantity: str, value: float, usual: Range | None
-) -> None:
-    """Warn of a number outside the library's range that is not so far off as to hold a verdict."""
-    if usual is not None and _far(value, usual, _NEAR) and not _far(value, usual, _FAR):
-        shown, span = format_value(value, quantity), _span(usual, quantity)
-        draft.warn(place, f"{shown} is unusual for {usual[2]} (library: {span})")
-
-
 def _compare(
     draft: Draft, place: Place, quantity: str, value: float, usual: Range | None, hint: str = ""
 ) -> None:
-    """Warn of a number more than a factor off the library's range, by which no verdict holds.
+    """Warn of a number more than a factor off the library's range, by which no verdict holds, and
+    of one that is alike in all samples where it is less far off.
 
     hint : the way out where the number is too large
     """
-    if usual is None or not _far(value, usual, _FAR):
+    if usual is None:
         return
-    shown, span = format_value(value, quantity), _span(usual, quantity)
-    text = f"{shown} is more than {_FAR:g} times off the library's {span} for {usual[2]}"
-    if value > usual[1]:
-        text += hint
-    draft.warn(place, text, holds="plausibility")
+    low, high, solids = usual
+    text, *ends = (format_value(x, quantity) for x in (value, low, high))
+    span = " to ".join(dict.fromkeys(ends))
+    if not low / _FAR <= value <= high * _FAR:
+        text += f" is more than {_FAR:g} times off the library's {span} for {solids}"
+        if value > high:
+            text += hint
+        draft.warn(place, text, holds="plausibility")
+    elif place[-1] in _ALIKE and not low / _NEAR <= value <= high * _NEAR:
+        draft.warn(place, f"{text} is unusual for {solids} (library: {span})")
 
 
 def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
