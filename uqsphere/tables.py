@@ -201,7 +201,8 @@ def _decimal_mark(texts: Iterable[str]) -> str:
 
 
 def _lines(lines: Sequence[int]) -> str:
-    text = f"{'lines' if len(lines) > 1 else 'line'} {', '.join(map(str, lines[:_MOST_LINES]))}"
+    noun = "lines" if len(lines) > 1 else "line"
+    text = f"{noun} {', '.join(map(str, lines[:_MOST_LINES]))}"
     if len(lines) > _MOST_LINES:
         text += f" and {len(lines) - _MOST_LINES} more"
     return text
@@ -452,11 +453,11 @@ class Table:
             column = [text.replace(",", ".") for text in cells]
             if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
                 columns.append(column)
-        if not columns:
+        if not columns or rows < 5:
             return
         digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
         values, steps = np.array(columns, dtype=float), 10.0 ** -np.array(digits)
-        for k in range(max(3, rows - 8), rows if rows >= 5 else 0):
+        for k in range(max(3, rows - 8), rows):
             above, step, apart = values[:, :k], steps[:, k], self.lines[k] in self.apart
             sd = above.std(axis=1, ddof=1)
             sums = {"mean": above.mean(axis=1), "sd": sd}

@@ -63,7 +63,9 @@ def answer_rows(
             if not running:
                 model.staff(total)
             # one call shows what a row takes, before many are handed out
-            most = 2 * model.workers.count + 2 if model.calls else 1
+            most = 1
+            if model.calls:
+                most = 2 * model.workers.count + 2
             while len(running) < most:
                 places = again.pop() if again else next(due, None)
                 if places is None:

@@ -156,7 +156,6 @@ class Model:
         black box returns something of the wrong form, or fails and `analysis.on_failure` is
         "abort"; AccessError where the cache cannot be used; ExecutorLost where the executor fails.
         """
-        rows = np.asarray(rows, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != len(names):
             raise UsageError(
                 f"rows must have shape (n, {len(names)}), a column for each name, not {rows.shape}"

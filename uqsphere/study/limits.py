@@ -429,15 +429,9 @@ def _usual_tension(draft: Draft) -> tuple[float, float]:
 
 def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
     """E [Pa], infinite if rigid, and nu of the platens of the tests; raises Fault."""
-    materials = {
-        name: (material.properties["E"].value, material.properties["nu"].value)
-        for name, material in library()["bars"].items()
-    }
-    choices = {
-        "bars": (draft.mean("bars.E"), draft.mean("bars.nu")),
-        "rigid": (math.inf, 0.3),
-        **materials,
-    }
+    choices = {"bars": (draft.mean("bars.E"), draft.mean("bars.nu")), "rigid": (math.inf, 0.3)}
+    for name, material in library()["bars"].items():
+        choices[name] = material.properties["E"].value, material.properties["nu"].value
     with within("platens"):
         if isinstance(raw, Mapping) and set(raw) == {"E", "nu"}:
             return value_of(raw["E"], INPUTS["bars.E"]), value_of(raw["nu"], INPUTS["bars.nu"])

@@ -511,9 +511,7 @@ def observations(
     columns = {}
     with opened(str(table.file), draft, "file", table.decimal, table.sheet) as cells:
         for key, dimension in dimensions.items():
-            name, unit = getattr(table, key), getattr(table, f"{key}_unit", None)
-            if key == "column":
-                unit = table.unit
+            name, unit = getattr(table, key), getattr(table, f"{key}_unit", table.unit)
             if key == "diameter" and name[:1].isdigit():
                 with within("diameter"):
                     columns[key] = np.full(len(cells), value_of(name, INPUTS["bars.diameter"]))
