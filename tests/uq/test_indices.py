@@ -173,6 +173,12 @@ def test_salibs_measures_order_the_inputs(method: str) -> None:
     )
 
 
+def test_salibs_delta_is_the_same_in_every_run_with_the_default_seed() -> None:
+    uniforms = np.random.default_rng(3).random((256, 2))
+    first, second = (salib_measures("delta", uniforms, uniforms[:, 0], "ab") for _ in range(2))
+    assert first == second
+
+
 def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
     """Owen and Prieur (2017): (a² + rho a b)/V and (b² + rho a b)/V up to rho² terms, here by their
     closed form.

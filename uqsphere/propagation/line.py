@@ -74,9 +74,8 @@ class Line:
     def seen(self, probability: Array) -> Array:
         """Probabilities (..., K, R): none seen in the rows of a value stands for half a row."""
         half = 0.5 / (np.array(self._counts)[:, None] * self.samples[0].replicates)
-        return np.where(
-            probability > 0.0, np.where(probability < 1.0, probability, 1.0 - half), half
-        )
+        probability = np.where(probability > 0.0, probability, half)
+        return np.where(probability < 1.0, probability, 1.0 - half)
 
     def value_at(self, place: float) -> float:
         """The value of the free number at a place."""

@@ -89,16 +89,16 @@ def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[],
         if problem.limit is not None:
             draws = shared.setdefault((limit.quantity, limit.aim), [])
         try:
-            found = failure_probability(problem, accuracy=required.probability, known=draws)
+            result = failure_probability(problem, accuracy=required.probability, known=draws)
         except Interrupted:
             return replace(tables, rare=answers, stopped="interrupted")
         except ModelError:
             continue
-        if found.draws is not None and found.sure:
+        if result.draws is not None and result.sure:
             # those of the last search, and the last that were drawn nearby since
-            draws[not found.searched :] = [found.draws]
-        point = _physical(design, limit, answered, found.points)
-        answers[limit.name] = Searched(estimate=found.estimate, design_point=point)
+            draws[not result.searched :] = [result.draws]
+        point = _physical(design, limit, answered, result.points)
+        answers[limit.name] = Searched(estimate=result.estimate, design_point=point)
     return replace(tables, rare=answers)
 
 
@@ -138,21 +138,21 @@ def design_points(design: Design, tables: Tables) -> Answers:
     """The design point of every limit of the study."""
     answers = Answers()
     for limit in design.limits:
-        for name, value in design_point(design, tables, limit).items():
+        for name, value in _design_point(design, tables, limit).items():
             unit = lookup(limit.quantity if is_strength(name) else name).unit
             origin: dict[str, Any] = {"unit": unit, "method": "FORM", "runs": tables.runs}
             answers.row(design.subject(limit), "design_point", name, value, **origin)
     return answers
 
 
-def design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
+def _design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
     """The design point of a limit on the expansion of its quantity; empty where that is not
     accurate enough.
     """
     if limit.name in tables.rare:
         return tables.rare[limit.name].design_point
     expansion = tables.expansions.get(limit.quantity)
-    if expansion is None or expansion.left > MOST_LEFT or not design.drawn.names:
+    if expansion is None or expansion.left > MOST_LEFT:
         return {}
     predicted = values_at(design, expansion)
 

@@ -195,6 +195,7 @@ def salib_measures(
     from SALib.analyze import delta, enhanced_hdmr, pawn
 
     problem = _unit_problem(names)
+    seed = seed or 1  # SALib takes 0 for no seed
     y = (outputs - outputs.mean()) / (float(outputs.std()) or 1.0)
     if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
