@@ -110,13 +110,14 @@ def expansions(
             continue
         rows = min(count, MOST_ROWS)
         earlier = before.get(name)
-        keeps = earlier is not None and (earlier.rows == rows or earlier.left < GOOD)
-        if earlier is not None and keeps:
+        if earlier is not None and earlier.rows != rows and earlier.left >= GOOD:
+            earlier = None
+        if earlier is not None:
             fit, rows = earlier.fit, earlier.rows
         else:
             fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
         values = predict(fit, later).reshape(outputs[1:].shape)
-        poor = not keeps and _left(outputs, values) > GOOD
+        poor = earlier is None and _left(outputs, values) > GOOD
         if poor and not design.study.analysis.second_order:
             other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
             others = predict(other, later).reshape(outputs[1:].shape)

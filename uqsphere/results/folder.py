@@ -21,24 +21,12 @@ from uqsphere.results.types import Results
 
 SUMS: Final = "SHA256SUMS"
 RESULTS: Final = "results.json"
+#: files without a checksum
+UNLISTED: Final = {SUMS, ".lock", "log.txt", "cache.sqlite", "cache.sqlite-journal"}
 #: files that a run may have written; another folder is not written into
-OWN: Final = frozenset(
-    {
-        "study.toml",
-        "files",
-        RESULTS,
-        "answers.csv",
-        "samples.csv",
-        "report.html",
-        "figures",
-        "history.csv",
-        "gauges.csv",
-        "log.txt",
-        SUMS,
-        ".lock",
-        "cache.sqlite",
-        "cache.sqlite-journal",
-    }
+OWN: Final = UNLISTED.union(
+    ("study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures"),
+    ("history.csv", "gauges.csv"),
 )
 #: what `uqsphere history` may have written beside a run
 HISTORY: Final = {
@@ -46,8 +34,6 @@ HISTORY: Final = {
     "gauges.csv",
     *(f"figures/{name}.svg" for name in ("forces", "pressures", "gauges", "xt")),
 }
-#: files without a checksum
-UNLISTED: Final = {SUMS, ".lock", "log.txt", "cache.sqlite", "cache.sqlite-journal"}
 #: what a folder begins with in which files wait until all are written
 PART: Final = ".part-"
 _AGAIN: Final = "Run the study again with --fresh"
