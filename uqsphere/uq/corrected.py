@@ -113,7 +113,8 @@ class Corrected:
         """The mean by (1)."""
         levels, sampling = self._table_moment(1)
         residuals = self.response.residuals
-        value, (down, up) = float(levels.mean() + residuals.mean()), distances(residuals)
+        value = float(levels.mean() + residuals.mean())
+        down, up = distances(residuals)
         return self._estimate(
             value, value - math.hypot(down, sampling), value + math.hypot(up, sampling)
         )
@@ -127,7 +128,8 @@ class Corrected:
 
         The upper end is open where the tail may be too heavy for a variance.
         """
-        outputs, levels = self.response.outputs, self.response.levels
+        outputs = self.response.outputs
+        levels = self.response.levels
         centre = float(self._table_moment(1)[0].mean() + self.response.residuals.mean())
         influence = (outputs - centre) ** 2 - (levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
@@ -137,7 +139,8 @@ class Corrected:
         rows = (outputs - outputs.mean()) ** 2
         alone = distances(rows)
         if sum(alone) < variance + up - (variance - down) or variance <= 0.0:
-            variance, (down, up) = float(rows.mean()), alone
+            variance = float(rows.mean())
+            down, up = alone
         ends = (variance, variance - down, variance + up)
         estimate = self._estimate(*(math.sqrt(max(end, 0.0)) for end in ends))
         reason = heavy_tail(self.table) or heavy_tail(outputs, certain=True)
@@ -157,12 +160,15 @@ class Corrected:
         rows, left_out : (n,) g of the outputs of all rows, and of their predictions
         table : g (R, m) of the predictions of the table, where a residual is added to all of them
         """
-        predicted, (nodes, weights) = table(0.0), self.nodes
+        predicted = table(0.0)
+        nodes, weights = self.nodes
         changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
-        means, cell = predicted.mean(axis=1), 0.0
+        means = predicted.mean(axis=1)
+        cell = 0.0
         if np.isin(predicted, (0.0, 1.0)).all():
             cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
-        expected, sampling = weights @ np.array(changes), self.table_error(means, cell)
+        expected = weights @ np.array(changes)
+        sampling = self.table_error(means, cell)
         ends = self._ends(means.mean(), rows - left_out, expected, sampling)
         value, low, high = map(float, ends)
         missed = 3.0 / self.runs
@@ -186,17 +192,20 @@ class Corrected:
         The value has a correction that is shrunk by its own noise; the interval is that of the
         whole correction.
         """
-        n, correction = len(influence), influence.mean(axis=0)
+        n = len(influence)
+        correction = influence.mean(axis=0)
         noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
         half = np.hypot(student(n) * np.sqrt(noise), sampling)
         whole = table + correction
-        low, high = np.clip(whole - half, 0.0, 1.0), np.clip(whole + half, 0.0, 1.0)
+        low = np.clip(whole - half, 0.0, 1.0)
+        high = np.clip(whole + half, 0.0, 1.0)
         return np.clip(table + _shrunk(correction, noise), low, high), low, high
 
     @cached_property
     def _distribution(self) -> tuple[Array, Array, Array, Array]:
         """Places (g,), and P(y <= place) with both ends (g,) of its interval, all rising."""
-        pooled, outputs = np.sort(self.table, axis=None), self.response.outputs
+        pooled = np.sort(self.table, axis=None)
+        outputs = self.response.outputs
         step = max(len(pooled) // PLACES, 1)
         # not at the rows and at their predictions: between the two a row would count, however close
         ends = [outputs.min(), outputs.max()]
@@ -215,7 +224,8 @@ class Corrected:
         )
         sampling = self.table_error(table, 1.0 / self.table.shape[1])
         value, low, high = self._ends(table.mean(axis=0), influence, expected, sampling)
-        up, down = np.maximum.accumulate, np.minimum.accumulate
+        up = np.maximum.accumulate
+        down = np.minimum.accumulate
         value = 0.5 * (up(value) + down(value[::-1])[::-1])
         return places, value, np.minimum(up(low), value), np.maximum(down(high[::-1])[::-1], value)
 
@@ -231,7 +241,8 @@ class Corrected:
             place = int(np.searchsorted(levels, p - 1e-12))
             return float(places[place]) if place < len(places) else math.inf
 
-        at, missed = below(value), 3.0 / self.runs
+        at = below(value)
+        missed = 3.0 / self.runs
         upper = max(above(low), at)
         if math.isinf(upper) or p <= high[0]:
             reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"
@@ -244,7 +255,8 @@ class Corrected:
 
     def describe(self, quantiles: Sequence[float]) -> Description:
         """Mean, standard deviation and quantiles."""
-        mean, sd = self.mean(), self.sd()
+        mean = self.mean()
+        sd = self.sd()
         return Description(
             mean=mean,
             sd=sd,
@@ -278,7 +290,9 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     can be trusted f is the mean.  Where the variance of the rows may be infinite, every interval is
     from 0 to 1.
     """
-    y, n, d = response.outputs, response.count, len(response.germs)
+    y = response.outputs
+    n = response.count
+    d = len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
     method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
     unbounded = heavy_tail(y, certain=True)
@@ -287,11 +301,13 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         return {"first": nothing, "total": list(nothing)}
     used = np.isin(response.fold, folds) if folds else np.ones(n, dtype=bool)
     residual = (y - y.mean()) / y.std()
-    top, bottom = np.zeros((2, d, n)), residual**2
+    top = np.zeros((2, d, n))
+    bottom = residual**2
     shares = np.zeros((max(len(folds), 2), 2, d))
     integration = 0.0
     for place, k in enumerate(folds):
-        there, moments = response.fold == k, response.integrals[k]
+        there = response.fold == k
+        moments = response.integrals[k]
         unit = moments.sd or 1.0
         shares[place] = moments.first, moments.total
         integration = max(integration, moments.error)
@@ -300,11 +316,14 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
         level = (response.levels[there] - moments.mean) / unit
         bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2
-    top, bottom, residual = top[:, :, used], bottom[used], residual[used]
+    top = top[:, :, used]
+    bottom = bottom[used]
+    residual = residual[used]
     whole = float(bottom.mean())
     left = float(np.mean(residual**2)) / whole
     most_left = min(left + distances(residual**2)[1] / whole, 1.0)
-    spread, expanded = fold_spread(shares), shares.mean(axis=0)
+    spread = fold_spread(shares)
+    expanded = shares.mean(axis=0)
     rounding = integration + 1e-15
     values = top.mean(axis=2) / whole
     influences = (top - values[:, :, None] * bottom) / whole
@@ -321,12 +340,14 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
             (0.0, most_left, 0.0, float(expanded[1, j]) * left),
         )
         for row, (least, most, error, likely) in enumerate(rests):
-            value, (down, up) = float(values[row, j]), distances(influences[row, j])
+            value = float(values[row, j])
+            down, up = distances(influences[row, j])
             low = value + least - math.hypot(down, spread[row, j], error) - rounding
             high = value + most + math.hypot(up, spread[row, j], error) + rounding
             low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
             if unbounded:
-                low, high = 0.0, 1.0
+                low = 0.0
+                high = 1.0
             best = min(max(float(shrunk[row, j]) + likely, low), high)
             estimate = bounded(best, low, high, 0.25 * (high - low), method, n)
             orders[("first", "total")[row]].append(replace(estimate, reason=unbounded or None))

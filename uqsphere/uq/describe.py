@@ -83,7 +83,8 @@ def heavy_tail(outputs: Array, *, certain: bool = False) -> str:
     It may be where Hill's order is below 2, and is (`certain`) where the 95 % upper bound of the
     order, a gamma variable over as many values as it is estimated from, is below 2 as well.
     """
-    order, bound = hill(outputs.ravel()), 1.0
+    order = hill(outputs.ravel())
+    bound = 1.0
     if certain:
         count = _tail_count(outputs.size)
         bound = float(special.chdtri(2 * count, 0.05)) / (2 * count)
@@ -116,7 +117,8 @@ def describe(
     late = np.zeros_like(broken)
     if censored is not None:
         late = censored & ~broken
-    kept, total = ~broken, samples.size
+    kept = ~broken
+    total = samples.size
     counts = kept.sum(axis=1)
     if len(samples) < 2 or counts.min() < 2:
         nothing = absent("too few successful samples in a replicate", method, total)
@@ -148,18 +150,21 @@ def describe(
 
 def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estimate, float]:
     """Mean and standard deviation of the kept samples, and the scale for relative accuracies."""
-    counts, evaluations = kept.sum(axis=1), samples.size
+    counts = kept.sum(axis=1)
+    evaluations = samples.size
     total = float(counts.sum())
     values = np.where(kept, samples, 0.0)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         sums = values.sum(axis=1)
-        means, centre = sums / counts, float(sums.sum() / total)
+        means = sums / counts
+        centre = float(sums.sum() / total)
         squares = np.where(kept, (samples - centre) ** 2, 0.0)
         # each replicate about its own mean: a common offset of the replicates is not scatter of the
         # quantity
         deviations = np.sqrt(np.maximum(squares.sum(axis=1) / counts - (means - centre) ** 2, 0.0))
         if not np.ptp(samples[kept]):  # nothing but the rounding of a sum
-            deviations, squares = np.zeros(len(samples)), np.zeros(samples.shape)
+            deviations = np.zeros(len(samples))
+            squares = np.zeros(samples.shape)
         deviation = math.sqrt(float(squares.sum()) / total)
         parts = squares / (deviation * deviation or 1.0)
         two, three = (float((parts**k).sum()) / total for k in (2, 3))
@@ -203,7 +208,8 @@ def quantile_estimates(
     The replicates' distribution functions at the pooled quantile give the standard error of its
     probability.
     """
-    total, kept = samples.size, ~failed | (on_failure == "bound")
+    total = samples.size
+    kept = ~failed | (on_failure == "bound")
     # doubtful samples at the least and at the largest value they may have had
     least = np.where(failed, -math.inf, samples)
     read = sample_reader(np.sort(least[kept]))
@@ -264,12 +270,14 @@ def describe_controlled(
 
     # about one centre for all replicates, so that their means are not taken for scatter of the
     # quantity
-    models, centre = (expensive, cheap, cheap_many), mean.value or 0.0
+    models = (expensive, cheap, cheap_many)
+    centre = mean.value or 0.0
     variances = controlled((rows - centre) ** 2 for rows in models)
     scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
     # the standard deviation moves by half of what the variance does, over itself
     sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
-    read, answers = _corrected_reader(expensive, cheap, cheap_many), {}
+    read = _corrected_reader(expensive, cheap, cheap_many)
+    answers = {}
     for p in quantiles:
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)

@@ -193,14 +193,16 @@ def cross_fit(
 
     Raises ValueError for fewer than 8 rows.
     """
-    points, outputs = np.asarray(points), np.asarray(outputs, dtype=float)
+    points = np.asarray(points)
+    outputs = np.asarray(outputs, dtype=float)
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting needs at least 8 different rows, not {n}")
     fold = folds_of(n, FOLDS)
     responses = []
     for y in outputs.reshape(n, -1).T:
-        fits, levels = [], np.empty(n)
+        fits = []
+        levels = np.empty(n)
         for k in range(FOLDS):
             left_out = fold == k
             fits.append(fit_chaos(points[~left_out], y[~left_out], germs, plain=plain))
@@ -231,7 +233,8 @@ def _bounded(response: Response) -> Response:
     standard deviations of an output and of an expansion of it differ by no more than that of what
     the expansion leaves.
     """
-    y, whole = response.outputs, float(response.outputs.var())
+    y = response.outputs
+    whole = float(response.outputs.var())
     if response.constant or not whole > 0.0:
         return response
     with np.errstate(over="ignore"):  # a fold that runs away may have no finite variance
@@ -243,9 +246,12 @@ def _bounded(response: Response) -> Response:
     integration = ROUNDING + 4.0 * max(moments.error for moments in response.integrals)
     t = float(stdtrit(FOLDS - 2, 0.5 + 0.5 * REJECTED))
     law = law_points(response.germs)[:LOOKED]
-    folds, levels, trusted = list(response.folds), response.levels.copy(), []
+    folds = list(response.folds)
+    levels = response.levels.copy()
+    trusted = []
     for k, variance in enumerate(variances.tolist()):
-        others, left_out = np.delete(variances, k), response.fold == k
+        others = np.delete(variances, k)
+        left_out = response.fold == k
         median = float(np.median(others))
         missing = folds[k].fit.cross_validation_error * whole
         room = max(distances(influence[~left_out], REJECTED)) + integration * median

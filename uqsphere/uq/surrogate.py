@@ -94,7 +94,8 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
         wrong += [f"{n!r} is there twice" for n in labels if labels.count(n) > 1]
         if wrong:
             raise UsageError(f"column {wrong[0]}; the inputs are {', '.join(names)}")
-        index, columns = index_of(rows), []
+        index = index_of(rows)
+        columns = []
         for name in names:
             column = _series(rows[name])
             if isinstance(column, np.ma.MaskedArray):
@@ -290,7 +291,8 @@ class Expansion:
                 f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'"
             )
         points = _points(self.joint, self.germs, x)
-        value, half = predict(self.fit, points), np.full(len(x), math.inf)
+        value = predict(self.fit, points)
+        half = np.full(len(x), math.inf)
         inverse, scores = self._scores
         rank = math.ceil(level * (scores.size + 1))
         if rank <= scores.size:
@@ -402,7 +404,8 @@ def fit_expansion(
     from threadpoolctl import threadpool_limits
 
     order = random_generator(seed=seed, task="chaos rows").permutation(len(y))
-    x, y = x[order], y[order]
+    x = x[order]
+    y = y[order]
     germs = germs_of(map(_with_few_values, joint.laws))
     points = _points(joint, germs, x)
     # many small products: threads of linear algebra that wait for each other cost 20 times as much

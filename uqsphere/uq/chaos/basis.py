@@ -92,7 +92,9 @@ def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Ar
     [[0.0], [1.0]]
     """
     recurrence = np.ones((2, degree + 1))
-    before, now, last = np.zeros_like(values), np.ones_like(values), 1.0
+    before = np.zeros_like(values)
+    now = np.ones_like(values)
+    last = 1.0
     for k in range(degree + 1):
         square = float(weights @ now**2)
         a = recurrence[0, k] = float(weights @ (values * now**2)) / square
@@ -191,10 +193,12 @@ def _own_germ(
 
     law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
     scores = np.linspace(-REACH, REACH, KNOTS)
-    values, weights = law.from_normal(scores), np.exp(-0.5 * scores**2)
+    values = law.from_normal(scores)
+    weights = np.exp(-0.5 * scores**2)
     least = float(law.ppf(0.0))
     low, high = np.where(np.isfinite([least, upper]), [least, upper], values[[0, -1]]).tolist()
-    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    centre = 0.5 * (low + high)
+    half = 0.5 * (high - low)
     standard = (values - centre) / half
     recurrence = stieltjes(standard, weights / weights.sum())
     if not (np.isfinite(recurrence).all() and (recurrence[1] > 0.0).all()):
@@ -250,13 +254,15 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    rows, used = np.zeros((1, 0), dtype=np.int64), np.zeros(1)
+    rows = np.zeros((1, 0), dtype=np.int64)
+    used = np.zeros(1)
     for _ in range(dimension):
         total = used[:, None] + np.arange(degree + 1.0) ** norm
         heads, last = np.nonzero(total <= degree**norm + 1e-9)
         if len(heads) > most:
             return None
-        rows, used = np.column_stack([rows[heads], last]), total[heads, last]
+        rows = np.column_stack([rows[heads], last])
+        used = total[heads, last]
     return np.asarray(rows[np.lexsort((*rows.T[::-1], rows.sum(axis=1)))])
 
 
@@ -293,7 +299,8 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
     """
     rows = list(map(tuple, active.tolist()))
     ranks = dict(zip(rows, weights.tolist(), strict=True))
-    base, waiting = set(rows), list(rows)
+    base = set(rows)
+    waiting = list(rows)
     while waiting:
         new = set(_below(waiting.pop())) - base
         base |= new

@@ -123,7 +123,8 @@ class Chaos:
 
         names = [f"q{k}" for k in range(len(self.germs))]
         highest = self.multi_indices.max(axis=0)
-        x, pairs = Polynomial([0.0, 1.0]), zip(self.germs, highest.tolist(), strict=True)
+        x = Polynomial([0.0, 1.0])
+        pairs = zip(self.germs, highest.tolist(), strict=True)
         powers = [orthonormal(germ, top, x) for germ, top in pairs]
         entries = list[tuple[tuple[int, ...], int, float]]()
         for term, degrees in enumerate(self.multi_indices):
@@ -175,7 +176,9 @@ class Chaos:
 def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     if not isinstance(germ, Germ):
         return chaospy.Normal(0.0, 1.0) if germ == "normal" else chaospy.Uniform(-1.0, 1.0)
-    law, centre, half = germ.law, germ.centre, germ.half
+    law = germ.law
+    centre = germ.centre
+    half = germ.half
     if law.family.name == "beta":
         return chaospy.Beta(law.parameters["alpha"], law.parameters["beta"], -1.0, 1.0)
     return chaospy.UserDistribution(
@@ -242,9 +245,12 @@ def integrals(fit: Chaos) -> Integrals:
     active = plain.multi_indices > 0
     varying = np.where(active.any(axis=1), plain.coefficients, 0.0)
     unit = float(np.abs(varying).max())  # squares of large ones stay finite
-    squares, mean = (varying / unit) ** 2, float(plain.coefficients[0])
+    squares = (varying / unit) ** 2
+    mean = float(plain.coefficients[0])
     single = active & (active.sum(axis=1) == 1)[:, None]
-    whole, first, total = float(squares.sum()), squares @ single, squares @ active
+    whole = float(squares.sum())
+    first = squares @ single
+    total = squares @ active
     if not fit.log:
         return Integrals(
             mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole

@@ -114,7 +114,8 @@ def failure_probability(
     >>> answer.estimate.low < 6.334248e-05 < answer.estimate.high
     True
     """
-    budget, d = evaluator.budget, evaluator.dimension
+    budget = evaluator.budget
+    d = evaluator.dimension
     if budget < FEW:
         few = by_kriging(evaluator, failure_probability, accuracy)
         if few is None:
@@ -131,7 +132,8 @@ def failure_probability(
         return RareAnswer(estimate, "", points, near.draws, searched=False)
     count = int(DEFENSIVE * budget)
     plain = draw(evaluator, standard_normal(d), count, "defensive share")
-    pool, starts = [plain], None
+    pool = [plain]
+    starts = None
     if d <= MOST_DIMENSIONS:
         # points far out in all directions; the three most probable failures among them are starts
         look = draw(evaluator, wide_mixture(d), count, "wide look")
@@ -167,7 +169,9 @@ def failure_probability(
     if not parts and evaluator.failed:
         # rows without an answer may be the failures that were not found: a plain sample bounds them
         return _sampled(evaluator)
-    estimate, warning, draws = _bound(subset.estimate), "no search for a failure found one", None
+    estimate = _bound(subset.estimate)
+    warning = "no search for a failure found one"
+    draws = None
     mass = evaluator.mass(plain.points, plain.answers)
     if parts:
         mixture = adapt(evaluator, pool, joined([1.0] * len(parts), parts))
@@ -214,7 +218,8 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
     """The answer if the masses of failure (n,) of the plain share agree with it, else one whose
     interval holds what they show, and a warning.
     """
-    met, size = float(np.nansum(mass)), mass.size
+    met = float(np.nansum(mass))
+    size = mass.size
     if estimate.high is None or met < 1.0:
         return estimate, warning
     # the chance of as many failures at the upper end
@@ -250,8 +255,10 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
         )
     points = [evaluator.normals(evaluator.dimension, count, "few", r) for r in range(REPLICATES)]
     mass = evaluator.mass(np.concatenate(points))
-    rows, total = np.nan_to_num(mass).reshape(REPLICATES, count).mean(axis=1), mass.size
-    p, unseen = float(rows.mean()), count_bound(total)
+    rows = np.nan_to_num(mass).reshape(REPLICATES, count).mean(axis=1)
+    total = mass.size
+    p = float(rows.mean())
+    unseen = count_bound(total)
     low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / count), REPLICATES, total)
     high = min(max(high, p + unseen) + float(np.isnan(mass).mean()), 1.0)
     method = "randomised quasi-Monte Carlo"

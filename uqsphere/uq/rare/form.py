@@ -49,7 +49,8 @@ def find_design_points(
     >>> round(find_design_points(plane)[0].beta, 6)
     3.0
     """
-    size, last = evaluator.size, evaluator.count + most
+    size = evaluator.size
+    last = evaluator.count + most
     first = [np.zeros((1, size))]
     # beyond ten variables a step takes so many evaluations that one start has to do
     if size <= MOST_DIMENSIONS:
@@ -73,7 +74,8 @@ def find_design_points(
         sign = -1.0 if values[0] < 0.0 else 1.0
         for start in np.concatenate(first):
             point, value, slope = _search(evaluator, start, scale, last)
-            length, distance = float(np.linalg.norm(slope)), float(np.linalg.norm(point))
+            length = float(np.linalg.norm(slope))
+            distance = float(np.linalg.norm(point))
             direction = -slope / (length or 1.0)
             along = float(point @ direction)
             off = float(np.linalg.norm(point - along * direction))

@@ -53,7 +53,8 @@ def by_kriging(
 
     search : `failure_probability`, which runs on the surrogate, whose evaluations cost nothing
     """
-    d, allowed = evaluator.dimension, evaluator.left
+    d = evaluator.dimension
+    allowed = evaluator.left
     if d > MOST_DIMENSIONS or allowed < FEWEST:
         return None
     plain = draw(evaluator, standard_normal(d), int(PLAIN * allowed), "defensive share")
@@ -72,16 +73,19 @@ def by_kriging(
         lengths = surrogate.lengths
         wrong = rest[(surrogate.mean(points[rest]) < 0.0) != (values[rest] < 0.0)][:FITTED]
         if wrong.size and fitted.size < MOST_POINTS:
-            fitted, rest = np.append(fitted, wrong), np.setdiff1d(rest, wrong)
+            fitted = np.append(fitted, wrong)
+            rest = np.setdiff1d(rest, wrong)
             continue
         model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
         answer = search(model, accuracy=0.1)
-        mixture, value = wide_mixture(d).drawn(1024), answer.estimate.value or 0.0
+        mixture = wide_mixture(d).drawn(1024)
+        value = answer.estimate.value or 0.0
         if answer.draws is None:
             # nothing fails on the surrogate: where it is least sure of that
             places = mixture.moved(model.normals(d, 1024, "least sure", fitted.size))
         else:
-            mixture, places = answer.draws.mixture, answer.draws.points.reshape(-1, d)
+            mixture = answer.draws.mixture
+            places = answer.draws.points.reshape(-1, d)
         doubt = surrogate.doubt(places, model.integrated) * mixture.ratio(places)
         if value > 0.5 and evaluator.left >= allowed / 2:
             return None
@@ -97,7 +101,8 @@ def by_kriging(
             doubt = doubt * (1.0 - np.exp(-0.5 * near))
         values = np.append(values, evaluator.values(points[-batch:]))
     answer = search(replace(model, budget=LAST_LOOK), accuracy=accuracy)
-    estimate, size = _corrected(evaluator, surrogate, answer, accuracy), plain.answers.size
+    estimate = _corrected(evaluator, surrogate, answer, accuracy)
+    size = plain.answers.size
     if estimate is None:
         failures = float(np.nansum(evaluator.mass(plain.points, plain.answers)))
         high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
@@ -112,13 +117,17 @@ def _corrected(
     """The answer on the surrogate, corrected by fresh calls until it is accurate, or the calls are
     spent; None where there are too few, or nothing fails on the surrogate.
     """
-    base, model = answer.estimate.value, replace(evaluator, limit=None)
+    base = answer.estimate.value
+    model = replace(evaluator, limit=None)
     if not base or answer.draws is None:
         return None
     places = answer.draws.points.reshape(-1, evaluator.dimension)
     order = random_generator(seed=evaluator.seed, task="fresh calls").permutation(len(places))
-    off, variance, block = np.empty(0), np.empty(0), LEAST_FRESH
-    value, half = 0.0, math.inf
+    off = np.empty(0)
+    variance = np.empty(0)
+    block = LEAST_FRESH
+    value = 0.0
+    half = math.inf
     while half > accuracy * value and min(evaluator.left, len(order) - off.size) >= block:
         fresh = places[order[off.size : off.size + block]]
         ratio = answer.draws.mixture.ratio(fresh)
@@ -183,13 +192,15 @@ class Kriging:
         """The mass of failure (n,) that may stand on the wrong side at points (n, d): the expected
         changes of side.
         """
-        mean, sd = self.mean(points), self.sd(points)
+        mean = self.mean(points)
+        sd = self.sd(points)
         if integrated:
             return 0.5 * (special.ndtr(sd - mean) - special.ndtr(-sd - mean))
         return special.ndtr(-np.abs(mean) / sd)
 
     def _correlations(self, points: Array) -> Array:
-        first, second = points / self.lengths, self.points / self.lengths
+        first = points / self.lengths
+        second = self.points / self.lengths
         squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1) - 2.0 * first @ second.T
         return np.asarray(np.exp(-0.5 * np.maximum(squares, 0.0)))
 
@@ -208,11 +219,13 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
     from scipy.optimize import minimize
 
     n, d = points.shape
-    squares, basis = (points[:, None, :] - points) ** 2, _basis(points)
+    squares = (points[:, None, :] - points) ** 2
+    basis = _basis(points)
 
     def process(lengths: Array, inverse_squares: Array) -> tuple[Kriging, Array, Any]:
         """The process of these lengths, its correlations, and the inverse of their factor."""
-        shared, nugget = np.exp(-0.5 * squares @ inverse_squares), NUGGET
+        shared = np.exp(-0.5 * squares @ inverse_squares)
+        nugget = NUGGET
         while True:
             try:
                 factor: Any = np.linalg.cholesky(shared + nugget * np.eye(n))
@@ -221,7 +234,8 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
                 nugget *= 10.0
         whitened = solve_triangular(factor, np.column_stack([basis, values]), lower=True)
         trend: Any = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
-        residuals, inverse = values - basis @ trend, np.linalg.inv(factor)
+        residuals = values - basis @ trend
+        inverse = np.linalg.inv(factor)
         weights = inverse.T @ (inverse @ residuals)
         variance = max(float(residuals @ weights) / n, 1e-300)
         fit = Kriging(points, lengths, trend, factor, weights, variance)

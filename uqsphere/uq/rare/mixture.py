@@ -140,11 +140,14 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
     Where a variable is integrated the design points have one more coordinate than `dimension`; it
     is dropped.
     """
-    means, factors = [], []
+    means = []
+    factors = []
     for point in points:
-        mean, covariance = point.point, np.eye(point.point.size)
+        mean = point.point
+        covariance = np.eye(point.point.size)
         if dimension <= MOST_DIMENSIONS:
-            beta, along = max(abs(point.beta), 0.5), point.direction
+            beta = max(abs(point.beta), 0.5)
+            along = point.direction
             mean = mean + along / beta
             covariance -= np.outer(along, along) / (1.0 + 1.0 / beta**2)
         means.append(mean[:dimension])
@@ -182,10 +185,12 @@ def _step(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     """One step of expectation-maximisation; components that carry almost nothing are dropped."""
     table = mixture.log_densities(points)
     responsibilities = np.exp(table - special.logsumexp(table, axis=1)[:, None])
-    worth, weights = carriers(weights), weights / weights.sum()
+    worth = carriers(weights)
+    weights = weights / weights.sum()
     loads = weights @ responsibilities
     kept = np.flatnonzero(loads >= min(2.0 / worth, loads.max()))
-    means, factors = [], []
+    means = []
+    factors = []
     for k in kept:
         share = weights * responsibilities[:, k] / loads[k]
         mean, covariance = _moments(points, share, max(loads[k] * worth, 1.0), mixture.means[k])
@@ -201,7 +206,8 @@ def _moments(points: Array, share: Array, number: float, before: Array) -> tuple
     mean and one across it.  What the mean has across its direction before is shrunk by its noise
     (James and Stein 1961).
     """
-    mean, d = share @ points, points.shape[1]
+    mean = share @ points
+    d = points.shape[1]
     # few points underestimate a spread
     widening = 1.0 + 2.0 / max(number - 1.0, 1.0)
     if d <= MOST_DIMENSIONS:
@@ -213,7 +219,8 @@ def _moments(points: Array, share: Array, number: float, before: Array) -> tuple
         aside = mean - ahead
         noise = d / number / max(float(aside @ aside), 1e-300)
         mean = ahead + max(1.0 - noise, 0.0) * aside
-    off, direction = points - mean, mean / max(float(np.linalg.norm(mean)), 1e-300)
+    off = points - mean
+    direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
     squares = (off @ direction) ** 2
     along = np.clip(share @ squares * widening, 1e-2, 25.0)
     across = np.clip(share @ ((off**2).sum(axis=1) - squares) / (d - 1), 1e-2, 25.0)
@@ -252,10 +259,8 @@ def weighted(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array
     table = np.column_stack([part.mixture.log_density(rows) for part in draws])
     sizes = np.array([part.answers.size for part in draws]) / answers.size
     ratio = np.exp(log_normal_density(rows) - special.logsumexp(table, axis=1, b=sizes))
-    mass, ratio = (
-        evaluator.mass(rows, answers.ravel()).reshape(answers.shape),
-        ratio.reshape(answers.shape),
-    )
+    mass = evaluator.mass(rows, answers.ravel()).reshape(answers.shape)
+    ratio = ratio.reshape(answers.shape)
     return points, np.nan_to_num(mass) * ratio, np.isnan(mass) * ratio
 
 
@@ -271,10 +276,15 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
     Beyond ten variables, where a first mixture of few failures points off by as much as they
     scatter, further stages follow until failures enough for its direction were met.
     """
-    d, count = evaluator.dimension, int(max(min(2048, evaluator.left / 6), 256))
-    stages, least, enough = 2, max(12.0, 2.0 * d), 0.0
+    d = evaluator.dimension
+    count = int(max(min(2048, evaluator.left / 6), 256))
+    stages = 2
+    least = max(12.0, 2.0 * d)
+    enough = 0.0
     if d > MOST_DIMENSIONS:
-        stages, least, enough = MOST_STAGES, 0.5 * d, ENOUGH * d
+        stages = MOST_STAGES
+        least = 0.5 * d
+        enough = ENOUGH * d
     for stage in range(stages):
         if evaluator.left < count:
             break
@@ -321,7 +331,8 @@ def importance_sampling(
     >>> answer.low < 2.8665157e-07 < answer.high
     True
     """
-    d, done = evaluator.dimension, 0
+    d = evaluator.dimension
+    done = 0
     block = max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size)
     draws = Draws(mixture.drawn(block), np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0)))
     nothing = absent("the budget does not suffice for importance sampling", METHOD, 0)
@@ -349,7 +360,9 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
     """Mean of the weights (R, n) of draws, with Student's interval over the replicates, in
     logarithms; rows without an answer widen it."""
     _, weights, lost = weighted(evaluator, draws)
-    rows, method, extra = weights.mean(axis=1), METHOD, 0.0
+    rows = weights.mean(axis=1)
+    method = METHOD
+    extra = 0.0
     if lost.any():
         method += ", interval widened for failed rows"
         extra = float(lost.mean()) + student(REPLICATES) * spread(lost.mean(axis=1))

@@ -82,7 +82,8 @@ class Evaluator:
         if len(points) > self.left:
             raise Spent
         self.count += len(points)
-        near, answers = np.abs(points).max(axis=1) <= REACH, np.full(len(points), np.nan)
+        near = np.abs(points).max(axis=1) <= REACH
+        answers = np.full(len(points), np.nan)
         if near.any():
             answers[near] = self.function(points[near])
             self.failed += int(np.isnan(answers[near]).sum())

@@ -48,17 +48,23 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
     >>> estimate.low < 1.3499e-3 < estimate.high
     True
     """
-    seeds, rng = int(SHARE * per_level), random_generator(seed=evaluator.seed, task="subset chains")
-    size, count, going = evaluator.size, 10 * seeds, np.arange(REPETITIONS)
+    seeds = int(SHARE * per_level)
+    rng = random_generator(seed=evaluator.seed, task="subset chains")
+    size = evaluator.size
+    count = 10 * seeds
+    going = np.arange(REPETITIONS)
     states = np.stack([evaluator.normals(size, count, "subset", r) for r in range(REPETITIONS)])
     values = evaluator.hard(states.reshape(-1, size)).reshape(REPETITIONS, count)
-    reached, probability = np.ones(REPETITIONS), np.zeros(REPETITIONS)
-    failures, level = [], 0
+    reached = np.ones(REPETITIONS)
+    probability = np.zeros(REPETITIONS)
+    failures = []
+    level = 0
     with suppress(Spent):
         while True:
             order = np.argsort(values, axis=1, kind="stable")
             thresholds = np.take_along_axis(values, order[:, seeds - 1 : seeds], axis=1)
-            failing, within = (values < 0.0).sum(axis=1), (values <= thresholds).sum(axis=1)
+            failing = (values < 0.0).sum(axis=1)
+            within = (values <= thresholds).sum(axis=1)
             # a plateau: as many points as there are seeds cannot be told from the rest
             last = (within > 0.5 * count) | ~np.isfinite(thresholds[:, 0]) | (level >= MOST_LEVELS)
             done = (failing >= seeds) | (last & (failing > 0))
@@ -76,9 +82,12 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
                 if within[r] > seeds:
                     row[:] = rng.permutation(order[r][: within[r]])[:seeds]
             places = rest[:, None], chosen
-            states, values, thresholds = states[places], values[places], thresholds[rest]
+            states = states[places]
+            values = values[places]
+            thresholds = thresholds[rest]
             # chains of every repetition from its seeds, all in step
-            chains, scales = [(states, values)], np.full((len(rest), 1, 1), 0.6)
+            chains = [(states, values)]
+            scales = np.full((len(rest), 1, 1), 0.6)
             for step in range(1, 10):
                 width = np.minimum(1.0, scales)
                 tried = np.sqrt(1.0 - width**2) * states + width * rng.standard_normal(states.shape)
@@ -101,8 +110,10 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
         nothing = absent(reason, method, evaluator.count, below=high)
         return SubsetAnswer(nothing, failures[0], level)
     # where some repetitions reached a failure domain that others did not, answers are worlds apart
-    value, error = float(probability.mean()), float(shares.max())
-    low, high = 0.0, min(10.0 * error, 1.0)
+    value = float(probability.mean())
+    error = float(shares.max())
+    low = 0.0
+    high = min(10.0 * error, 1.0)
     if shares.size == REPETITIONS:
         error = value * max(float(np.std(np.log(shares), ddof=1)), 0.02) / math.sqrt(REPETITIONS)
         low, high, _ = probability_ends(value, 1.0 - value, error, REPETITIONS, count)
