@@ -6,11 +6,12 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from uqsphere.mechanics.failure_modes import FAILURE_MODES, FailureMode
+from uqsphere.mechanics.failure_modes import FAILURE_MODES, FailureMode, modes_by_place
 from uqsphere.mechanics.rigs import RIGS
 
 PACKAGE = Path(__file__).parents[2] / "uqsphere"
@@ -70,3 +71,9 @@ def test_no_file_compares_a_rig_with_a_quoted_name() -> None:
         if quoted.search(line)
     ]
     assert places == []
+
+
+def test_two_failure_modes_at_one_place_are_refused() -> None:
+    crushing = FAILURE_MODES["contact"]
+    with pytest.raises(ValueError, match="at 'contact': contact crushing and spalling"):
+        modes_by_place([crushing, replace(crushing, name="spalling")])

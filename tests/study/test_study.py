@@ -90,6 +90,24 @@ def test_granite_in_si() -> None:
     assert failure_modes_of(load_study(study.path, ["analysis.failure_modes=given"])) == ([], {})
 
 
+@pytest.mark.parametrize(
+    "demand",
+    [
+        *(
+            f'criterion = "specific_energy"\nenergy_is = "{e}"'
+            for e in ("contact", "sphere", "input")
+        ),
+        'quantity = "impact_energy"',
+    ],
+)
+def test_a_limit_on_any_energy_stands_for_the_fracture_energy(demand: str) -> None:
+    text = shipped_studies()["limestone_drop_weight"].read_text(encoding="utf-8")
+    unit = "J" if "quantity" in demand else "J/kg"
+    limit = f'[limits.broken]\n{demand}\nstrength = "150 {unit}"\ntarget = 0.1\n'
+    study = load_study("drop.toml", text=text[: text.index("[limits")] + limit)
+    assert [mode.called for mode in failure_modes_of(study)[0]] == ["ring crack", "core tension"]
+
+
 def test_one_rig_with_three_limits_on_the_same_tests() -> None:
     for name, aim in (("limestone_chute", "survive"), ("limestone_rotor", "break")):
         study = load_study(shipped_studies()[name])

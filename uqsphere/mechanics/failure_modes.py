@@ -1,11 +1,14 @@
 """The failure modes of a sphere, declared once: where fracture begins, and which criterion and
 library strength assess a mode that a study has no limit for.
 
-A new mode is one entry of `FAILURE_MODES`.
+A new mode needs an entry of `FAILURE_MODES`; its strength in ``materials.toml``, without which a
+material is not assessed; and, unless there is one, its criterion: an entry of ``criteria.toml`` and
+a formula in `criteria.FORMULAS`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -16,11 +19,11 @@ from uqsphere.units import Quantity
 class FailureMode:
     """One failure mode.
 
-    place: where fracture begins, as `Quantity.place` has it; `energy` for modes assessed by the
-    energy of the sphere.  criterion: key of `CRITERIA` assumed for it.  strength: property of the
-    material library.  size_law: how that strength depends on size: `volume`, a Weibull strength of
-    a reference volume; `particle`, a median that depends on the diameter; empty, not at all.
-    damage: whether the mode damages the surface, in place of breaking the sphere.
+    place: where fracture begins, as `failure_place` has it.  criterion: key of `CRITERIA` assumed
+    for it.  strength: property of the material library.  size_law: how that strength depends on
+    size: `volume`, a Weibull strength of a reference volume; `particle`, a median that depends on
+    the diameter; empty, not at all.  damage: whether the mode damages the surface, in place of
+    breaking the sphere.
     """
 
     place: str
@@ -31,10 +34,23 @@ class FailureMode:
     damage: bool = False
 
 
+def modes_by_place(modes: Iterable[FailureMode]) -> dict[str, FailureMode]:
+    """Failure modes by their places.
+
+    Raises ValueError for two modes at one place, where one limit would stand for both.
+    """
+    by_place: dict[str, FailureMode] = {}
+    for mode in modes:
+        if mode.place in by_place:
+            names = f"{by_place[mode.place].name} and {mode.name}"
+            raise ValueError(f"two failure modes begin at {mode.place!r}: {names}")
+        by_place[mode.place] = mode
+    return by_place
+
+
 #: every failure mode by its place
-FAILURE_MODES: Final[dict[str, FailureMode]] = {
-    mode.place: mode
-    for mode in (
+FAILURE_MODES: Final = modes_by_place(
+    (
         FailureMode(
             place="contact",
             name="contact crushing",
@@ -63,17 +79,17 @@ FAILURE_MODES: Final[dict[str, FailureMode]] = {
             size_law="particle",
         ),
     )
-}
+)
 
 
 def failure_place(quantity: Quantity) -> str:
-    """Place of the failure mode that a quantity loads: a key of `FAILURE_MODES`, another place of
-    the sphere, `force` for a limit on the force itself, or empty for a quantity without a failure
-    mode.
+    """Place of the failure mode that a quantity loads: `energy` for energies of any definition,
+    else the place of the quantity (a key of `FAILURE_MODES`, or `below`), `force` for one without a
+    place, such as the force itself; empty for a quantity that does not mean fracture.
     """
     if not quantity.fracture:
         return ""
-    if quantity.follows == "energy":
+    if quantity.dimension in ("energy", "specific_energy"):
         return "energy"
     return quantity.place or "force"
 

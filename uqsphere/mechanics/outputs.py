@@ -1,7 +1,8 @@
 """Quantities of interest: their definitions, and the answers of a batch of scenes in SI.
 
-A quantity is one entry of ``outputs.toml``, with its formula here; the demand of a fracture
-criterion is the entry of that criterion in ``criteria.toml``.
+A quantity is one entry of ``outputs.toml``, with its formula here.  One that a criterion names as
+its `quantity` and that is not there, such as the core tension, is the demand of that criterion:
+all of it is in ``criteria.toml``.
 """
 
 from __future__ import annotations
@@ -395,7 +396,8 @@ class SceneAnswers:
 
     values: the requested quantities, SI; NaN where `status` is not 0.  censored: of
     time_to_first_loss, whether the evaluation window ended first, so that the value is a lower
-    bound.  grazes: whether rounding decides when contact is first lost.  status: a key of
+    bound.  grazes: whether, at the finest tolerance, an error may still decide when contact is
+    first lost, or change a duration or force difference (`solve.look_closer`).  status: a key of
     `scene.STATUS`.  record: end of the evaluation window [s], or the time after which no requested
     quantity could change.  steps: of the integrator.
     """

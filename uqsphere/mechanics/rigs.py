@@ -2,7 +2,10 @@
 
 A counter-body gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick
 block, a platen).  Its contact with the sphere has a reduced modulus, a radius and, if it yields, a
-contact law.  A new rig is one entry of `RIGS`; the keys of its tables are in `forms.FORMS`.
+contact law.
+
+A new rig of known tables is one entry of `RIGS`.  A new table also needs its keys in `forms.FORMS`,
+their numbers in ``inputs.csv``, and its keys in a study (`uqsphere.study.document`).
 Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 

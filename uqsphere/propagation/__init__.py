@@ -2,7 +2,8 @@
 
 design   what is evaluated: every column of every failure mode, at points of one design
 tables   what was evaluated
-grow     the loop: one size n, doubled until accurate, out of budget, out of time, or stopped
+grow     the loop: one size n, doubled until accurate, out of budget or time, stopped, or no gain
+surrogate  in its place for a slow model: one design, and expansions corrected by its rows
 analyses functions of the tables, each giving rows of the one long table of answers
 verdict  what the answers mean, and what could turn it
 """

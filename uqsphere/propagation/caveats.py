@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Final, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
 from uqsphere.results.types import Caveat, CaveatCode
 from uqsphere.study import strength_name
-
-#: ratio of diameters of tests and sphere beyond which no law of size was tested
-_SIZES: Final = 1.5
+from uqsphere.study.values import FARTHEST_SIZE
 
 
 def caveats_of(
@@ -70,12 +68,12 @@ def _model_range(
 
 
 def _sizes(settled: Settled) -> Iterator[Caveat]:
-    """A sphere that is more than half larger or smaller than all tested ones."""
+    """A sphere that is more than half larger, or a third smaller, than all tested ones."""
     design = settled.aim.design
     diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
     for limit in settled.aim.limits:
         tested = limit.tested
-        if tested is not None and tested.beyond(diameter) > _SIZES:
+        if tested is not None and tested.beyond(diameter) > FARTHEST_SIZE:
             sizes = tested.diameters or (tested.diameter,)
             yield Caveat(
                 code="size",

@@ -19,6 +19,7 @@ from uqsphere.quantities import format_probability
 from uqsphere.results.types import CheckEntry, Grade
 from uqsphere.study import Limit
 from uqsphere.uq import Law
+from uqsphere.uq.estimate import count_bound
 
 #: rows that are checked
 ROWS = 512
@@ -84,7 +85,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 grade="note",
                 text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in "
                 "them",
-                effect=f"failure probabilities below {3.0 / n:.2g} are bounds",
+                effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
             )
         )
     return [*breached, *_heavy_tails(design, tables)]

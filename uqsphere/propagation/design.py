@@ -2,7 +2,7 @@
 each table.
 
 Points are scrambled Sobol' sequences, `REPLICATES` of them, each an independent randomisation of
-the same design: what the replicates differ by is every interval of the run.
+the same design: intervals of sampled answers follow from what the replicates differ by.
 """
 
 from __future__ import annotations

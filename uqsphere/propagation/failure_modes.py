@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +15,9 @@ from uqsphere.mechanics.failure_modes import FAILURE_MODES, FailureMode, failure
 from uqsphere.quantities import format_value, lookup
 from uqsphere.study import Limit, Study, default_target
 from uqsphere.uq import Law, make_law
-from uqsphere.uq.estimate import NORMAL
+
+#: standard deviations from the middle of the library's 95 % ranges to their ends
+_RANGE_DEVIATIONS: Final = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +119,7 @@ def _onset(study: Study, material: Material) -> float:
 def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode:
     """A failure mode with the library strength of a material, for spheres of the mean diameter."""
     entry = material.properties[mode.strength]
-    spread = math.exp(NORMAL * entry.cov)
+    spread = math.exp(_RANGE_DEVIATIONS * entry.cov)
     ends = entry.range or (entry.value / spread, entry.value * spread)
     parameters: dict[str, float] = {}
     criterion = None

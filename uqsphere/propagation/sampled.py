@@ -22,7 +22,7 @@ from uqsphere.propagation.tables import Indices, Tables
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
 from uqsphere.uq.describe import Description, describe, describe_controlled, heavy_tail
-from uqsphere.uq.estimate import carriers, ratio_of_means
+from uqsphere.uq.estimate import carriers, count_bound, ratio_of_means
 from uqsphere.uq.indices import sampled_indices
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,
@@ -108,7 +108,7 @@ class Sampled:
             return sampled
         if carriers(chance(sample)) >= 20.0:
             return sampled
-        bound = max(sampled.high or 0.0, 3.0 / sample.size)
+        bound = max(sampled.high or 0.0, count_bound(sample.size))
         reason = "fewer than 20 effective samples contribute to it; only a bound is given"
         return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
 

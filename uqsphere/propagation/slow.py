@@ -12,6 +12,7 @@ from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.response import Response, unseen
 
 ROUGH: Final = "runs of the model"
@@ -86,7 +87,7 @@ class Slow:
             sampled = replace(sampled, method=sampled.method + self._kept)
             if sampled.high is None:
                 return sampled
-            return replace(sampled, high=max(sampled.high, 3.0 / self.rows.size))
+            return replace(sampled, high=max(sampled.high, count_bound(self.rows.size)))
         place, table = predicted.quantities.index(column), predicted
 
         def moved(sample: Sample, values: Array) -> Array:

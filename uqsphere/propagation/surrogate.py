@@ -1,9 +1,9 @@
 """Slow models: one design, expansions corrected by its rows, and the same tables as any run.
 
-A model is slow where the first size of the loop would take longer than the budget allows.  It gets
-one design of N rows, to which the eight expansions of `uqsphere.uq.response` are fitted; replicate
-r of a table is predicted by expansion r modulo eight, and every answer is corrected by the N rows.
-An event rarer than about 3/N is not in N rows: every answer says so.
+A black box is slow where the first size of the loop is more runs, or takes longer, than the budget
+allows.  It gets one design of N rows, to which the eight expansions of `uqsphere.uq.response` are
+fitted; replicate r of a table is predicted by expansion r modulo eight, and every answer is
+corrected by the N rows.  An event rarer than about 3/N is not in N rows: every answer says so.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ ALWAYS: Final = 1.0
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
     """Whether the first size of the loop is more than the budget allows.
 
-    One run, and the same again, tell a model for which no budget of this size is enough: UsageError
-    then, before any more of the time is spent.
+    The time of a run is measured unless the study gives it.  Raises UsageError after one run where
+    the time is too short for the least number of rows.
     """
     analysis = design.study.analysis
     if not design.study.black_box or not design.inputs:

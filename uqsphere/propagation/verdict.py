@@ -371,7 +371,9 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
 
 
 def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWord:
-    """The verdict at the plan: met where every doubt keeps its target, not met where none does."""
+    """The verdict at the plan: not established with a caveat, else met where every doubt keeps its
+    target, not met where none does and a limit misses its own, and undecided between.
+    """
     limits = judged.aim.limits
     if not any(limit.has_target for limit in limits):
         return "no target"

@@ -124,7 +124,7 @@ def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
     if course.later_peak is not None:
         pressure = format_value(course.later_peak.pressure, "p_max", 5)
         text = f"{pressure} at {_when(course.later_peak.time)}"
-        rows.append(("largest contact pressure after the first loss of contact", text))
+        rows.append(("largest contact pressure after the evaluation window", text))
     if RIGS[study.rig].by_wave:
         balanced = equilibrium(course)
         text = "always" if balanced == 0.0 else _when(balanced)

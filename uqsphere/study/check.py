@@ -58,7 +58,8 @@ _NO_SPHERE = (
     "energies than a sphere of equal mass. Enter a measured ratio (breaking load of the sphere / "
     "of the particle) as limits.NAME.model_factor, which multiplies the demand."
 )
-#: keys of tables that are no numbers of the scene, as `uqsphere.mechanics.forms` has those
+#: keys of tables as `mechanics.forms.FORMS` has them, and what only studies require or have: a
+#: scene without `rod.length` has an endless rod; files, words and tables without a scene are here
 FORMS = {
     **forms.FORMS,
     "rod": {"": "E nu density diameter length"},

@@ -39,9 +39,9 @@ _PRESSURES = (
     'by Hertz, as nearly all tabulated contact strengths are, or to "pressure" if it is a true '
     "pressure, which never exceeds the hardness. The probabilities can differ by decades"
 )
-#: ratio of the diameters of tests and sphere above which a warning is given, and above which a size
-#: law is required
-_SIZES_TOLD, _SIZES_REFUSED = 1.1, 1.5
+#: ratio of the diameters of tests and sphere above which a warning is given; above `FARTHEST_SIZE`
+#: a size law is required
+_SIZES_TOLD = 1.1
 #: a criterion increases at least with this power of the force
 _RISES = 0.05
 #: a demand at which every sphere breaks, over its bound
@@ -327,7 +327,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
     ratios = [
         max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii
     ]
-    refused = not linked and max(ratios) > _SIZES_REFUSED
+    refused = not linked and max(ratios) > values.FARTHEST_SIZE
     radius = radii[ratios.index(max(ratios))] if refused else radii[0]
     sizes = (
         f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the "

@@ -62,6 +62,9 @@ _EXAMPLES = {"file": "tests.csv", "column": "strength", "force": "F", "diameter"
 #: a fit less likely than this is worth a warning
 _UNLIKELY = 0.01
 
+#: ratio of the diameters of tests and sphere beyond which no law of size was tested
+FARTHEST_SIZE = 1.5
+
 
 @dataclass(frozen=True, kw_only=True)
 class Tested:

@@ -19,8 +19,8 @@ and from the points and the folds of the table.
 Where no row changes sides of t, its variance is not zero: it is at least E|1(f + r <= t) - 1(f <=
 t)|, the share of the law that residuals r like those of the rows would move across t.
 
-An event that none of n rows shows, rarer than about 3/n, is not in (1).  Probabilities and
-quantiles have a second interval that allows for it.
+An event that none of n rows shows, rarer than `count_bound`, about 3/n, is not in (1).
+Probabilities and quantiles have a second interval that allows for it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,16 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos import projections
 from uqsphere.uq.describe import Description, heavy_tail
-from uqsphere.uq.estimate import Estimate, absent, bounded, distances, fold_spread, share, student
+from uqsphere.uq.estimate import (
+    Estimate,
+    absent,
+    bounded,
+    count_bound,
+    distances,
+    fold_spread,
+    share,
+    student,
+)
 from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
@@ -171,7 +180,7 @@ class Corrected:
         sampling = self.table_error(means, cell)
         ends = self._ends(means.mean(), rows - left_out, expected, sampling)
         value, low, high = map(float, ends)
-        missed = 3.0 / self.runs
+        missed = count_bound(self.runs)
         estimate = self._estimate(value, low, high)
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
@@ -242,7 +251,7 @@ class Corrected:
             return float(places[place]) if place < len(places) else math.inf
 
         at = below(value)
-        missed = 3.0 / self.runs
+        missed = count_bound(self.runs)
         upper = max(above(low), at)
         if math.isinf(upper) or p <= high[0]:
             reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"

@@ -18,6 +18,7 @@ import numpy as np
 from uqsphere.arrays import Array, Cells, Flags, special
 from uqsphere.uq.estimate import (
     CELL,
+    LEFT_OUT,
     Estimate,
     absent,
     from_replicates,
@@ -87,7 +88,7 @@ def heavy_tail(outputs: Array, *, certain: bool = False) -> str:
     bound = 1.0
     if certain:
         count = _tail_count(outputs.size)
-        bound = float(special.chdtri(2 * count, 0.05)) / (2 * count)
+        bound = float(special.chdtri(2 * count, LEFT_OUT)) / (2 * count)
     if order * bound >= 2.0:
         return ""
     return f"heavy tail (order {order:.1f} by Hill's estimate): the variance may be infinite"

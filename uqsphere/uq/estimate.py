@@ -1,8 +1,10 @@
 """Estimates: numbers with their 95 % intervals, and answers that are absent for a reason.
 
-All intervals of sampled answers are made here, by one recipe: independent replicates, Student's
-law, the spread of a cell where counts agree, logits for probabilities, ends of quantiles read off
-those of their probability, and the linearised ratio for what is one mean over another.
+Intervals of sampled answers share one recipe: independent replicates, Student's law, the spread of
+a cell where counts agree, logits for probabilities, ends of quantiles read off those of their
+probability, and the linearised ratio for what is one mean over another.  Its parts are here;
+`describe`, `indices`, `limit_state` and `curve` put them together, `corrected` does so for a slow
+model, and `rare` and `fitting` have intervals of their own.
 """
 
 from __future__ import annotations
@@ -18,10 +20,12 @@ from uqsphere.arrays import Array, Flags
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
 REPLICATES = 16
-#: level of every interval, and the two ends that it leaves out
-LEVEL = 0.95
+#: probabilities of the two ends of every interval, and their level
 ENDS = (0.025, 0.975)
-#: two-sided 95 % point of the normal law
+LEVEL = ENDS[1] - ENDS[0]
+#: what a one-sided bound of this level leaves out
+LEFT_OUT = 2.0 * ENDS[0]
+#: the upper end of a standard normal variable
 NORMAL = 1.959963984540054
 #: standard deviation of what may lie anywhere in a cell of length one
 CELL = 12.0**-0.5
@@ -36,9 +40,9 @@ class Estimate:
     Attributes
     ----------
     value, low, high : the number and both ends of its interval; an end without a bound is None
-    low_unseen, high_unseen : ends that also allow for an event of which the runs show nothing, 3/N
-        more in probability; infinite where nothing bounds them, None where these are `low` and
-        `high`
+    low_unseen, high_unseen : ends that also allow for an event of which the runs show nothing,
+        `count_bound` more in probability; infinite where nothing bounds them, None where these are
+        `low` and `high`
     std_error : standard error
     evaluations : model runs that it rests on
     """
@@ -253,8 +257,13 @@ def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array
 
 
 def count_bound(total: float) -> float:
-    """The share that a count of none in so many leaves possible: the one-sided 95 % bound."""
-    return -math.expm1(math.log(0.05) / total)
+    """The share that a count of none in so many leaves possible, about 3 over the count: the
+    one-sided 95 % bound.
+
+    >>> round(count_bound(200), 4)
+    0.0149
+    """
+    return -math.expm1(math.log(LEFT_OUT) / total)
 
 
 def probability_ends(

@@ -29,7 +29,7 @@ from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.expansion import law_points
 from uqsphere.uq.chaos.fit import constant_fit
 from uqsphere.uq.chaos.select import Order, folds_of, mean_and_sd
-from uqsphere.uq.estimate import distances
+from uqsphere.uq.estimate import count_bound, distances
 
 METHOD: Final = "polynomial chaos, corrected by its residuals"
 #: folds that rows are split into: seven eighths of them fit each time, and twice 8 are the
@@ -47,12 +47,13 @@ ROUNDING: Final = 1e-9
 
 
 def unseen(runs: int) -> str:
-    """What n runs cannot show, in words: the chance of missing an event of probability 3/n is 5 %.
+    """What n runs cannot show, in words: an event as probable as `count_bound` is missed in 5 % of
+    all cases.
 
     >>> unseen(200)
     'an event rarer than about 0.015 (3 in 200 runs) is not in it'
     """
-    return f"an event rarer than about {3.0 / runs:.2g} (3 in {runs} runs) is not in it"
+    return f"an event rarer than about {count_bound(runs):.2g} (3 in {runs} runs) is not in it"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
