@@ -44,7 +44,7 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
     """What the kernel takes, of scaled rigs without incoming waves."""
     n = len(rows)
     trips, ends = np.full((n, 2), np.inf), np.zeros((n, 2))
-    laws, rigs = np.ones((n, tracked.LAWS, 2)), np.zeros((n, tracked.RIGS, 2))
+    laws, rigs = np.ones((n, tracked.LAWS, 2)), np.zeros((n, tracked.POLES, 2))
     laws[:, tracked.LAW_ONSET] = math.inf
     for i, row in enumerate(rows):
         for k, pole in enumerate(row["poles"]):
@@ -64,7 +64,7 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
         "pulse_end": np.full(n, np.inf),
         "level": np.full(n, 0.1),
         "laws": laws,
-        "rigs": rigs,
+        "poles": rigs,
         "speed": np.array([row["speed"] for row in rows]),
     }
 

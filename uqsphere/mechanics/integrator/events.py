@@ -80,8 +80,9 @@ def _bend_of(s, m, theta):
 
 
 @compiled
-def _both(s, j, kind, x_a, x_b, rate_a, rate_b):
-    """Value and derivative of a function of both faces from the approaches and theirs."""
+def _both(s, j, kind, at_a, at_b):
+    """Value and derivative of a function of both faces from those of their approaches."""
+    (x_a, rate_a), (x_b, rate_b) = at_a, at_b
     b, weight_a, weight_b = LANES + j, 1.0, 1.0
     if kind >= ENERGY and kind != MEAN:
         value_a, slope_a = stored_energy(s, j, x_a)
@@ -104,9 +105,7 @@ def _measure(s, j, kind, theta):
     """Value and derivative of one of the functions that are followed inside the step."""
     if kind <= FACE_B:
         return approach_of(s, kind * LANES + j, theta)
-    x_a, rate_a = approach_of(s, j, theta)
-    x_b, rate_b = approach_of(s, LANES + j, theta)
-    return _both(s, j, kind, x_a, x_b, rate_a, rate_b)
+    return _both(s, j, kind, approach_of(s, j, theta), approach_of(s, LANES + j, theta))
 
 
 @compiled
@@ -145,8 +144,11 @@ def root(s, m, level, sign, a, b):
 
 
 @compiled
-def turn(s, j, kind, a, b, slope_a, slope_b):
-    """theta between a and b at which the slope of what is followed changes sign, as at the ends."""
+def turn(s, j, kind, begin, end):
+    """theta between two places, each with the slope there, at which the slope of what is followed
+    changes sign, as at the ends.
+    """
+    (a, slope_a), (b, slope_b) = begin, end
     for _ in range(60):
         theta = b - slope_b * (b - a) / (slope_b - slope_a)
         if not min(a, b) < theta < max(a, b):
@@ -183,7 +185,7 @@ def passage(s, m, level, sign, begin, end):
             and left_slope > 0.0 > right_slope
             and highest_between(left, left_slope, right, right_slope) >= 0.0
         ):
-            top = turn(s, m % LANES, m // LANES, a, b, sign * left_slope, sign * right_slope)
+            top = turn(s, m % LANES, m // LANES, (a, sign * left_slope), (b, sign * right_slope))
             x, _ = approach_of(s, m, top)
             if sign * (x - level) >= 0.0:
                 return root(s, m, level, sign, a, top)
@@ -224,7 +226,7 @@ def _deepest(s, j, m, end, deepest):
                 peak = peak * theta + s.x[k, m]
             step = -0.5 * rate / bend
             if not (bend < 0.0 and begin < theta + step < begin + width):
-                theta = turn(s, j, m // LANES, begin, i * width, left_slope, right_slope)
+                theta = turn(s, j, m // LANES, (begin, left_slope), (i * width, right_slope))
                 peak, _ = approach_of(s, m, theta)
                 break
             theta += step
@@ -244,7 +246,8 @@ def _highest(s, j, kind, end, highest):
     """
     b, width, left, left_slope = LANES + j, end / POINTS, 0.0, 0.0
     for i in range(POINTS + 1):
-        right, right_slope = _both(s, j, kind, s.at[i, j], s.at[i, b], s.rate[i, j], s.rate[i, b])
+        at_a, at_b = (s.at[i, j], s.rate[i, j]), (s.at[i, b], s.rate[i, b])
+        right, right_slope = _both(s, j, kind, at_a, at_b)
         sign = 1.0
         if kind == DIFFERENCE:
             highest = max(highest, abs(right))
@@ -255,7 +258,7 @@ def _highest(s, j, kind, end, highest):
             sign * left, sign * left_slope * width, sign * right, sign * right_slope * width
         )
         if i > 0 and bound > max(highest, max(sign * left, sign * right)):
-            theta = turn(s, j, kind, (i - 1) * width, i * width, left_slope, right_slope)
+            theta = turn(s, j, kind, ((i - 1) * width, left_slope), (i * width, right_slope))
             peak, _ = _measure(s, j, kind, theta)
             highest = max(highest, sign * peak)
         left, left_slope = right, right_slope
@@ -334,7 +337,7 @@ def _spring_end(s, m, end):
             begin = max(i - 1.0, 1e-3) * width
             x, rate = approach_of(s, m, begin)
             if rate < 0.0:
-                begin = turn(s, m % LANES, m // LANES, begin, i * width, rate, above_rate)
+                begin = turn(s, m % LANES, m // LANES, (begin, rate), (i * width, above_rate))
                 x, rate = approach_of(s, m, begin)
             if x >= largest:
                 return begin
@@ -359,13 +362,13 @@ def _virgin_end(s, m, end):
                     middle = 0.5 * (low + high)
                     rate, bend = _bend_of(s, m, middle)
                     if rate <= 0.0:
-                        return turn(s, m % LANES, m // LANES, begin, middle, left, rate)
+                        return turn(s, m % LANES, m // LANES, (begin, left), (middle, rate))
                     if bend < 0.0:
                         low = middle
                     else:
                         high = middle
             if right <= 0.0:
-                return turn(s, m % LANES, m // LANES, begin, theta, left, right)
+                return turn(s, m % LANES, m // LANES, (begin, left), (theta, right))
         left, bow_left = right, bow
     return math.inf
 

@@ -1,9 +1,10 @@
 """The law of a face that yields, inside the integrator: spring, virgin loading, free (theory
 (C14)).
 
-Where faces are alike and elastic the force of each is q = x^(3/2) of its approach x, and no code
-here runs.  Where they differ, it is kappa x^(3/2).  A face that yields has a largest approach so
-far, x_m, and a dent x_r.  The integrator's variable is the approach above the dent, x - x_r:
+Where faces are alike and elastic the force of each is q = x^(3/2) of its approach x, with the
+stiffness 1 and no onset.  Where they differ, it is kappa x^(3/2).  A face that yields has a largest
+approach so far, x_m, and a dent x_r.  The integrator's variable is the approach above the dent, x -
+x_r:
 
     spring   q = k (x - x_r)^(3/2)   until x rises through x_m (then virgin loading) or falls
                                      through x_r (then free)

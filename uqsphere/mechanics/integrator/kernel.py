@@ -10,18 +10,19 @@ lane one step:
 
     enter     idle lanes take the next rows
     waves     how long the step may be; what runs towards the sphere in it, theory (4) and (5)
-    series    the motion as a power series, theory (9) or (R3); how far it holds (`lanes`)
+    series    the motion as a power series, theory (9) or (R3), and how far it holds (`lanes`);
+              from a touch, where it does not, by Runge-Kutta (`_choose`)
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
-    events    where in the step a face leaves, touches, yields or is pressed deepest (`events`);
-              from a touch, where the series does not hold, by Runge-Kutta (`_choose`)
+    events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
-    turn      the end of the record (`_judge`, `records`), or the next state (`_move_on`), the next
+    turn      the end of the record (`_fate`, `_judge`), or the next state (`_move_on`), the next
               jump of the waves (`_jump`) and length; a lane that is done leaves (`_leave`)
 
 A record ends at the horizon; between infinite bars once both forces stay below a share of the
 largest; of a rig once all gaps grow and no echo can close them.  It ends sooner where nothing that
-is wanted can change any more: no approach can exceed the largest so far (`records.no_later_peak`),
-or no wave can press harder after a loss of contact (`records.no_harder_squeeze`).
+is wanted can change any more: no largest value can grow under a steady wave
+(`records.no_later_peak`); or, at a loss of contact, no approach can (`records.no_higher_approach`)
+or no wave can press harder (`records.no_harder_squeeze`).
 
 What a lane knows are the fields of `tracked.LANE` and its columns of `tracked.STATE`, with their
 units and who writes them.
@@ -85,10 +86,10 @@ class Rows(NamedTuple):
     mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
     breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
     inf for the rule of infinite bars, which needs pulse_end (n,).  level (n,): scale of x that is
-    expected at least.  laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both
-    forces are x^(3/2).  rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is
-    not two bars, with `laws`, and u at the start; such a record ends when the bodies part. (n, 0,
-    2): bars.
+    expected at least.  laws (n, tracked.LAWS, 2): of both faces.  poles (n, tracked.POLES, 2),
+    speed (n,): what stands at the poles, and u at the start.  `march_rows` fills laws and poles in
+    where faces are alike and elastic, or stand on two bars; whether they are so is in the state
+    (`has_laws`, `rigged`).  The record of other rigs than bars ends when the bodies part.
     """
 
     mass: Array
@@ -101,7 +102,7 @@ class Rows(NamedTuple):
     pulse_end: Array
     level: Array
     laws: Array
-    rigs: Array
+    poles: Array
     speed: Array
 
 
@@ -193,13 +194,13 @@ def _enter(s, j, r, rows):
     lane.by_law = follows_law(s, j)
     quickest, stiffest = 1.0 / rows.mass[r], 0.0
     for face in range(2):
-        m, lightness = face * LANES + j, rows.rigs[r, tracked.RIG_LIGHTNESS, face]
+        m, lightness = face * LANES + j, rows.poles[r, tracked.POLE_LIGHTNESS, face]
         lane.reflect[face], lane.trips[face] = rows.ends[r, face], rows.round_trips[r, face]
         lane.head[face], lane.tail[face], lane.first[face], lane.last[face] = 0, 0, 0, 0
-        s.gives[m], s.lightness[m] = rows.rigs[r, tracked.RIG_GIVES, face], lightness
+        s.gives[m], s.lightness[m] = rows.poles[r, tracked.POLE_GIVES, face], lightness
         s.there[m], s.free[0, m] = (
-            rows.rigs[r, tracked.RIG_THERE, face],
-            rows.rigs[r, tracked.RIG_SPEED, face],
+            rows.poles[r, tracked.POLE_THERE, face],
+            rows.poles[r, tracked.POLE_SPEED, face],
         )
         s.x[0, m], s.u[0, m] = 0.0, 0.0
         if s.rigged:
@@ -376,18 +377,23 @@ def _holds(s, j):
         if reached < 1.0:
             lane.proposed = reached * s.h[j]
             return False
-    crossed, scale = s.excess[j] > 1.0, min(s.size[0, j], s.size[2, j])
-    misfit = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
-    if not crossed and s.theta[j] > 0.0 and not misfit > s.error[j] * scale:
+    # the root's series has parted from the root; a series has overflowed; an echo is not fitted
+    crossed, overflowed = s.excess[j] > 1.0, not s.theta[j] > 0.0
+    left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
+    misfit = left_out > s.error[j] * min(s.size[0, j], s.size[2, j])
+    if not (crossed or overflowed or misfit):
         return True
     lane.attempts += 1
-    lane.proposed = s.h[j] * (0.5 * s.theta[j] if crossed else 0.5 if s.theta[j] > 0.0 else 0.05)
-    if not crossed and s.theta[j] > 0.0 and not lane.single:
-        # a wave bends where the step that made it ends: what does not fit is tried again up to
-        # there
-        lane.single = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1]) > 0
-        if lane.single:
-            lane.proposed = s.h[j]
+    if crossed:
+        lane.proposed = 0.5 * s.theta[j] * s.h[j]
+    elif overflowed:
+        lane.proposed = 0.05 * s.h[j]
+    else:
+        # a wave bends where the step that made it ends: it is tried again up to there, then shorter
+        lane.proposed = 0.5 * s.h[j]
+        joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
+        if joints > 0 and not lane.single:
+            lane.single, lane.proposed = 1, s.h[j]
     if lane.proposed <= 1e-15 * (1.0 + lane.time) or lane.attempts > 10 * LIMIT:
         lane.fate = tracked.STUCK
     return False
@@ -468,34 +474,38 @@ def _turn(s, j, ending, made):
     jump.
     """
     lane = s.lane[j]
-    reaches = records.approach_after_loss(s, j, ending)
-    before, at_stop = lane.time, s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
-    _move_on(s, j, ending)
+    reaches, ahead = records.approach_after_loss(s, j, ending), math.nan
+    at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     at_stop = at_stop and lane.why < End.CONTACT
-    lane.time = before + ending * s.h[j]
+    _move_on(s, j, ending)
+    lane.time += ending * s.h[j]
     if at_stop:
         lane.time = lane.stop
-    _propose(s, j, ending, at_stop)
-    done = lane.why == End.RECORD
     if s.rigged and not lane.touching:
         ahead = events.next_touch(s, j)
-        if ahead < math.inf:  # free flight is linear in time: one step to the touch
-            lane.proposed = 1.001 * ahead
-        elif ahead == math.inf:
-            lane.proposed = 1e30
-            done = lane.time >= records.echoes_have_acted(s, j)
+    _propose(s, j, ending, at_stop, ahead)
+    lane.fate = _fate(s, j, at_stop, ahead, reaches, made)
+    return at_stop and lane.fate == GOES_ON
+
+
+@compiled(inline=True)
+def _fate(s, j, at_stop, ahead, reaches, made):
+    """Status with which the row of a lane ends where it stands now, or `GOES_ON`."""
+    lane = s.lane[j]
+    if lane.why == End.RECORD:
+        return tracked.OK
+    if ahead == math.inf and lane.time >= records.echoes_have_acted(s, j):
+        return tracked.OK
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
         records.note_duration(s, j, 0.0)
-        done = records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made)
-    if done:
-        lane.fate = tracked.OK
-    elif at_stop and lane.time >= lane.end:
-        pressed = max(s.x[0, j], s.x[0, LANES + j]) > 0.0
-        lane.fate = tracked.OK
-        if s.rigged and pressed:
-            lane.fate = tracked.STILL_PRESSED
-    return at_stop and lane.fate == GOES_ON
+        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made):
+            return tracked.OK
+    if at_stop and lane.time >= lane.end:
+        if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+            return tracked.STILL_PRESSED
+        return tracked.OK
+    return GOES_ON
 
 
 @compiled(inline=True)
@@ -565,8 +575,8 @@ def _move_on(s, j, ending):
 
 
 @compiled(inline=True)
-def _propose(s, j, ending, at_stop):
-    """How long the next step may be."""
+def _propose(s, j, ending, at_stop, ahead):
+    """How long the next step may be; ahead: until a gap closes in free flight, else NaN."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
     kept_up, growth = 0.0, GROWTH
@@ -577,6 +587,10 @@ def _propose(s, j, ending, at_stop):
     lane.proposed = max(ending * s.h[j] * growth, kept_up)
     if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         lane.proposed = max(lane.proposed, s.h[j])
+    if ahead < math.inf:  # free flight is linear in time: one step to the touch
+        lane.proposed = 1.001 * ahead
+    elif ahead == math.inf:
+        lane.proposed = 1e30
 
 
 @compiled(inline=True)

@@ -39,8 +39,9 @@ MODES: Final[dict[str, int]] = {
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between
 #: threads
 _BLOCK = 512
-#: steps a row may take, tried in turn, so that memory stays small for the many rows that need few;
-#: powers of two, from 16,384 on each twice the one before
+#: steps of a row that there is room to keep, tried in turn, so that memory stays small for the many
+#: rows that need few; powers of two, from 16,384 on each twice the one before.  Only steps that are
+#: read again are kept: how many a row may take is `kernel.LIMIT`
 _CAPACITIES = (1024, *(16_384 << k for k in range(5)))
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the
 #: forces is asked for; where the record ends in the tail of the force; once a face has yielded, for
@@ -202,7 +203,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "pulse_end": breaks[:, -1].copy(),
         "level": 0.1 * np.minimum(1.0, duration),
         "laws": _laws(scene, rows),
-        "rigs": _rigs(scene, rows),
+        "poles": _poles(scene, rows),
         "speed": scene.start[rows, 0] / scene.scales.speed[rows],
     }
 
@@ -232,26 +233,26 @@ def _laws(scene: Scene, rows: Places) -> Array:
     return laws
 
 
-def _rigs(scene: Scene, rows: Places) -> Array:
-    """What stands at the poles in scaled variables, (n, RIGS, 2): see `tracked`; (n, 0, 2): two
+def _poles(scene: Scene, rows: Places) -> Array:
+    """What stands at the poles in scaled variables, (n, POLES, 2): see `tracked`; (n, 0, 2): two
     bars.
     """
     if scene.by_wave:
         return np.zeros((len(rows), 0, 2))
-    scales, rigs = scene.scales, np.zeros((len(rows), tracked.RIGS, 2))
+    scales, poles = scene.scales, np.zeros((len(rows), tracked.POLES, 2))
     for pole, partner in enumerate(scene.partners):
         if partner is not None:
-            rigs[:, tracked.RIG_GIVES, pole] = (scales.force / (partner.impedance * scales.speed))[
-                rows
-            ]
-            rigs[:, tracked.RIG_LIGHTNESS, pole] = (
+            poles[:, tracked.POLE_GIVES, pole] = (
+                scales.force / (partner.impedance * scales.speed)
+            )[rows]
+            poles[:, tracked.POLE_LIGHTNESS, pole] = (
                 scales.force * scales.time / (partner.mass * scales.speed)
             )[rows]
-            rigs[:, tracked.RIG_SPEED, pole] = (1 - 2 * pole) * (
+            poles[:, tracked.POLE_SPEED, pole] = (1 - 2 * pole) * (
                 scene.start[:, 1 + pole] / scales.speed
             )[rows]
-            rigs[:, tracked.RIG_THERE, pole] = 1.0
-    return rigs
+            poles[:, tracked.POLE_THERE, pole] = 1.0
+    return poles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,7 +290,7 @@ def march_rows(
     if wanted & tracked.WANT_DIFFERENCE:
         share = _LOCAL_DIFFERENCE
     finite = bool(np.isfinite(arguments["horizon"]).all())
-    rigged, has_laws = arguments["rigs"].shape[1] > 0, arguments["laws"].shape[1] > 0
+    rigged, has_laws = arguments["poles"].shape[1] > 0, arguments["laws"].shape[1] > 0
     if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
     if finite and not rigged:
@@ -307,7 +308,7 @@ def march_rows(
     if not has_laws:
         columns["laws"], wanted = tracked.elastic_faces(n), wanted & ~tracked.WANT_SHARE
     if not rigged:
-        columns["rigs"] = tracked.two_bars(n)
+        columns["poles"] = tracked.two_bars(n)
     rows = Rows(**columns)
     out = Answers(empty_answers(n), np.zeros(n, np.int64), np.zeros(n, np.int64))
     order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
@@ -584,7 +585,7 @@ def look_closer(
     of the forces in a row of many steps, differs by as much from that at a hundredth of the
     tolerance.
     """
-    n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["rigs"].shape[1] == 0
+    n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["poles"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
     found = march_rows(
         arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
@@ -599,7 +600,7 @@ def look_closer(
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
     again = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
     rough, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    if wanted & tracked.WANT_DURATION and arguments["rigs"].shape[1] == 0:
+    if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
         rough = (status == tracked.OK) & _counts_on(answers)
     if wanted & tracked.WANT_DIFFERENCE:
         rough |= again

@@ -1,8 +1,17 @@
 """What the integrator follows of a row, by the numbers of its columns: the one list of it.
 
-A new one is a tracker (followed by `events.after_step`), an answer (written by `records.finish`,
-and by `uqsphere.mechanics.closed_form` where there is a closed form) and an entry of `SCALED`,
-which formulas of quantities read (`uqsphere.mechanics.outputs`).
+A new answer of a row needs
+
+    here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`;
+              an `ANSWER_` (and the length of their range); an entry of `SCALED`; if it costs time
+              a bit `WANT_` (and the length of theirs, and `WANT_ALL`)
+    records   its start in `begin`, its answer in `finish`; for a largest value `_ANSWER_OF`, and
+              `no_later_peak`, by which a record ends once it cannot grow
+    events    what follows it in `after_step`; for a largest value of both faces `_both`,
+              `_may_grow` and `OF_BOTH`
+    outside   `closed_form` for scenes that it answers in place of the integrator; ``outputs.toml``
+              and a formula in `outputs`, which reads it by its name in `SCALED`, and
+              `outputs._LACKING` for scenes without it
 """
 
 from __future__ import annotations
@@ -133,7 +142,6 @@ SCALED = {
     "end_speed": (ANSWER_SPEED, 0),
     "end_speed_a": (ANSWER_SPEEDS, 0),
     "end_speed_b": (ANSWER_SPEEDS + 1, 0),
-    "unloadings": (ANSWER_UNLOADINGS, 0),
     "touches": (ANSWER_TOUCHES, 0),
     "duration": (ANSWER_DURATION, WANT_DURATION | WANT_MEAN),
     "grazed": (ANSWER_GRAZED, 0),
@@ -143,7 +151,7 @@ SCALED = {
 # factor of x^(3/2), sphere's share of the energy
 LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
 # what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
-RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
+POLE_GIVES, POLE_LIGHTNESS, POLE_SPEED, POLE_THERE, POLES = range(5)
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
@@ -181,7 +189,8 @@ LANE: Final = np.dtype(
         ("place_in_order", "i8"),  # its place among the rows asked for; march
         ("count", "i8"),  # steps taken; keep
         ("attempts", "i8"),  # steps tried again; holds
-        ("fate", "i8"),  # status it leaves with, -1 while it goes on; turn, judge
+        ("fate", "i8"),  # status it leaves with, -1 while it goes on; enter, holds, turn, judge,
+        # jump
         ("mass", "f8"),  # mu; enter
         ("quickest", "f8"),  # how quickly the lightest body answers a force; enter
         ("end", "f8"),  # t_c; end of the record at the latest; enter
@@ -191,10 +200,11 @@ LANE: Final = np.dtype(
         ("trips", "f8", 2),  # t_c; round trips, inf without echo; enter
         # the step
         ("time", "f8"),  # t_c; where it starts; turn
-        ("proposed", "f8"),  # t_c; what to try next; holds, turn
-        ("stop", "f8"),  # t_c; next jump of the waves, or the end; jump
-        ("touching", "i8"),  # 1 where it starts from a touch; enter, turn
-        ("single", "i8"),  # 1 where an echo is read from a single step; holds
+        ("proposed", "f8"),  # t_c; what to try next; enter, try_step, holds, turn, jump
+        ("stop", "f8"),  # t_c; next jump of the waves, or the end; enter, jump
+        ("touching", "i8"),  # 1 where it starts from a touch; enter, move_on
+        ("single", "i8"),  # 1 where an echo is read from a single step; enter, holds,
+        # move_on
         ("why", "i8"),  # what ends it, see End; choose, after_step
         ("side", "i8"),  # at which face; after_step
         ("switched", "i8"),  # bits: faces on the wrong branch; choose
@@ -202,15 +212,15 @@ LANE: Final = np.dtype(
         ("frequency", "f8"),  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
         ("offset", "f8"),  # t_c; where the piece of the pulse begins; enter_piece
         ("cubic", "f8", 4),  # coefficients of the piece in powers of t; enter_piece
-        ("steady", "f8"),  # what runs in for ever, -1 while it may change; jump
-        ("head", "i8", 2),  # the first of them; next_break
-        ("tail", "i8", 2),  # behind the last of them; reflect_break
+        ("steady", "f8"),  # what runs in for ever, -1 while it may change; enter, jump
+        ("head", "i8", 2),  # number in `queue` of the next jump of a bar; next_break
+        ("tail", "i8", 2),  # behind that of the last one; reflect_break
         ("first", "i8", 2),  # first step an echo is read from, -1: none; echo_steps
         ("last", "i8", 2),  # last one; echo_steps
         # the faces: law, branch, and what stands at the pole
-        ("by_law", "i8"),  # 1 where a force is no longer x^(3/2); enter, turn
+        ("by_law", "i8"),  # 1 where a force is no longer x^(3/2); enter, move_on
         # what is followed
-        ("low", "f8"),  # approach below which the record ends, -inf: none; try_step
+        ("low", "f8"),  # approach below which the record ends, -inf: none; try_step, after_step
         ("near", "f8"),  # approach below which a contact may be lost; try_step
         ("faint", "f8"),  # error of an approach; try_step
         ("peak", "f8", KINDS),  # largest values so far, see KINDS; after_step
@@ -225,9 +235,9 @@ LANE: Final = np.dtype(
         ("lost", "f8"),  # t_c; first loss of contact; after_step
         ("grazed", "f8"),  # t_c; when an approach was first faint before it; after_step
         ("blur", "f8"),  # t_c; how far the error of the approach moves it; after_step
-        ("parted", "f8"),  # t_c; last loss of contact; turn
+        ("parted", "f8"),  # t_c; last loss of contact; move_on
         ("ended", "f8"),  # t_c; end of the record; after_step, leave
-        ("touches", "f8"),  # contacts found again; turn
+        ("touches", "f8"),  # contacts found again; move_on
         ("chatter", "f8"),  # those before the largest approach; after_step
         ("unloadings", "f8"),  # of faces that yield; switch
     ]
@@ -243,9 +253,9 @@ STATE: Final = np.dtype(
         # the step
         ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echo
         ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
-        ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep
-        ("size", "f8", (5, LANES)),  # scales of x_1, u, x_2, U_A, U_B; enter, turn
-        ("wrong_allowed", "f8", _LANE),  # impulse by which a root may be off; try_step
+        ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep, move_on
+        ("size", "f8", (5, LANES)),  # scales of x_1, u, x_2, U_A, U_B; enter, move_on
+        ("wrong_allowed", "f8", _LANE),  # impulse by which a root may be off; try_step, choose
         # the waves
         ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
         ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echo
@@ -342,10 +352,10 @@ def elastic_faces(rows: int) -> Array:
 
 
 def two_bars(rows: int) -> Array:
-    """Rigs (rows, RIGS, 2) of two bars."""
-    rigs = np.zeros((rows, RIGS, 2))
-    rigs[:, [RIG_GIVES, RIG_THERE]] = 1.0
-    return rigs
+    """Poles (rows, POLES, 2) of two bars."""
+    poles = np.zeros((rows, POLES, 2))
+    poles[:, [POLE_GIVES, POLE_THERE]] = 1.0
+    return poles
 
 
 def empty_answers(rows: int) -> Array:
