@@ -192,7 +192,8 @@ def test_shares_of_a_mixed_batch():
     assert found.shares == (0.0, 0.5, 0.25)
     assert found.share == 0.75
     assert found.worst == pytest.approx(0.31, rel=1e-12)
-    assert found.text.startswith("75 % of the samples")
+    # those beyond the limit that is named
+    assert found.text.startswith("25 % of the samples")
     assert "0.31" in found.text
     # the threshold of the grade that the worst row reaches, not the mildest one
     assert "0.31 (limit 0.3)" in found.text
@@ -207,8 +208,8 @@ def test_a_number_that_few_rows_reach_is_told_with_what_most_keep():
     widths[:3] = 0.0161
     text = checks(scene, a_max=widths)["small_contact"].text
     assert text == (
-        "all samples: the contact is not small, a/r up to 1.61 (0.21 in 95 % of the samples; "
-        "limit 0.3)"
+        "3 % of the samples: the contact is not small, a/r up to 1.61 (0.21 in 95 % of the "
+        "samples; limit 0.3)"
     )
 
 

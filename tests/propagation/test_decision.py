@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import uqsphere
 from uqsphere import Study
 from uqsphere.models.model import Model
 from uqsphere.propagation import promise
+from uqsphere.propagation import verdict as verdicts
 from uqsphere.propagation.demands import demands_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import Curves, alternatives
@@ -24,9 +26,9 @@ from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import plan_of
 from uqsphere.propagation.tables import evaluate
 from uqsphere.propagation.verdict import aim_of, judge
-from uqsphere.results.types import Decision
+from uqsphere.results.types import Caveat, CaveatCode, Decision
 from uqsphere.study import load_study, shipped_studies
-from uqsphere.uq import Law, make_law
+from uqsphere.uq import Estimate, Law, make_law
 
 LOOSE = {"accuracy": {"mean": 0.1, "quantile": 0.2, "sobol": 0.2, "probability": 0.05}}
 LOAD = {"dist": "lognormal", "mean": 1.0, "cov": 0.1}
@@ -434,3 +436,26 @@ def test_elastic_by_name_gets_no_better_number_than_contacts_that_yield() -> Non
     assert numbers[1] == pytest.approx(numbers[0], rel=1e-2)
     # by the same doubts of the strength
     assert numbers[0] == pytest.approx(yields.use.value, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("kept", "codes", "verdict"),
+    [
+        (True, [], "met"),
+        (True, ["rate"], "not established"),
+        (False, ["rate"], "not met"),
+        (False, ["rate", "unit"], "not established"),
+    ],
+)
+def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
+    monkeypatch: pytest.MonkeyPatch, kept: bool, codes: list[CaveatCode], verdict: str
+) -> None:
+    monkeypatch.setattr(verdicts, "_keeps", lambda judged, doubt: kept)
+    limit = SimpleNamespace(has_target=True, target=0.1)
+    judged: Any = SimpleNamespace(
+        aim=SimpleNamespace(limits=[limit]),
+        plan=SimpleNamespace(doubts=["tests"]),
+        at_plan=lambda limit: Estimate(value=0.5, low=0.4, high=0.6, method="", evaluations=1),
+    )
+    caveats = [Caveat(code=code, subject="limits.whole.strength") for code in codes]
+    assert verdicts._verdict(judged, caveats) == verdict

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from uqsphere.report import summary
-from uqsphere.report.sentences import STOPPED, decision_text, doubt_text
+from uqsphere.report.sentences import STOPPED, all_modes, decision_text, doubt_text
 from uqsphere.report.tables import limits
 from uqsphere.results.types import (
     Caveat,
@@ -136,12 +136,58 @@ def test_damage_over_the_target_is_told_though_it_does_not_count(granite: Result
     told = [decision_text(granite, decision(doubts=[row])).open for row in rows]
     assert told == [
         [
-            "damage that is not counted: ring crack, 91 % at the planned value "
-            "(analysis.damage_counts = true counts it)"
+            "damage that is not counted: ring crack in 91 % of the spheres at the planned value, "
+            "in 1 % at 0.2 m/s (analysis.damage_counts = true counts it)"
         ],
         [],
         [],
     ]
+
+
+def test_a_total_says_what_it_leaves_out(granite: Results) -> None:
+    row = {
+        "code": "assumed strength",
+        "subject": "modes.ring crack",
+        "target": 0.01,
+        "margin": None,
+    }
+    judged = decision(
+        doubts=[Doubt(**row, counts=False)], all_modes=Range(value=0.34), probability=Range(value=0)
+    )
+    assert all_modes(judged) == "all but ring crack (damage)"
+    assert "34 % with all but ring crack (damage)" in decision_text(granite, judged).broken
+    assert all_modes(decision()) == "all failure modes"
+
+
+def test_a_number_to_use_without_a_unit_says_what_it_is_of(granite: Results) -> None:
+    assert granite.study.free is not None
+    texts = []
+    for path, meaning in (("pulse.gain", "gain"), ("sphere.nu", "Poisson ratio")):
+        free = {"path": path, "meaning": meaning, "unit": ""}
+        free = granite.study.free.model_copy(update=free)
+        study = granite.study.model_copy(update={"free": free})
+        results = granite.model_copy(update={"study": study})
+        texts.append(decision_text(results, decision(use=used(0.36))).use)
+    assert texts == [
+        "Use at most 0.36 times the measured pulse",
+        "Use at most 0.36 (Poisson ratio)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("at the plan, not at the number to use, ", "Choose a plan within the model's range"),
+        ("at the number to use, ", "The number to use lies outside the model's range"),
+        ("at the plan and at the number to use, ", "The number to use lies outside"),
+    ],
+)
+def test_a_number_outside_the_model_is_told(granite: Results, where: str, said: str) -> None:
+    caveat = Caveat(code="model range", subject="small_contact", text=f"{where}all samples: a/r")
+    remedy = Remedy(code="leave the model's range", subject="small_contact")
+    text = decision_text(granite, decision(caveats=[caveat], next=remedy))
+    assert text.next.startswith(said)
+    assert "safety factor" not in text.sentence
 
 
 def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results) -> None:

@@ -592,6 +592,19 @@ def test_implausible_tests_are_warned_of(
     assert any(says in text for text in odd) if says else odd == [], odd
 
 
+@pytest.mark.parametrize(
+    ("aim", "held", "says"), [("survive", [], "conservative"), ("break", ["rate"], "fewer would")]
+)
+def test_quasi_static_tests_hold_what_is_to_break(
+    load: Load, aim: str, held: list[str], says: str
+) -> None:
+    study = load(FORCES, "\n".join(["D,F", *ROWS]), f'criterion = "core_tension"\naim = "{aim}"')
+    assert [code for code, _, _ in study.caveats if code == "rate"] == held
+    assert any(says in text and "limits.a.rate_0" in text for text in study.warnings), (
+        study.warnings
+    )
+
+
 def test_a_size_law_that_does_not_agree_is_refused(load: Load) -> None:
     with pytest.raises(StudyError, match="did not converge"):
         load(FORCES, "\n".join(["D,F", *ROWS, "119,283000"]), 'criterion = "core_tension"', PELLET)

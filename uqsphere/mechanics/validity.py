@@ -164,7 +164,8 @@ def _dents(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
     deepest = np.nanmax(depths[good])
     text = f". Residual indentation: up to {1e6 * deepest:.2g} um"
     flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene.columns).onset).any())
-    if flats_yield and deepest > _RELAP:
+    # faces that are used again: those of bars and platens
+    if flats_yield and deepest > _RELAP and scene.setup.mover in ("striker", ""):
         text += "; lap the flat faces again"
     return text
 
@@ -442,7 +443,8 @@ def _check(
             if most < _FAR * worst:
                 shown += f" ({most:.3g} in {100.0 * _USUAL:.3g} % of the samples)"
         # the threshold of the grade that the worst row reaches
-        limit = rule.thresholds[grades[usable].max() - 1]
+        grade = int(grades[usable].max())
+        limit, broken = rule.thresholds[grade - 1], float(shares[grade - 1])
         words = rule.words.format(worst=shown, limit=f"{limit:.3g}", shape=scene.shape)
         text = f"{_rows_text(broken)}: {words.replace(') (limit', '; limit')}"
         if rule.key in ADVICE:

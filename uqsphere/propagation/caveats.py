@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from uqsphere.propagation.checks import Check, range_checks
+from uqsphere.propagation.checks import RANGE, Check, range_checks
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
 from uqsphere.results.types import Caveat, CaveatCode
@@ -27,7 +27,10 @@ def caveats_of(
         caveats.append(Caveat(code="assumed strength", subject=design.subject(governing.limit)))
     caveats += _model_range(settled, yielding, checks)
     caveats += _sizes(settled)
+    ours = tuple(f"limits.{limit.name}." for limit in settled.aim.limits)
     for code, path, text in design.study.caveats:
+        if code == "rate" and not path.startswith(ours):
+            continue
         literal = next(word for word in get_args(CaveatCode) if word == code)
         caveats.append(Caveat(code=literal, subject=path, text=text))
     # limits on the same tests rest on one set of synthetic data
@@ -48,6 +51,7 @@ def _model_range(
     """
     study, limits, line = settled.aim.design.study, settled.aim.limits, settled.line
     failing: dict[str, tuple[float, str]] = {}
+    at_number: dict[str, tuple[float, str]] = {}
     for check in checks:
         for limit in limits:
             share = check.failures.get(limit.name, 0.0)
@@ -62,8 +66,13 @@ def _model_range(
         for check in range_checks(under, limits):
             share = max(check.failures.values(), default=0.0)
             if share > study.analysis.accuracy.probability:
-                failing.setdefault(check.name, (share, f"at the number to use, {check.text}"))
-    for name, (share, text) in failing.items():
+                at_number[check.name] = (share, f"at the number to use, {check.text}")
+        for name, (share, text) in failing.items():
+            if name in at_number:
+                failing[name] = share, f"at the plan and at the number to use, {text}"
+            elif name in RANGE:
+                failing[name] = share, f"at the plan, not at the number to use, {text}"
+    for name, (share, text) in (at_number | failing).items():
         yield Caveat(code="model range", subject=name, value=share, text=text)
 
 

@@ -56,7 +56,9 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
         for check in _breaches(plan, design.limits):
             worst, effect = max(check.failures.values(), default=0.0), ""
             if worst:
-                effect = f"{format_probability(worst)} of the failures lie in such rows"
+                limit = max(design.limits, key=lambda limit: check.failures.get(limit.name, 0.0))
+                event = "failures" if limit.aim == "survive" else "samples that do not break"
+                effect = f"{format_probability(worst)} of the {event} are among them"
             elif check.grade != "note":
                 effect = "bias not quantified"
             if check.name != "grazing_contact" or not _TIMES.isdisjoint(design.columns):
@@ -93,7 +95,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
 
 #: grade from which a check of the contact holds a number; those of faces that yield do so wherever
 #: they are taken for elastic, with no law of their yield
-_RANGE: Final = {"small_contact": 3, "deep_dent": 3, "plastic_range": 3}
+RANGE: Final = {"small_contact": 3, "deep_dent": 3, "plastic_range": 3}
 _YIELD: Final = {"bar_yield_contact": 2, "sphere_yield_contact": 2, "face_yield": 2}
 
 
@@ -101,7 +103,7 @@ def range_checks(line: Line, limits: Sequence[Limit]) -> list[Check]:
     """The checks of the contact's range in the rows of a line at one value of the free number, with
     the share of each limit's failures that lie in rows beyond it.
     """
-    holds = dict(_RANGE)
+    holds = dict(RANGE)
     if line.design.study.options.get("contact.law", "hertz") == "hertz":
         holds |= _YIELD
     return [check for check in _breaches(line, limits, holds) if check.name in holds]

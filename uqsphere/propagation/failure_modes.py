@@ -94,8 +94,9 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
     if material is None:
         return "the study names no material of the library; add a limit with your own strength"
     strength = material.properties.get(mode.strength)
+    title = material.title[:1].lower() + material.title[1:]
     if strength is None:
-        return f"neither the study nor the library has one for {material.title.lower()}"
+        return f"neither the study nor the library has one for {title}"
     if mode.size_law == "volume" and not (
         "volume" in strength.further and "weibull_modulus" in material.properties
     ):
@@ -105,7 +106,8 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
     onset = _onset(study, material)
     if mode.place == "contact" and strength.value < onset:
         values = (format_value(value, "p_max") for value in (strength.value, onset))
-        return "the library's contact strength {} is below the onset of yield {}".format(*values)
+        text = "the library's contact strength {} is below the onset of yield {} of the sphere"
+        return text.format(*values)
     return ""
 
 

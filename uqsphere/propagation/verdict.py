@@ -377,11 +377,12 @@ def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWo
     limits = judged.aim.limits
     if not any(limit.has_target for limit in limits):
         return "no target"
-    if caveats:
+    if any(caveat.code != "rate" for caveat in caveats):
         return "not established"
     kept = [_keeps(judged, doubt) for doubt in judged.plan.doubts]
     if all(kept):
-        return "met"
+        # an effect on the unsafe side that nobody put a number on holds only what is met
+        return "not established" if caveats else "met"
     met = [target_met(judged.at_plan(limit), limit.target) for limit in limits]
     if False in met and not any(kept):
         return "not met"
@@ -416,6 +417,7 @@ _CURES: Final[dict[types.CaveatCode, types.RemedyCode]] = {
     "plausibility": "check the input",
     "model range": "leave the model's range",
     "size": "test more",
+    "rate": "include the rate",
 }
 
 
@@ -431,7 +433,7 @@ def _remedy(
         return types.Remedy(code="set a target", subject=design.subject(judged.lead))
     for code, cure in _CURES.items():
         for caveat in caveats:
-            if caveat.code == code:
+            if caveat.code == code and (code != "rate" or verdict == "not established"):
                 return types.Remedy(code=cure, subject=caveat.subject)
     at_best = None
     if line is not None and governing.code != "assumed strength" and line.use is None:

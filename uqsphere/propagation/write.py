@@ -226,7 +226,10 @@ def _limit(limit: Limit, **origin: Any) -> LimitEntry:
             platens = f"platens with E = {1e-9 * modulus:.3g} GPa"
     # how the strength of tested spheres follows their size, and the rate of loading
     if tested is not None and tested.exponent:
-        size_law.append(f"force at failure ~ diameter^{tested.exponent:.3g}")
+        follows = "force"
+        if not tested.forces:
+            follows = lookup(limit.quantity).meaning.partition(":")[0]
+        size_law.append(f"{follows} at failure ~ diameter^{tested.exponent:.3g}")
     if "rate_0" in limit.parameters:
         size_law.append(f"doubled at a strain rate of {limit.parameters['rate_0']:.3g} 1/s")
     return LimitEntry(

@@ -8,11 +8,18 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import numpy as np
-
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability
-from uqsphere.report.format import title_of, with_unit
+from uqsphere.report.format import (
+    Estimated,
+    entries_of,
+    label,
+    plain_probability,
+    small,
+    table_of,
+    title_of,
+    with_unit,
+)
 from uqsphere.report.fragility import curves_of, draw_fragility, planned_value
 from uqsphere.report.pictures import (
     BLUE,
@@ -31,8 +38,8 @@ from uqsphere.report.pictures import (
     quantile_texts,
     varies,
 )
-from uqsphere.report.sentences import chart_title, decision_texts
-from uqsphere.results.types import QuantityEntry, Results
+from uqsphere.report.sentences import all_modes, chart_title, decision_texts, joint_event
+from uqsphere.results.types import Kind, QuantityEntry, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,10 +168,16 @@ def _fragility(results: Results) -> dict[str, Picture]:
     texts = [f"{title} over the {free.meaning}"]
     planned = planned_value(free)
     if planned is not None:
-        for curve in curves:
-            p = float(np.interp(planned, curve.x, curve.p))
-            texts.append(f"{curve.name} at the planned value: {format_probability(p)}")
-    texts += [decision.use.lower() for decision in decision_texts(results)]
+        answers, shown = table_of(results), {curve.name for curve in curves}
+        at_plan: dict[str, Estimated | None] = {
+            label(subject): answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
+            for subject in entries_of(results)
+        }
+        at_plan |= {all_modes(d): joint_event(d) for d in results.decisions}
+        for name, p in at_plan.items():
+            if name in shown and p is not None:
+                texts.append(f"{name} at the planned value: {plain_probability(p)}")
+    texts += [small(decision.use) for decision in decision_texts(results)]
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)
     right = min(max(LETTER * letters, 90.0), 190.0) + 12.0

@@ -213,6 +213,15 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def small(text: str) -> str:
+    """A text that goes on in a sentence; units keep their letters.
+
+    >>> small("Use at most 2.8 kN")
+    'use at most 2.8 kN'
+    """
+    return text[:1].lower() + text[1:]
+
+
 def label(subject: str) -> str:
     """A limit or failure mode by its own name, with a star if its strength is assumed.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import label, table_of, with_unit
+from uqsphere.report.format import label, small, table_of, with_unit
 from uqsphere.report.pictures import (
     BLUE,
     BROWN,
@@ -30,7 +30,7 @@ from uqsphere.report.pictures import (
     plain_logarithms,
     write,
 )
-from uqsphere.report.sentences import decision_text
+from uqsphere.report.sentences import all_modes, decision_text
 from uqsphere.results.types import CurvePoint, Decision, FreeNumber, Kind, Results
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:
             x, p, *_ = _ends(decision.curve)
-            curves.append(Curve("all failure modes", x, p, INK, JOINT))
+            curves.append(Curve(all_modes(decision), x, p, INK, JOINT))
     return curves
 
 
@@ -169,8 +169,9 @@ def draw_fragility(
         text = f"{word} {format_value(planned, free.path, 3)}"
         below.append(_Label(planned * factor, text, INK))
     for decision in used:
-        text = decision_text(results, decision).use.lower()
+        text = small(decision_text(results, decision).use)
         if brief:
+            text = text.partition(" (")[0]
             text = text.replace("use at most", "≤").replace("use at least", "≥")
         below.append(_Label(_draw_mark(axes, decision, factor), text, RED))
     _label_edge(axes, above, "above")

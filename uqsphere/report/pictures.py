@@ -114,7 +114,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
         for check in results.checks:
             if check.name == "dented":
                 share = check.share
-        words = f"yield from {onset:.3g} {unit}: {_in_impacts(share)}"
+        words = f"softer body yields from {onset:.3g} {unit}: {_in_impacts(share)}"
         low, high = _mark_onset(axes, onset, words, low, high)
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)

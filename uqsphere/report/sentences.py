@@ -120,14 +120,45 @@ def _open(results: Results, decision: Decision) -> list[str]:
         if check.grade == "failure" and check.name not in told:
             effect = f" ({check.effect})" if check.effect else ""
             texts.append(f"check failed: {check.text}{effect}")
+    free = results.study.free
     for doubt in decision.doubts:
         if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
             name, p = plain_name(doubt.subject), plain_probability(doubt.at_plan)
-            texts.append(
-                f"damage that is not counted: {name}, {p} at the planned value "
-                "(analysis.damage_counts = true counts it)"
-            )
+            text = f"damage that is not counted: {name} in {p} of the spheres at the planned value"
+            if doubt.margin is not None and free is not None:
+                at = value(doubt.margin, free.path)
+                text += f", in {format_probability(doubt.target)} at {at}"
+            texts.append(f"{text} (analysis.damage_counts = true counts it)")
     return texts
+
+
+def limit_notes(results: Results) -> list[str]:
+    """What is to be known of the strengths in the table of limits: stated without tests, assumed,
+    and damage.
+    """
+    notes = []
+    entries = results.study.limits.items()
+    stated = [name for name, entry in entries if entry.fracture and not entry.tests]
+    if stated:
+        names = listed(stated)
+        notes.append(f"strength stated without tests, its uncertainty in no range here: {names}")
+    if results.study.modes:
+        notes.append("* assumed: library strength, not measured on this rock")
+    damage = damage_modes(results)
+    if damage:
+        notes.append(f"damage, not counted as fracture: {listed(damage)}")
+    return notes
+
+
+def all_modes(decision: Decision) -> str:
+    """What adds up in a decision: all failure modes, but those that are damage.
+
+    The total may lie below the probability of a mode that is left out.
+    """
+    damage = [plain_name(doubt.subject) for doubt in decision.doubts if not doubt.counts]
+    if damage:
+        return f"all but {listed(damage)} (damage)"
+    return "all failure modes"
 
 
 def _undecided(decision: Decision) -> list[str]:
@@ -173,7 +204,13 @@ class _Writer:
     def use(self) -> str:
         """The number to use, or that there is none."""
         if self.decision.use is not None:
-            return f"Use {self.allowed(self.decision.use.value)}"
+            assert self.free is not None
+            text = f"Use {self.allowed(self.decision.use.value)}"
+            if self.free.path == "pulse.gain":
+                return f"{text} times the measured pulse"
+            if not self.free.unit:
+                return f"{text} ({self.free.meaning})"
+            return text
         if self.free is None or self.decision.target is None:
             p = plain_probability(joint_event(self.decision))
             return f"{capital(self.event_name())} {p}"
@@ -225,6 +262,8 @@ class _Writer:
             factor = planned / rounded
         if factor < 1.0:
             return f"{text}, no margin."
+        if any(caveat.code in ("model range", "rate") for caveat in self.decision.caveats):
+            return f"{text}."
         return f"{text}, safety factor {factor:.3g}."
 
     def governs(self) -> str:
@@ -287,9 +326,9 @@ class _Writer:
         if decision.all_modes is None:
             text += probability(by_study)
         elif together == alone:
-            text += f"{alone}, by your own limits and with all failure modes"
+            text += f"{alone}, by your own limits and with {all_modes(decision)}"
         else:
-            text += f"{together} with all failure modes, {alone} by your own limits"
+            text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self.target()}."
@@ -309,6 +348,15 @@ class _Writer:
         subject = plain_name(remedy.subject)
         if remedy.code == "leave the model's range":
             subject = subject.replace("_", " ")
+            ranges = [c for c in self.decision.caveats if c.code == "model range"]
+            outside = [c for c in ranges if "at the number to use, " in c.text.partition(":")[0]]
+            outside = [c for c in outside if ", not at" not in c.text]
+            if outside:
+                name = outside[0].subject.replace("_", " ")
+                return (
+                    f"The number to use lies outside the model's range ({name}): "
+                    "test in the machine."
+                )
         if remedy.code == "widen the range" and self.kept_everywhere():
             return "Widen margins.between to find where the target is missed."
         text = _REMEDIES[remedy.code].format(subject=subject, tail=tail)
@@ -341,6 +389,7 @@ _REMEDIES: Final = {
     "yielding contacts": 'Let the contacts yield: [contact] law = "plastic"',
     "check the input": "Check {subject}",
     "replace the synthetic tests": "Replace the synthetic tests by measured ones",
+    "include the rate": "Give {subject} at the strain rate of the rig: rate_0, or dynamic tests",
     "leave the model's range": "Choose a plan within the model's range: {subject}",
 }
 

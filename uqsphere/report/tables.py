@@ -30,15 +30,24 @@ from uqsphere.report.format import (
 from uqsphere.report.pictures import ranked_inputs
 from uqsphere.report.sentences import (
     METHODS,
+    all_modes,
     as_event,
-    damage_modes,
     doubt_text,
     exceedance_name,
     joint_event,
-    listed,
+    limit_notes,
 )
 from uqsphere.results.answers import Answers
-from uqsphere.results.types import Decision, Doubt, InputEntry, Kind, LimitEntry, Range, Results
+from uqsphere.results.types import (
+    Decision,
+    Doubt,
+    FreeNumber,
+    InputEntry,
+    Kind,
+    LimitEntry,
+    Range,
+    Results,
+)
 
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
@@ -151,9 +160,10 @@ def limits(results: Results) -> PageTable:
         beta = answers.get(subject, Kind.RELIABILITY_INDEX)
         cells = [label(subject), p, DASH]
         if beta is not None and beta.value is not None:
-            cells[2] = f"{beta.value:.2f}"
+            # of the probability beside it
+            cells[2] = f"{-beta.value if entry.aim == 'break' else beta.value:.2f}"
         if free is not None:
-            cells.append(_best_estimate(answers, subject, entry, free.path))
+            cells.append(_best_estimate(answers, subject, entry, free))
             alone = aims.count(entry.aim) == 1
             cells += _number_to_use(results, subject, free.path) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
@@ -169,11 +179,12 @@ def limits(results: Results) -> PageTable:
             "best estimate: each limit by itself; to use: by all of them, considering what is "
             "open, which gives the range and what governs"
         )
-    if results.study.modes:
-        notes.append("* strength assumed, from the library")
-    damage = damage_modes(results)
-    if damage:
-        notes.append(f"damage, not counted as fracture: {listed(damage)}")
+    notes += limit_notes(results)
+    if any(entry.platens for entry in entries.values()):
+        notes.append(
+            "strengths from forces: tests and impact share E and size of the sphere, and the two "
+            "scatter together; the probability does not follow from demand and strength apart"
+        )
     return PageTable(
         "Limits and failure modes",
         (*head, "demand: strength", "source of the strength"),
@@ -183,11 +194,15 @@ def limits(results: Results) -> PageTable:
     )
 
 
-def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, path: str) -> str:
+def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
+    path, outside = (
+        free.path,
+        "outside " + " to ".join(value(x, free.path) for x in (free.low, free.high)),
+    )
     for row in answers.where(subject, Kind.MARGIN):
         if isinstance(row.at, float) and abs(row.at - entry.allowable) <= 1e-9:
-            return "outside margins.between" if row.value is None else value(row.value, path)
+            return outside if row.value is None else value(row.value, path)
     return DASH
 
 
@@ -222,7 +237,8 @@ def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
         number = format_conservative(use.value, path, least=least)
         best = value(use.best.value, path)
         span = value_range(use.best.low, use.best.high, path)
-        rows.append((f"all together, to {decision.aim}", p, "", best, number, span, "", ""))
+        together = all_modes(decision).replace("all failure modes", "all together")
+        rows.append((f"{together}, to {decision.aim}", p, "", best, number, span, "", ""))
     return rows
 
 
@@ -316,6 +332,8 @@ def indices(results: Results) -> PageTable:
     for at in ranked[:MOST_ROWS]:
         cells = (index(answers.get(name, kind, at)) for name, kind in orders)
         rows.append((meaning(at, results.inputs), *cells))
+    if results.study.dependence and not ranked:
+        rows.append(("none: tied inputs have no Sobol’ indices",))
     methods = {METHODS[entries[name].method_of_indices] for name in names}
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
@@ -362,6 +380,8 @@ def drivers(results: Results) -> list[PageTable]:
         moved = {
             str(row.at): 100.0 * (row.value or 0.0) for row in answers.where(subject, Kind.DRIVER)
         }
+        if entry.aim == "break":  # failure is to stay whole
+            moved = {name: -x for name, x in moved.items()}
         most = max(map(abs, moved.values()), default=0.0)
         if most == 0.0:
             continue
@@ -386,7 +406,7 @@ def drivers(results: Results) -> list[PageTable]:
     shift = "percentage points per standard deviation shift of the input's mean"
     tables = []
     for columns, caption, note in (
-        (changes, "Sensitivity of the failure probability", shift),
+        (changes, f"Sensitivity of the {exceedance_name(results).lower()}", shift),
         (points, "Most probable failure (design point)", ""),
     ):
         rows = []

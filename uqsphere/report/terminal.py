@@ -10,10 +10,9 @@ from uqsphere.report.format import estimate, keep_units, short, table_of, value_
 from uqsphere.report.sentences import (
     NO_LIMIT,
     accuracy_text,
-    damage_modes,
     decision_texts,
     exceedance_name,
-    listed,
+    limit_notes,
 )
 from uqsphere.results.types import Kind, Results
 
@@ -29,16 +28,10 @@ def summary(results: Results, width: int = 79) -> str:
     if not results.study.limits:
         texts += ["", NO_LIMIT]
         texts += [f"Check failed: {c.text}" for c in results.checks if c.grade == "failure"]
-    notes = []
-    if results.study.modes:
-        notes.append("* assumed: library strength, not measured on this rock")
-    damage = damage_modes(results)
-    if damage:
-        notes.append(f"damage, not counted as fracture: {listed(damage)}")
     lines = [
         *_wrapped(texts, width),
         *_columns(_limits(results), width),
-        *_wrapped(notes, width),
+        *_wrapped(limit_notes(results), width),
         *_columns(_paper(results), width),
         *_columns(_quantities(results), width),
         *_columns(_indices(results), width),

@@ -390,7 +390,7 @@ class Doubt(Part):
 
 
 CaveatCode = Literal[
-    "assumed strength", "model range", "size", "unit", "plausibility", "synthetic tests"
+    "assumed strength", "model range", "size", "unit", "plausibility", "rate", "synthetic tests"
 ]
 
 
@@ -444,6 +444,7 @@ RemedyCode = Literal[
     "check the input",
     "replace the synthetic tests",
     "leave the model's range",
+    "include the rate",
 ]
 
 

@@ -531,7 +531,8 @@ class Draft:
     def warn(self, place: Place, message: str, holds: str = "") -> None:
         """Note what a user should know and what does not stop the study, once.
 
-        holds : code of the caveat by which no verdict is established, `unit` or `plausibility`
+        holds : code of the caveat by which no verdict is established, `unit`, `plausibility` or
+            `rate`
         """
         if (place, message) not in [warning[:2] for warning in self.warnings]:
             self.warnings.append((place, message, holds))
