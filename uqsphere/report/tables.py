@@ -196,10 +196,8 @@ def limits(results: Results) -> PageTable:
 
 def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
-    path, outside = (
-        free.path,
-        "outside " + " to ".join(value(x, free.path) for x in (free.low, free.high)),
-    )
+    path = free.path
+    outside = f"outside {value(free.low, path)} to {value(free.high, path)}"
     for row in answers.where(subject, Kind.MARGIN):
         if isinstance(row.at, float) and abs(row.at - entry.allowable) <= 1e-9:
             return outside if row.value is None else value(row.value, path)
