@@ -6,11 +6,12 @@ import pytest
 
 from uqsphere.report import summary
 from uqsphere.report.sentences import STOPPED, all_modes, decision_text, doubt_text
-from uqsphere.report.tables import limits
+from uqsphere.report.tables import indices, limits
 from uqsphere.results.types import (
     Caveat,
     CheckEntry,
     Decision,
+    DependenceEntry,
     Doubt,
     LibraryRange,
     Range,
@@ -294,3 +295,19 @@ def test_a_failure_mode_that_is_damage_is_named_below_the_table(granite: Results
 def test_draws_of_a_fit_are_a_posterior_distribution() -> None:
     doubt = Doubt(code="tests", subject="limits.a", option="draws", target=0.1, margin=1, tests=36)
     assert doubt_text(doubt) == "36 tests, posterior distribution"
+
+
+def test_tied_inputs_are_the_reason_for_no_indices(granite: Results) -> None:
+    tie = DependenceEntry(of=["sphere.nu", "sphere.E"], text="Spearman's rank correlation -0.6")
+    study = granite.study.model_copy(update={"dependence": [tie]})
+    sobol = [row for row in granite.answers if row.answer.startswith("sobol")]
+    for rows in (
+        [row for row in granite.answers if row not in sobol],
+        [
+            row if row not in sobol else row.model_copy(update={"value": None})
+            for row in granite.answers
+        ],
+    ):
+        results = granite.model_copy(update={"study": study, "answers": rows})
+        assert "tied inputs" in indices(results).rows[0][0]
+        assert "tied inputs" in summary(results)

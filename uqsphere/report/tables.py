@@ -331,7 +331,7 @@ def indices(results: Results) -> PageTable:
         cells = (index(answers.get(name, kind, at)) for name, kind in orders)
         rows.append((meaning(at, results.inputs), *cells))
     if results.study.dependence and not ranked:
-        rows.append(("none: tied inputs have no Sobol’ indices",))
+        rows.append(("none: tied inputs have no Sobol’ indices", *[DASH] * len(orders)))
     methods = {METHODS[entries[name].method_of_indices] for name in names}
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
