@@ -14,7 +14,7 @@ from uqsphere.report.format import (
     Estimated,
     entries_of,
     label,
-    plain_probability,
+    probability,
     small,
     table_of,
     title_of,
@@ -176,7 +176,7 @@ def _fragility(results: Results) -> dict[str, Picture]:
         at_plan |= {all_modes(d): joint_event(d) for d in results.decisions}
         for name, p in at_plan.items():
             if name in shown and p is not None:
-                texts.append(f"{name} at the planned value: {plain_probability(p)}")
+                texts.append(f"{name} at the planned value: {probability(p)}")
     texts += [small(decision.use) for decision in decision_texts(results)]
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)
