@@ -428,3 +428,12 @@ def test_observations_with_few_values_do_not_alias() -> None:
         )
     assert found["first"]["level"].value == pytest.approx(8.0 / 17.0, abs=0.06)
     assert found["first"]["switch"].value == pytest.approx(9.0 / 17.0, abs=0.06)
+
+
+def test_where_all_folds_run_away_the_output_is_expanded_in_scores() -> None:
+    # no fold was trusted, and total indices had no value
+    response = zoo_response("kink", 64, 1)
+    assert len(response.trusted) > 4
+    totals, truths = indices_of(response)["total"], all_truths()["kink"]
+    for name, estimate in zip(("a", "b", "c"), totals, strict=True):
+        assert estimate.value == pytest.approx(truths[f"total {name}"].value, abs=0.15)

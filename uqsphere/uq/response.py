@@ -10,6 +10,11 @@ is held at the reach of its rows: a point beyond is predicted at the nearest pla
 them.  Where this does not help, the mean of its rows stands for it.  Its own rows stay: they are
 often those that the others need in order to agree, and to leave them out would be to choose rows by
 their residuals.
+
+The exponential of a polynomial, and polynomials of an unbounded law of an input's own, grow faster
+where no row lies than Hermite polynomials of normal scores do.  Where a fold is contradicted, the
+output itself is expanded in the scores as well.  This is kept if fewer folds are contradicted and
+no more is left of the variance; it may be more where no coefficients could be trusted before.
 """
 
 from __future__ import annotations
@@ -26,6 +31,7 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
 from uqsphere.uq.chaos import integrals as integrals_of
+from uqsphere.uq.chaos.basis import score_of
 from uqsphere.uq.chaos.expansion import law_points
 from uqsphere.uq.chaos.fit import constant_fit
 from uqsphere.uq.chaos.select import Order, folds_of, mean_and_sd
@@ -199,27 +205,39 @@ def cross_fit(
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting needs at least 8 different rows, not {n}")
-    fold = folds_of(n, FOLDS)
+    scores = tuple(map(score_of, germs))
     responses = []
     for y in outputs.reshape(n, -1).T:
-        fits = []
-        levels = np.empty(n)
-        for k in range(FOLDS):
-            left_out = fold == k
-            fits.append(fit_chaos(points[~left_out], y[~left_out], germs, plain=plain))
-            levels[left_out] = predict(fits[k], points[left_out])
-        response = Response(
-            folds=tuple(Fold(fit=fit) for fit in fits),
-            fold=fold,
-            points=points,
-            outputs=y,
-            levels=levels,
-            trusted=tuple(range(FOLDS)),
-        )
+        response = _fitted(points, y, germs, plain=plain)
         if independent:
             response = _bounded(response)
+            logs = any(fold.fit.log for fold in response.folds)
+            if len(response.trusted) < FOLDS and (logs or scores != tuple(germs)):
+                calmer = _bounded(_fitted(points, y, scores, plain=True))
+                fewer = len(calmer.trusted) > len(response.trusted)
+                better = calmer.error <= response.error
+                if fewer and (better or (calmer.usable and not response.trusted)):
+                    response = calmer
         responses.append(response)
     return responses
+
+
+def _fitted(points: Array, y: Array, germs: Sequence[GermLike], *, plain: bool) -> Response:
+    """The response of outputs (n,), whose folds are all trusted as yet."""
+    fold = folds_of(len(y), FOLDS)
+    fits, levels = [], np.empty(len(y))
+    for k in range(FOLDS):
+        left_out = fold == k
+        fits.append(fit_chaos(points[~left_out], y[~left_out], germs, plain=plain))
+        levels[left_out] = predict(fits[k], points[left_out])
+    return Response(
+        folds=tuple(Fold(fit=fit) for fit in fits),
+        fold=fold,
+        points=points,
+        outputs=y,
+        levels=levels,
+        trusted=tuple(range(FOLDS)),
+    )
 
 
 # --- folds that run away --------------------------------------------------------------------------

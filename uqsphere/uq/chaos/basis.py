@@ -74,6 +74,13 @@ def base_of(germ: GermLike) -> str:
     return germ
 
 
+def score_of(germ: GermLike) -> GermLike:
+    """The base of a germ with polynomials of its own law; one of few values stays."""
+    if isinstance(germ, Germ) and not germ.law.is_steps:
+        return germ.base
+    return germ
+
+
 def recurrence_of(germ: GermLike, degree: int) -> Array:
     """Monic recurrence (2, degree + 1 or more) of a germ's polynomials: b is k (normal) or k²/(4 k²
     - 1) (uniform).
