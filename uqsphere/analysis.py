@@ -149,7 +149,8 @@ def joint(
 
 def _arrays(x: Any, y: Any, laws: Joint) -> tuple[Array, Array]:
     """x (n, d) in the order of the inputs and y (n,), matched by names and by index."""
-    rows, y = columns_of(x, laws.names), as_answers(y)
+    rows = columns_of(x, laws.names)
+    y = as_answers(y)
     if hasattr(y, "reindex"):
         from pandas import RangeIndex
 

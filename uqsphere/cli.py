@@ -20,7 +20,7 @@ from inspect import getdoc
 from itertools import chain
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from uqsphere.errors import UqsphereError, UsageError
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 #: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
 #: every exit code, as `uqsphere --help` lists them
-EXIT_CODES: Final = {
+EXIT_CODES = {
     0: "done; with a target: every decision is met",
     1: "internal error",
     2: "invalid study, input file or command",
@@ -42,11 +42,11 @@ EXIT_CODES: Final = {
     130: "interrupted (143: terminated)",
 }
 #: labs: companion tools with commands of their own, and a first command for each of their templates
-LABS: Final = {
+LABS = {
     "shpb": "lab: records of Hopkinson bars, contact laws, test plans",
     "comminution": "lab: single-particle tests, feeds under impact",
 }
-LAB_TEMPLATES: Final = {
+LAB_TEMPLATES = {
     "lab_gauge_records": "uqsphere shpb records",
     "lab_limestone_feed": "uqsphere comminution feed",
 }

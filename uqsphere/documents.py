@@ -156,7 +156,8 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         line = text[: dots.start()].count("\n") + 1
         message = "a dotted key goes more than 12 levels deep"
     except RecursionError:
-        line, message = 1, "brackets are nested deeper than any study needs"
+        line = 1
+        message = "brackets are nested deeper than any study needs"
     except ValueError as error:  # a fault of syntax, or a number that Python does not read
         message, *rest = re.split(r" \(at | for integer", str(error))
         where = re.match(r"line (\d+)", rest[-1])
@@ -228,9 +229,11 @@ def _parts(text: str) -> tuple[str, ...]:
 
 def located(text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()) -> list[Problem]:
     """Each fault with the line of its place in a text, or of the nearest table above it."""
-    lines, problems = lines_of(text), []
+    lines = lines_of(text)
+    problems = []
     for fault in faults:
-        line, message = 1, str(fault)
+        line = 1
+        message = str(fault)
         for n in range(len(fault.at)):
             line = lines.get(fault.at[: n + 1], line)
         if any(fault.at[: len(place)] == place for place in overridden):
@@ -254,7 +257,8 @@ def set_value(data: dict[str, Any], text: str) -> Place:
     returns the place.
     """
     path, sign, value = (part.strip() for part in text.partition("="))
-    parts, place = _parts(path), list[str | int]()
+    parts = _parts(path)
+    place = list[str | int]()
     if not sign or not parts:
         raise UsageError(
             f"--set needs PATH=VALUE, such as striker.speed=0.6 m/s, not {shown(text)}"

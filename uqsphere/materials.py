@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Final
 
 from uqsphere.files import Json
 from uqsphere.units import parse_value
 
 #: uses of a material: sphere, bars and strikers, other counter-bodies
-MATERIAL_KINDS: Final = ("sphere", "bars", "plates")
+MATERIAL_KINDS = ("sphere", "bars", "plates")
 
 #: property -> dimension of its unit
-PROPERTIES: Final[dict[str, str]] = {
+PROPERTIES: dict[str, str] = {
     "E": "pressure",
     "nu": "number",
     "density": "density",
@@ -31,7 +30,7 @@ PROPERTIES: Final[dict[str, str]] = {
 #: property -> further keys -> dimension.  A tensile strength holds for a volume under tension; the
 #: median fracture energy of particles of diameter d is value (1 + (size/d)^exponent) (Tavares and
 #: King 1998)
-FURTHER: Final[dict[str, dict[str, str]]] = {
+FURTHER: dict[str, dict[str, str]] = {
     "tensile_strength": {"volume": "volume"},
     "fracture_energy": {"size": "length", "exponent": "number"},
 }

@@ -68,7 +68,8 @@ def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
     (('m', 1.0), ('mm', 1000.0))
     """
     quantity = lookup(name)
-    unit, factors = quantity.display or quantity.unit, UNITS[quantity.dimension]
+    unit = quantity.display or quantity.unit
+    factors = UNITS[quantity.dimension]
     if 0.0 < abs(magnitude) < 0.9999 * factors.get(unit, 1.0):
         unit = SMALLER.get(unit, unit)
     return unit, 1.0 / factors.get(unit, 1.0)
@@ -266,7 +267,8 @@ def format_estimate(
     """
     if low is None or high is None or low == high:
         return format_value(value, name, min(most, 6))
-    unit, factor = "", 1.0
+    unit = ""
+    factor = 1.0
     if name:
         unit, factor = display_unit(name, value)
     scaled = [number * factor for number in (value, low, high)]

@@ -105,11 +105,13 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     brackets = [b for b in _BRACKET.finditer(heading) if _known_unit(b[1], dimension)]
     if len(brackets) == 1:
         (bracket,) = brackets
-        name, behind = heading[: bracket.start()].strip(), heading[bracket.end() :]
+        name = heading[: bracket.start()].strip()
+        behind = heading[bracket.end() :]
         if name and not (factor_in_heading(behind) or _TIMES.search(name)):
             return name, _known_unit(bracket[1], dimension)
     for gap in _COLUMN_UNIT.finditer(heading):
-        name, rest = heading[: gap.start()].strip(), heading[gap.end() :].strip()
+        name = heading[: gap.start()].strip()
+        rest = heading[gap.end() :].strip()
         if not name or rest.isdigit() or _is_open(name) or factor_in_heading(name):
             continue
         if rest == "in" and not set("/,") & set(gap.group()):
@@ -248,14 +250,17 @@ class Table:
         """Where a column stands, by its heading with or without its unit, or its number from 1 on;
         TableError else.
         """
-        column, bare = str(column), list[str]()
+        column = str(column)
+        bare = list[str]()
         for heading in self.headings:
             without = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
             bare.append(next((name for name in without if name != heading), heading))
         for names in (self.headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
-        names, often, hint = [*self.headings, *bare], "twice or more", ""
+        names = [*self.headings, *bare]
+        often = "twice or more"
+        hint = ""
         if column not in names:
             if column.isdigit() and 1 <= int(column) <= len(self.headings):
                 return int(column) - 1
@@ -263,7 +268,8 @@ class Table:
             if len(same) == 1 and dimension != "number":
                 wrong = _unknown_unit(same[0], dimension)
                 raise TableError(f"{same[0]!r}: {wrong} ({typed_units(dimension)})", key)
-            often, hint = "not", suggestion(column, names)
+            often = "not"
+            hint = suggestion(column, names)
         hint = hint or _other_sheets(self.notes)
         if not hint and all(map(_is_numeric, self.headings)):
             hint = "; the first row holds numbers: add a row of headings"
@@ -297,7 +303,9 @@ class Table:
         unit : of the column; None: that of its heading.  TableError at `key` without any, or with a
             contradiction.
         """
-        at, column, factor = self.place(column, dimension, key), str(column), 1.0
+        at = self.place(column, dimension, key)
+        column = str(column)
+        factor = 1.0
         heading = self.headings[at]
         if column.isdigit():
             column = heading
@@ -315,13 +323,16 @@ class Table:
 
     def _factor(self, heading: str, dimension: str, unit: str | None, key: str) -> float:
         """The unit of a column in SI: as given or of its heading, which must agree."""
-        units, allowed = UNITS[dimension], typed_units(dimension)
-        unit_key, in_heading = _UNIT_KEYS.get(key, "units"), unit_in_heading(heading, dimension)[1]
+        units = UNITS[dimension]
+        allowed = typed_units(dimension)
+        unit_key = _UNIT_KEYS.get(key, "units")
+        in_heading = unit_in_heading(heading, dimension)[1]
         if unit is None and in_heading is None:
             wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
-            first, more = next(iter(units)), ""
+            first = next(iter(units))
+            more = ""
             if key in _UNIT_KEYS:
                 more = f', or add {unit_key} = "{first}"'
             raise TableError(
@@ -345,7 +356,9 @@ class Table:
         """
         thousands = "a mark of thousands: write the number without it"
         certain = _decimal_mark(texts)
-        mark, other, doubt = self.decimal or certain or self._mark, "", ""
+        mark = self.decimal or certain or self._mark
+        other = ""
+        doubt = ""
         perhaps = next(filter(_PERHAPS.fullmatch, texts), "")
         if certain == ".,":
             mark, other = sorted(".,", key=lambda m: -sum(m in text for text in texts))
@@ -359,7 +372,8 @@ class Table:
                 doubt = (
                     f'{perhaps!r} can be a decimal comma or a mark of thousands: add decimal = ","'
                 )
-        number, strange = NUMBER.get(mark, NUMBER["."]), ""
+        number = NUMBER.get(mark, NUMBER["."])
+        strange = ""
 
         def parsed(text: str) -> float | str:
             nonlocal strange
@@ -448,7 +462,8 @@ class Table:
         One behind an empty line needs a single column for that, and may be another measure; so does
         one of the last two rows of a single column of fine digits.
         """
-        columns, rows = list[list[str]](), len(self)
+        columns = list[list[str]]()
+        rows = len(self)
         for cells in zip(*self.rows, strict=True):
             column = [text.replace(",", ".") for text in cells]
             if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
@@ -456,9 +471,12 @@ class Table:
         if not columns or rows < 5:
             return
         digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
-        values, steps = np.array(columns, dtype=float), 10.0 ** -np.array(digits)
+        values = np.array(columns, dtype=float)
+        steps = 10.0 ** -np.array(digits)
         for k in range(max(3, rows - 8), rows):
-            above, step, apart = values[:, :k], steps[:, k], self.lines[k] in self.apart
+            above = values[:, :k]
+            step = steps[:, k]
+            apart = self.lines[k] in self.apart
             sd = above.std(axis=1, ddof=1)
             sums = {"mean": above.mean(axis=1), "sd": sd}
             for name in ("sum", *(("median", "min", "max") if apart else ())):
@@ -498,7 +516,8 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     if above:
         notes.append(f"{name}: {_lines(above)}: above the headings, left out")
         rows = {k: row for k, row in rows.items() if k not in above}
-    start, end = min(rows, default=0), max(rows, default=0)
+    start = min(rows, default=0)
+    end = max(rows, default=0)
     comments = [k for k in lines if k not in live and start < k < end]
     if comments:
         notes.append(f"{name}: {_lines(comments)}: comments (#), left out")
@@ -562,7 +581,8 @@ def read_lines(
 
     Raises TableError for what is no text or sheet, AccessError as `uqsphere.files.read_given`.
     """
-    name, notes = as_text(path.name), list[str]()
+    name = as_text(path.name)
+    notes = list[str]()
     try:
         data = read_given(path, largest)
     except TooLarge:
@@ -634,7 +654,8 @@ def table_of(
     wide = next((line for line, row in numbered if any(row[width:])), 0)
     if wide:
         # what may have brought a row more cells than headings
-        cells, way = [cell for _, row in numbered[:20] for cell in row if cell], ""
+        cells = [cell for _, row in numbered[:20] for cell in row if cell]
+        way = ""
         if all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells):
             way = "A decimal comma between commas? Save the file with semicolons"
         elif sum(map(bool, headings)) == 1 and len(numbered) > 1:
@@ -733,7 +754,8 @@ def _has_formulas(data: bytes, name: str) -> bool:
         raise TableError(
             f"{name!r} unpacks to {size >> 20:,} MiB; at most {8 * LARGEST >> 20} MiB are read"
         )
-    formulas, cells = False, 0
+    formulas = False
+    cells = 0
     for part in archive.namelist():
         if part.startswith("xl/worksheets/"):
             content = archive.read(part)

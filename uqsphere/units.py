@@ -11,7 +11,7 @@ import tomllib
 import unicodedata
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, Final
+from typing import Any
 
 from uqsphere.arrays import Values
 
@@ -20,27 +20,27 @@ class UnitError(ValueError):
     """A text is not a number with a unit of the required dimension."""
 
 
-_TABLES: Final = tomllib.loads(
+_TABLES = tomllib.loads(
     resources.files("uqsphere").joinpath("units.toml").read_text(encoding="utf-8")
 )
 #: dimension -> unit -> factor to SI; the first unit of each dimension is the SI unit
-UNITS: Final[dict[str, dict[str, float]]] = _TABLES["units"]
+UNITS: dict[str, dict[str, float]] = _TABLES["units"]
 #: other spellings of units in headings, and of units that were likely meant, in small letters
-SPELLED: Final[dict[str, str]] = _TABLES["headings"]
-_MEANT: Final[dict[str, list[str]]] = _TABLES["meant"]
+SPELLED: dict[str, str] = _TABLES["headings"]
+_MEANT: dict[str, list[str]] = _TABLES["meant"]
 
 #: what stands in units, and between numbers, beside ASCII
-_TYPED: Final = "µμ°²³√·ε±–—…×¡"
-_SUPERSCRIPTS: Final = str.maketrans("²³", "23", "^* ")
+_TYPED = "µμ°²³√·ε±–—…×¡"
+_SUPERSCRIPTS = str.maketrans("²³", "23", "^* ")
 #: a number, with single underscores between digits as in TOML
-_NUMBER: Final = re.compile(
+_NUMBER = re.compile(
     r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII
 )
 #: tip speed of a rotor: revolutions per minute, and diameter
-_ROTOR: Final = re.compile(r"(.+?)\s*rpm\s*(?:at|@|x)\s*(.+)")
+_ROTOR = re.compile(r"(.+?)\s*rpm\s*(?:at|@|x)\s*(.+)")
 #: what stands between two numbers: 40-60 GPa, 52 ± 3 GPa, 40 to 60 GPa
-_RANGE: Final = re.compile(r"[^\W\d]*\s*(?:[-–—…]|±|\+/?-|\.\.+|to\b)\s*\d")
-_THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
+_RANGE = re.compile(r"[^\W\d]*\s*(?:[-–—…]|±|\+/?-|\.\.+|to\b)\s*\d")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +118,11 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     table = UNITS[dimension]
     example = example or next(iter(table))
     allowed = typed_units(dimension)
-    with_unit, such = " with a unit", f'"1.5 {example}"'
+    with_unit = " with a unit"
+    such = f'"1.5 {example}"'
     if dimension == "number":
-        with_unit, such = "", "0.25"
+        with_unit = ""
+        such = "0.25"
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
         names: dict[type, str] = {
             bool: "a boolean",
@@ -140,7 +142,8 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         return _finite(text, repr(text))
     stripped = text.strip().replace("\N{MINUS SIGN}", "-")
     if dimension == "speed" and (rotor := _ROTOR.fullmatch(stripped)):
-        turns, diameter = parse_value(rotor[1], "number"), parse_value(rotor[2], "length", "m")
+        turns = parse_value(rotor[1], "number")
+        diameter = parse_value(rotor[2], "length", "m")
         return math.pi * diameter * turns / 60.0
     if mark := _THOUSANDS.match(stripped):
         number = mark[0].replace(",", "")
@@ -154,7 +157,8 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         raise UnitError(
             f"{text!r} is not a number{with_unit}{alien(text)}. Write, for example, {such}"
         )
-    number, unit = match.group(), stripped[match.end() :].strip()
+    number = match.group()
+    unit = stripped[match.end() :].strip()
     if _RANGE.match(unit):
         raise UnitError(
             f'{text!r} is a range. Write a distribution, such as {{ dist = "uniform", lower = …, '
@@ -199,7 +203,8 @@ def nearest_unit(text: str, dimension: str) -> str:
     near = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
     if len(near) != 1:
         return ""
-    prefix, stem = near[0][0], near[0][1:]
+    prefix = near[0][0]
+    stem = near[0][1:]
     if prefix in "mM" and stem[:1].isalpha() and stem == plain[1:]:
         return ""  # another power of ten
     return near[0]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -19,15 +18,15 @@ from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 from uqsphere.units import UNITS
 
 #: the value of (3.8); the integral it stands for diverges
-DURATION_FACTOR: Final = 6.715
+DURATION_FACTOR = 6.715
 #: integral of sin^(3/2)(pi x) from 0 to 1: Gamma(5/4)/(sqrt(pi) Gamma(7/4))
-_SINE_IMPULSE: Final = math.gamma(1.25) / (math.sqrt(math.pi) * math.gamma(1.75))
+_SINE_IMPULSE = math.gamma(1.25) / (math.sqrt(math.pi) * math.gamma(1.75))
 #: end of an endless step, in t_c, by which the approach has settled to nine digits
-_SETTLED: Final = 30.0
+_SETTLED = 30.0
 #: what is wrong with each formula
-_LONG_PULSE: Final = "holds for a long pulse only"
-_SINE: Final = "from (3.9), a sine of the duration (3.8); the approach rises monotonically"
-_LOSS: Final = (
+_LONG_PULSE = "holds for a long pulse only"
+_SINE = "from (3.9), a sine of the duration (3.8); the approach rises monotonically"
+_LOSS = (
     "(3.8) is the value of an integral that diverges; a massless sphere in infinite bars never "
     "loses contact"
 )
@@ -122,8 +121,10 @@ def compare_with_paper(
     if scene.status[row] != 0:
         raise ValueError(f"row {row} cannot be compared: {STATUS[int(scene.status[row])]}")
     scene = scene.at(np.array([row]))
-    corrected, full = solve_closed(_idealised(scene), "massless"), solve(scene, tolerance=tolerance)
-    scales, speed = scene.scales, float(scene.columns["striker.speed"][0])
+    corrected = solve_closed(_idealised(scene), "massless")
+    full = solve(scene, tolerance=tolerance)
+    scales = scene.scales
+    speed = float(scene.columns["striker.speed"][0])
     # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
     force_at_speed = 0.5 * speed * float(scales.impedance[0])
     alpha = float(np.cbrt(np.square(force_at_speed / float(scales.hertz_constant[0]))))
@@ -181,8 +182,10 @@ def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) ->
 def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -> list[PaperValue]:
     """Approaches at single instants, and the plateau of the linear contact."""
     scales = scene.scales
-    time, theta = float(scales.time[0]), float(scales.pulse_number[0])
-    impedance, beta = float(scales.impedance[0]), float(scales.hertz_constant[0])
+    time = float(scales.time[0])
+    theta = float(scales.pulse_number[0])
+    impedance = float(scales.impedance[0])
+    beta = float(scales.hertz_constant[0])
     course = motion(scene, 0, tolerance=tolerance)
 
     def at(key: str, name: str, s: float, printed: Values, note: str) -> PaperValue:
@@ -209,7 +212,8 @@ def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -
         fall = "(3.16) lacks a factor 1/2, so that the approach falls twice as fast"
         values.append(at("approach_after_pulse", "t_i + t_c", theta + 1.0, printed, fall))
     # (4.10): alpha -> v0/lambda_1 under a step, lambda_1 = k/(F0 rho c0)
-    speed, stiffness = float(scene.columns["striker.speed"][0]), beta * math.sqrt(alpha)
+    speed = float(scene.columns["striker.speed"][0])
+    stiffness = beta * math.sqrt(alpha)
     plateau = PaperValue(
         quantity="linear_plateau",
         name="approach after an endless step, linear contact",

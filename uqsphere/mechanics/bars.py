@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.roots import bisect
 
 #: velocity reflection coefficient of a far end
-END_COEFFICIENTS: Final[dict[str, float]] = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
+END_COEFFICIENTS: dict[str, float] = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 
 
 def wave_speed(E: Values, density: Values) -> Values:
@@ -58,12 +57,12 @@ def pulse_stress(speed: Values, E: Values, density: Values) -> Values:
 
 
 #: wave numbers over 1/radius of the table: dense at first, where records have their energy
-_TABLE: Final = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
+_TABLE = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
 #: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at
 #: nu = 0.5 (0.55) to above the bar's, and the steps of the search
 _SLOWEST, _FASTEST, _SCAN = 0.35, 1.02, 600
 #: most that the surface factor may amplify a record, and its noise, inside the band
-_MOST_GAIN: Final = 3.0
+_MOST_GAIN = 3.0
 
 
 def _bessel(square: Array) -> tuple[Array, Array]:
@@ -72,7 +71,8 @@ def _bessel(square: Array) -> tuple[Array, Array]:
 
     size = np.sqrt(np.abs(square))
     safe = np.where(size > 1e-6, size, 1.0)
-    waving, fading = j1(safe) / safe, i1e(safe) / safe
+    waving = j1(safe) / safe
+    fading = i1e(safe) / safe
     first = np.where(size > 1e-6, np.where(square >= 0.0, waving, fading), 0.5 - square / 16.0)
     return np.where(square >= 0.0, j0(size), i0e(size)), first
 
@@ -134,7 +134,8 @@ def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Arra
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
     # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth
     # exp(|p| + |q|)
-    dilating, shearing = (k2 - q2) * one_q, 2.0 * p2 * one_p
+    dilating = (k2 - q2) * one_q
+    shearing = 2.0 * p2 * one_p
     surface = dilating * zero_p + shearing * zero_q
     mean = 2.0 * (dilating * one_p + shearing * one_q)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -169,7 +170,8 @@ def _second_mode(nu: float) -> float:
     """Frequency of the second longitudinal mode at infinite wavelength (lower family)."""
     dilatation, shear = _speeds(nu)
     trial = np.linspace(0.5, 8.0, 6000)
-    p2, q2 = np.square(trial / dilatation), np.square(trial / shear)
+    p2 = np.square(trial / dilatation)
+    q2 = np.square(trial / shear)
     zero_p, one_p = _bessel(p2)
     radial = 2.0 * p2 * one_p - q2 * zero_p
     change = np.flatnonzero(np.sign(radial[1:]) != np.sign(radial[:-1]))

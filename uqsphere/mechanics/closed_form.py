@@ -16,7 +16,6 @@ import math
 from collections.abc import Collection, Mapping
 from functools import cache, lru_cache
 from importlib import resources
-from typing import Final
 
 import numpy as np
 
@@ -30,8 +29,8 @@ from uqsphere.mechanics.yielding import Face
 
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the
 #: better way, and its terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
-_SERIES_BELOW: Final = 0.1
-_SERIES_TERMS: Final = 12
+_SERIES_BELOW = 0.1
+_SERIES_TERMS = 12
 
 
 def _series(x: Array) -> Array:
@@ -99,7 +98,8 @@ def loading_approach(s: Values) -> Array:
     small = np.minimum(s, _SERIES_BELOW)
     x = small - 0.4 * small**2.5
     for _ in range(2):
-        excess, root = _series(x) - small, np.sqrt(x)
+        excess = _series(x) - small
+        root = np.sqrt(x)
         x = x - excess * (1.0 - x * root) / (1.0 - 0.75 * excess * root)
     return np.where(s < _SERIES_BELOW, x, np.square(np.expm1(-z)))
 
@@ -128,7 +128,8 @@ def massless_approach(s: Values, theta: Values) -> Array:
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
     [0.363053, 0.620178, 0.066776]
     """
-    s, theta = np.asarray(s, dtype=float), np.asarray(theta, dtype=float)
+    s = np.asarray(s, dtype=float)
+    theta = np.asarray(theta, dtype=float)
     loading = loading_approach(np.minimum(s, theta))
     with np.errstate(divide="ignore", invalid="ignore"):
         relaxing = relaxing_approach(loading, np.maximum(s - theta, 0.0))
@@ -174,7 +175,7 @@ def reduced_mass(mass: Values, partner: Values) -> Values:
 
 
 #: columns of the table: restitution, peak force, contact time, rise time
-_COLUMNS: Final = ("restitution", "force", "duration", "rise")
+_COLUMNS = ("restitution", "force", "duration", "rise")
 
 
 @cache
@@ -232,7 +233,7 @@ def light_sphere_constant(behind: Values, ahead: Values) -> Array:
 #: (M/m)^0.45, (R16): fitted to the integrator for M/m = 3e-7 to 3e-3
 _SWING, _SWING_POWER = 0.70, 0.45
 #: rows solved together, so that their columns stay in the processor's cache
-_BLOCK_ROWS: Final = 8192
+_BLOCK_ROWS = 8192
 
 
 def closed_form_rows(scene: Scene, fidelity: str = "full") -> Flags:
@@ -350,11 +351,13 @@ def _impact(scene: Scene) -> dict[str, Array]:
 
     Elastic by (R13); plastic with the depth by (R23) and times by quadrature.
     """
-    scales, ahead = scene.scales, scene.struck
+    scales = scene.scales
+    ahead = scene.struck
     face = ahead.face
     if face is None:
         at = _elastic(scene, ahead, scales.force)
-        restitution, peak = at["restitution"], at["force"]
+        restitution = at["restitution"]
+        peak = at["force"]
         x = np.cbrt(np.square(peak))
         rest = {
             "stored": 0.4 * peak * x,
@@ -366,7 +369,8 @@ def _impact(scene: Scene) -> dict[str, Array]:
         }
     else:
         depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
-        state, restitution = face.pressed(depth), face.restitution(depth)
+        state = face.pressed(depth)
+        restitution = face.restitution(depth)
         to_scaled = face.onset_approach / scales.approach
         x = depth * face.onset_approach / scales.approach
         low, high, first = (
@@ -399,7 +403,7 @@ def _impact(scene: Scene) -> dict[str, Array]:
 
 
 #: integral of dx/sqrt(1 - x^2.5) from 0 to 1: time of unloading over alpha_e/v, (R11)
-_UNLOADING: Final = 1.4716375921624
+_UNLOADING = 1.4716375921624
 
 
 def _loading(face: Face, depth: Array, start: Array) -> Array:
@@ -415,7 +419,9 @@ def _loading(face: Face, depth: Array, start: Array) -> Array:
         np.arccos(np.sqrt(np.minimum(bound / depth, 1.0)))
         for bound in (np.maximum(start, 1.0), start)
     ]
-    total, work, low = np.zeros_like(depth), face.work(depth), np.zeros_like(depth)
+    total = np.zeros_like(depth)
+    work = face.work(depth)
+    low = np.zeros_like(depth)
     for high in ends:
         for node, weight in zip(nodes, weights, strict=True):
             angle = low + 0.5 * (high - low) * (node + 1.0)
@@ -429,7 +435,9 @@ def _loading(face: Face, depth: Array, start: Array) -> Array:
 
 def _pressed(scene: Scene) -> dict[str, Array]:
     """Slow loading in scaled variables: statics with equal forces and one contact law."""
-    scales, c, partner = scene.scales, scene.columns, scene.struck
+    scales = scene.scales
+    c = scene.columns
+    partner = scene.struck
     softness = 1.0 / scene.column("platens.machine_stiffness", np.inf)
     if "platens.force" in c:
         force = c["platens.force"]
@@ -438,7 +446,8 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     face = partner.face
     if face is None:
         approach = np.cbrt(np.square(force / partner.hertz_constant))
-        slope, stored = 1.5 * force / approach, 0.4 * force * approach
+        slope = 1.5 * force / approach
+        stored = 0.4 * force * approach
     else:
         depth = face.depth_at(force)
         approach = depth * face.onset_approach
@@ -456,11 +465,14 @@ def _pressed(scene: Scene) -> dict[str, Array]:
 
 def _force_at(partner: Partner, displacement: Array, softness: Array) -> Array:
     """Force [N] at a displacement [m] of two contacts and a machine; Newton's method."""
-    face, scale = partner.face, partner.effective_radius
+    face = partner.face
+    scale = partner.effective_radius
     unit = partner.hertz_constant * scale**1.5
     if face is not None:
-        scale, unit = face.onset_approach, face.onset_force
-    wanted, stiff = displacement / scale, softness * unit / scale
+        scale = face.onset_approach
+        unit = face.onset_force
+    wanted = displacement / scale
+    stiff = softness * unit / scale
 
     def force(depth: Array) -> Array:
         return depth**1.5 if face is None else face.force(depth)

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
-from typing import Final
 
 import numpy as np
 
@@ -32,11 +31,11 @@ Formula = Callable[[ColumnMap, Parameters], Array]
 
 
 #: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
-AUERBACH: Final = 8.6e3
+AUERBACH = 8.6e3
 #: demand, over the largest fracture energy, of energies that break every particle
-_CERTAIN: Final = 1e9
+_CERTAIN = 1e9
 #: every parameter of every criterion
-PARAMETERS: Final[dict[str, Quantity]] = {
+PARAMETERS: dict[str, Quantity] = {
     name: Quantity(
         name=name, symbol="", dimension=dimension, meaning=meaning, lower=lower, upper=upper
     )
@@ -81,7 +80,7 @@ class Criterion:
 
 
 #: every criterion by name
-CRITERIA: Final = {
+CRITERIA = {
     name: Criterion(name=name, **entry) for name, entry in declared("criteria.toml").items()
 }
 
@@ -107,7 +106,7 @@ def _demand_quantity(name: str, entry: Criterion) -> Quantity:
 
 #: demands of criteria by the criterion; a study adds the limit's name,
 #: ``weakest_link_volume.NAME``
-DEMANDS: Final = {name: _demand_quantity(name, entry) for name, entry in CRITERIA.items()}
+DEMANDS = {name: _demand_quantity(name, entry) for name, entry in CRITERIA.items()}
 
 
 def demand(
@@ -212,7 +211,8 @@ def _core(columns: ColumnMap, parameters: Parameters) -> Array:
 
 
 def _centre(columns: ColumnMap, parameters: Parameters) -> Array:
-    radius, nu = columns["sphere.radius"], columns["sphere.nu"]
+    radius = columns["sphere.radius"]
+    nu = columns["sphere.nu"]
     return np.asarray(contact.centre_tension(_central_force(columns), radius, nu))
 
 
@@ -250,7 +250,8 @@ def _weakest_link(columns: ColumnMap, parameters: Parameters, over: str) -> Arra
     size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).
     """
     pressure, ratio, nu = _field(columns)
-    m, radius = parameters["modulus"], columns["sphere.radius"]
+    m = parameters["modulus"]
+    radius = columns["sphere.radius"]
     if over == "volume":
         size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
     else:
@@ -265,7 +266,8 @@ def _weakest_link(columns: ColumnMap, parameters: Parameters, over: str) -> Arra
 
 def _weakest_rim(columns: ColumnMap, parameters: Parameters) -> Array:
     pressure, ratio, nu = _field(columns)
-    m, surface = parameters["modulus"], 4.0 * math.pi * np.square(columns["sphere.radius"])
+    m = parameters["modulus"]
+    surface = 4.0 * math.pi * np.square(columns["sphere.radius"])
     tension = stress.half_space_rim(ratio, nu, m) * stress.ratio("rim", ratio, nu, m)
     if "balance" in columns:
         # each rim is a hazard by itself, half of both under equal forces, proportional to a² p_0^m
@@ -292,7 +294,7 @@ def _specific_energy(columns: ColumnMap, parameters: Parameters, name: str) -> A
 
 
 #: formula of every criterion, without the rate effect
-FORMULAS: Final[dict[str, Formula]] = {
+FORMULAS: dict[str, Formula] = {
     "contact_pressure": lambda columns, parameters: columns["p_max"],
     "edge_tension": _edge_tension,
     "ring_crack": _ring_crack,

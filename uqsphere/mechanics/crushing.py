@@ -45,11 +45,13 @@ def value_at(
         face = Face(**law, pile_up=own["pile_up"], modulus=modulus, effective_radius=radius)
         state = face.pressed(face.depth_at(force))
         press = pressures_of(state, modulus, radius, own["takes"])
-        stored, lost = 2.0 * state.stored, 2.0 * own["takes"] * state.plastic
+        stored = 2.0 * state.stored
+        lost = 2.0 * own["takes"] * state.plastic
     else:
         approach = contact.approach_at_force(force, beta)
         press = {"alpha_max": approach}
-        stored, lost = 2.0 * contact.contact_energy(approach, beta), np.zeros_like(beta)
+        stored = 2.0 * contact.contact_energy(approach, beta)
+        lost = np.zeros_like(beta)
     energy = stored
     if "partner" in own:
         # energy of the sphere here, and of the counter-bodies in the study's own rig
@@ -99,7 +101,8 @@ def force_at(
 
     with np.errstate(all="ignore"):
         wanted = np.log(np.where(value > 0.0, value, 1.0))
-        x, slope = np.log(1e7 * np.square(radius)), np.full(radius.shape, 0.7)
+        x = np.log(1e7 * np.square(radius))
+        slope = np.full(radius.shape, 0.7)
         y = logarithm(x)
         for _ in range(60):
             step = np.clip((wanted - y) / slope, -6.0, 6.0)
@@ -108,6 +111,7 @@ def force_at(
             after = logarithm(x + step)
             secant = (after - y) / step
             slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
-            x, y = x + step, after
+            x = x + step
+            y = after
     force = np.where(np.abs(wanted - y) < 1e-6, np.exp(x), np.inf)
     return np.where(value > 0.0, force, 0.0)

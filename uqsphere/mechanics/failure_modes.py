@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from uqsphere.units import Quantity
 
@@ -49,7 +49,7 @@ def modes_by_place(modes: Iterable[FailureMode]) -> dict[str, FailureMode]:
 
 
 #: every failure mode by its place
-FAILURE_MODES: Final = modes_by_place(
+FAILURE_MODES = modes_by_place(
     (
         FailureMode(
             place="contact",

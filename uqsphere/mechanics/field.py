@@ -9,7 +9,6 @@ length without reflections; here a gauge may be anywhere, and every reflection i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -18,11 +17,11 @@ from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.pulses import pulse_value
 
 #: the bars by name, in the order of every pair of numbers
-BARS: Final = ("incident", "receiving")
+BARS = ("incident", "receiving")
 #: reflected waves weaker than this, relative to the first wave, are neglected
-_FAINT: Final = 1e-18
+_FAINT = 1e-18
 #: relative tolerance of positions
-_ROUNDING: Final = 1e-9
+_ROUNDING = 1e-9
 
 
 def leaving(motion: Motion, bar: int, times: Array, *, sides: Values = 1.0) -> Array:
@@ -56,17 +55,21 @@ def _nudge(motion: Motion, times: Array, sides: Values) -> Array:
 
 def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int) -> Array:
     """Sum over k >= first of R^k times the wave that first left the contact at t - k T."""
-    end, trip, nudge = motion.reflection(bar), motion.round_trip(bar), _nudge(motion, times, sides)
+    end = motion.reflection(bar)
+    trip = motion.round_trip(bar)
+    nudge = _nudge(motion, times, sides)
     last = float(times.max(initial=0.0)) * (1.0 + 1e-12)
     total = np.zeros_like(times)
-    k, strength = first, end**first
+    k = first
+    strength = end**first
     while k == 0 or (abs(strength) > _FAINT and k * trip <= last):
         earlier = times - k * trip if k else times
         part = motion.forces_at(earlier)[:, bar] / motion.impedance
         if bar == 0:
             part = _pulse(motion, earlier + nudge) - part
         total += strength * part
-        k, strength = k + 1, strength * end
+        k = k + 1
+        strength = strength * end
     return total
 
 
@@ -170,13 +173,13 @@ def field_grid(motion: Motion, places: Array, times: Array) -> Field:
 # --- the first tension of a bar -------------------------------------------------------------------
 
 #: fraction of the pulse's stress that counts as tension; its maximum for a measured pulse
-_TENSION_LEVEL: Final = 1e-6
-_LARGEST_TENSION_LEVEL: Final = 0.05
+_TENSION_LEVEL = 1e-6
+_LARGEST_TENSION_LEVEL = 0.05
 #: search for the first tension: instants at each contact; zooms, each by a factor of 8 (8^12
 #: exceeds the digits of a double), and points of a zoom
-_SEARCH_POINTS: Final = 1500
-_ZOOMS: Final = 12
-_ZOOM_POINTS: Final = 33
+_SEARCH_POINTS = 1500
+_ZOOMS = 12
+_ZOOM_POINTS = 33
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,12 +213,15 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     k_B(u)), u = t - d/c0 and w = t + d/c0.  The least u + w with 0 <= w - u <= 2 l/c0 is found on a
     grid and by zooming in.  None if there is no tension up to the horizon.
     """
-    number, share = BARS.index(bar), tension_level(motion) if share is None else share
+    number = BARS.index(bar)
+    share = tension_level(motion) if share is None else share
     level = share * 0.5 * float(motion.scene.columns["striker.speed"][motion.row])
     trip = motion.round_trip(number) * (1.0 + _ROUNDING)
     nodes = _search_times(motion, number)
-    away, towards = leaving(motion, number, nodes), arriving(motion, number, nodes)
-    best, places = np.inf, (0, 0)
+    away = leaving(motion, number, nodes)
+    towards = arriving(motion, number, nodes)
+    best = np.inf
+    places = (0, 0)
     for k, begin in enumerate(nodes):
         if 2.0 * begin >= best:
             break
@@ -224,7 +230,8 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
         if pulled.any():
             first = k + int(np.argmax(pulled))
             if begin + nodes[first] < best:
-                best, places = begin + nodes[first], (k, first)
+                best = begin + nodes[first]
+                places = (k, first)
     if not np.isfinite(best):
         return None
     # the instants u and w, and half the widths of the ranges that are searched around them
@@ -252,7 +259,8 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
 
 def _search_times(motion: Motion, number: int) -> Array:
     """Instants at a contact: an even grid, the kinks of the pulse, and their reflections."""
-    horizon, trip = motion.horizon, motion.round_trip(number)
+    horizon = motion.horizon
+    trip = motion.round_trip(number)
     breaks = motion.scene.pulse.breaks[motion.row]
     kinks = breaks[np.isfinite(breaks)]
     if motion.echoes(number):
@@ -266,9 +274,9 @@ def _search_times(motion: Motion, number: int) -> Array:
 # --- gauges ---------------------------------------------------------------------------------------
 
 #: a wave has ended once it stays below this fraction of its peak
-_ENDED_LEVEL: Final = 0.01
+_ENDED_LEVEL = 0.01
 #: instants of a round trip at which a wave is evaluated to find its end
-_END_POINTS: Final = 4000
+_END_POINTS = 4000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,7 +329,8 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     points: of an even grid, to which the jumps are added twice.
     """
     number = check_position(motion, bar, position)
-    delay, end = position / motion.wave_speed, last_time(motion, bar, position)
+    delay = position / motion.wave_speed
+    end = last_time(motion, bar, position)
     begin = -1.1 * delay if number == 0 else 0.0
     # jumps and kinks at the contact: of the pulse and of its reflections
     jumps = motion.scene.pulse.breaks[motion.row]
@@ -344,7 +353,8 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
 
 def last_time(motion: Motion, bar: str, position: float) -> float:
     """Last instant [s] at which the motion up to the horizon determines a position of a bar."""
-    number, delay = BARS.index(bar), position / motion.wave_speed
+    number = BARS.index(bar)
+    delay = position / motion.wave_speed
     if not motion.echoes(number):
         return motion.horizon + delay
     return motion.horizon + min(delay, motion.round_trip(number) - delay)
@@ -370,7 +380,8 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     The incident and the reflected wave overlap for position < c0 t_pulse/2.  The wave that leaves
     the sphere overlaps its own reflection if it has not ended by then (1 % of its peak).
     """
-    number, delay = BARS.index(bar), position / motion.wave_speed
+    number = BARS.index(bar)
+    delay = position / motion.wave_speed
     overlapping = []
     if number == 0 and motion.pulse_end > 2.0 * delay:
         # a step overlaps to the end of the computed time
@@ -380,14 +391,17 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         return tuple(overlapping)
     # return of the wave that leaves the contact, in the time of the contact
     trip = motion.round_trip(number)
-    back, end = trip - 2.0 * delay, min(trip, motion.horizon)
+    back = trip - 2.0 * delay
+    end = min(trip, motion.horizon)
     if back < end:
         instants = np.linspace(0.0, end, _END_POINTS)
         wave = np.abs(leaving(motion, number, instants, sides=-1.0))
         above = instants[wave > _ENDED_LEVEL * wave.max()]
-        first, second = "transmitted", "its reflection"
+        first = "transmitted"
+        second = "its reflection"
         if number == 0:
-            first, second = "reflected", "its reflection from the struck end"
+            first = "reflected"
+            second = "its reflection from the struck end"
         if above.size and above[-1] > back:
             overlapping.append(
                 Overlap(

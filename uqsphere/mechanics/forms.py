@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
 
 from uqsphere.mechanics.rigs import RIGS
 
-_STRUCK: Final = {
+_STRUCK = {
     "thick": "E nu; density",
     "plate": "E nu density thickness; width",
     "bar": "E nu density diameter; length end",
@@ -15,7 +14,7 @@ _STRUCK: Final = {
 }
 #: by table and kind: required keys, alternatives separated by a bar; after the semicolon, optional
 #: keys that not every kind of the table has
-FORMS: Final[Mapping[str, Mapping[str, str]]] = {
+FORMS: Mapping[str, Mapping[str, str]] = {
     "sphere": {"": "E nu density radius"},
     "insert": {"": "E"},
     "bars": {

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -25,11 +24,11 @@ from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
 
 #: halvings that refine a crossing within a part of a step, to 2^-49 of the step
-_HALVINGS: Final = 45
-_SHARES: Final = np.arange(1, ORDER + 1) / ORDER
-_POWERS: Final = _SHARES[None, :] ** np.arange(TERMS)[:, None]
+_HALVINGS = 45
+_SHARES = np.arange(1, ORDER + 1) / ORDER
+_POWERS = _SHARES[None, :] ** np.arange(TERMS)[:, None]
 #: rows whose motions are kept in memory together
-_BLOCK_ROWS: Final = 256
+_BLOCK_ROWS = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +49,8 @@ class LoadingPath:
 
 
 #: the elastic-equivalent pressure is proportional to the cube root of the force
-_FORCE_POWERS: Final = {"p_hertz": 1.0 / 3.0}
-_BY_CRITERION: Final = {
-    quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)
-}
+_FORCE_POWERS = {"p_hertz": 1.0 / 3.0}
+_BY_CRITERION = {quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)}
 
 
 def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> LoadingPath | None:
@@ -180,7 +177,8 @@ def _course(motion: Motion) -> _Course:
     """The course of one motion up to contact loss, or until no larger force or energy can occur."""
     # contact may be lost within the last step
     inside = motion.start < motion.end
-    start, states = motion.start[inside], motion.states[inside, :2]
+    start = motion.start[inside]
+    states = motion.states[inside, :2]
     length = np.minimum(motion.length[inside], motion.end - start)
     cut = (length / motion.length[inside])[:, None, None] ** np.arange(states.shape[2])
     states = forces = states * cut
@@ -239,7 +237,9 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
     """
     if path.criterion is None:
         return share ** (1.0 / path.power)
-    criterion, columns, struck = CRITERIA[path.criterion], columns_of(scene, rows), scene.struck
+    criterion = CRITERIA[path.criterion]
+    columns = columns_of(scene, rows)
+    struck = scene.struck
     face = None if struck.face is None else struck.face.at(rows)
 
     def demand_at(value: Array) -> Array:
@@ -254,7 +254,8 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
         return demand(criterion, Columns({**columns, **pressed}), path.parameters)
 
     wanted = share * demand_at(top)
-    low, high = np.zeros(len(rows)), np.ones(len(rows))
+    low = np.zeros(len(rows))
+    high = np.ones(len(rows))
     return bisect(lambda part: demand_at(part * top) < wanted, low, high, _HALVINGS)[1]
 
 
@@ -262,16 +263,21 @@ def _cross(
     scene: Scene, rows: Places, courses: Sequence[_Course], path: LoadingPath, shares: Array
 ) -> Array:
     """Time [s], larger force [N] and energy [J] at the first crossing of rows, (3, n)."""
-    scales, by_force = scene.scales, path.over == "force"
-    time, force = scales.time[rows], scales.force[rows]
+    scales = scene.scales
+    by_force = path.over == "force"
+    time = scales.time[rows]
+    force = scales.force[rows]
     work = force * scales.approach[rows]
-    power, unit, exponent = 1.0, work, 1.0
+    power = 1.0
+    unit = work
+    exponent = 1.0
     if _by_hertz(scene):
         # the Hertz force is the 3/2 power of its drive, the approach
         power = 1.5
     peaks = [getattr(course, path.over) for course in courses]
     if by_force:
-        unit, exponent = force, power
+        unit = force
+        exponent = power
     last = [len(peak) for peak in peaks]
     if path.early:
         echo = scene.first_echo[rows] / time

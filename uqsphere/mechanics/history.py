@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 #: an approach above this many tolerances of the largest counts as contact, as in the integrator
-_TOUCH: Final = 5.0
+_TOUCH = 5.0
 #: columns of a history as a table, with their units
-COLUMN_UNITS: Final = {
+COLUMN_UNITS = {
     "time": "s",
     "force_a": "N",
     "force_b": "N",
@@ -184,7 +184,8 @@ def trace(
     times, sides = _instants(
         course, points, [event.time for event in (*changes, first, later) if event is not None]
     )
-    states, forces = course.states_at(times), course.forces_at(times).T
+    states = course.states_at(times)
+    forces = course.forces_at(times).T
     approaches, pressures = _pressed(course, states, forces)
     incident = returning = leaving_a = leaving_b = np.zeros(len(times))
     if scene.by_wave:
@@ -223,17 +224,22 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
     If a contact yields, the peak force so far gives its depth and residual indentation by the law
     of first loading; a smaller force lies on the unloading curve.
     """
-    gaps, row = states[:, :2].T, course.row
-    approaches, radii, dented = gaps.copy(), np.zeros_like(gaps), False
+    gaps = states[:, :2].T
+    row = course.row
+    approaches = gaps.copy()
+    radii = np.zeros_like(gaps)
+    dented = False
     for pole, partner in enumerate(course.scene.partners):
         if partner is None:
             approaches[pole] = 0.0
             continue
-        force, gap = forces[pole], gaps[pole]
+        force = forces[pole]
+        gap = gaps[pole]
         if course.forces is None or partner.face is None or not partner.face.own[row]:
             radii[pole] = np.sqrt(partner.effective_radius[row] * np.maximum(gap, 0.0))
             continue
-        law, reached = partner.face.at(row), np.maximum.accumulate(force)
+        law = partner.face.at(row)
+        reached = np.maximum.accumulate(force)
         peak = law.pressed(law.depth_at(reached))
         dented = dented or peak.dent.max() > 0.0
         back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
@@ -250,7 +256,9 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
 
 def _instants(course: Motion, points: int, events: Sequence[float]) -> tuple[Array, Array]:
     """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
-    scene, row, horizon = course.scene, course.row, course.horizon
+    scene = course.scene
+    row = course.row
+    horizon = course.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row] if scene.by_wave else np.zeros(0)
     # the first reflection of each bar; later ones are left to the grid
@@ -317,7 +325,8 @@ def largest(course: Motion, begin: float, end: float) -> PressurePeak | None:
     best: PressurePeak | None = None
     for face, name in enumerate("AB"):
         highest = int(np.argmax(approaches[:, face]))
-        low, high = nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)]
+        low = nodes[max(highest - 1, 0)]
+        high = nodes[min(highest + 1, len(nodes) - 1)]
         refined = minimize_scalar(
             lambda at, of=face: -course.states_at(np.array([at]))[0, of],
             bounds=(low, high),
@@ -393,7 +402,8 @@ def rod_record(course: Motion, position: float, times: Array) -> GaugeRecord:
     if not 0.0 <= position <= length:
         raise ValueError(f"the gauge must be on the rod, at most {length:.4g} m from the sphere")
     delay = position / speed
-    away, towards = leaving(course, 1, times - delay), arriving(course, 1, times + delay)
+    away = leaving(course, 1, times - delay)
+    towards = arriving(course, 1, times + delay)
     strain = (towards - away) / speed
     return GaugeRecord(bar="rod", position=position, time=times, strain=strain)
 
@@ -425,7 +435,8 @@ def view_field(history: History, *, places: int = 300, times: int = 380) -> Fiel
 
     In time it covers the evaluation window, and at least one round trip if waves are reflected.
     """
-    course, speed = history.motion, history.motion.wave_speed
+    course = history.motion
+    speed = history.motion.wave_speed
     trips = [course.round_trip(bar) for bar in (0, 1)]
     echo = max((trip for bar, trip in enumerate(trips) if course.echoes(bar)), default=0.0)
     last = min(max(1.15 * history.record_end, 1.1 * echo), history.horizon)

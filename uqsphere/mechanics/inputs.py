@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import tomllib
 from importlib import resources
-from typing import Any, Final
+from typing import Any
 
 from uqsphere.units import Quantity
 
@@ -27,7 +27,7 @@ def declared(file: str) -> dict[str, dict[str, Any]]:
 
 
 #: every number of a scene, fixed or random, by its dotted path in the study file
-INPUTS: Final = {
+INPUTS = {
     row["name"]: Quantity(
         name=row["name"],
         symbol=row["symbol"],

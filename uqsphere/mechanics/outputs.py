@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from uqsphere.units import Quantity
 #: contacts
 ColumnSource: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read in addition to its columns
-_SCALES: Final = (
+_SCALES = (
     "modulus",
     "effective_radius",
     "hertz_constant",
@@ -41,7 +41,7 @@ _SCALES: Final = (
     "speed",
 )
 #: quantities that are the demand of a criterion, by their names
-_DEMAND_OF: Final = {entry.quantity: entry for entry in CRITERIA.values() if entry.quantity}
+_DEMAND_OF = {entry.quantity: entry for entry in CRITERIA.values() if entry.quantity}
 #: every quantity of interest of the impact model
 OUTPUTS = {name: Quantity(name=name, **entry) for name, entry in declared("outputs.toml").items()}
 OUTPUTS |= {
@@ -58,7 +58,7 @@ def _hertz_pressure(columns: Mapping[str, Values], force: Values) -> Values:
 
 #: quantities as functions of columns: of the scene, its scale factors, the integrator, and other
 #: quantities
-FORMULAS: Final[dict[str, Callable[[Mapping[str, Values]], Values]]] = {
+FORMULAS: dict[str, Callable[[Mapping[str, Values]], Values]] = {
     "p_max": lambda c: _hertz_pressure(c, c["P_max"]),
     "P_max": lambda c: c["force"] * c["x_max"] ** c["power"],
     "p_hertz": lambda c: _hertz_pressure(c, c["P_max"]),
@@ -164,7 +164,8 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
     inside the sphere follows.  `p_rim` is the same, except where the sphere `takes` the plastic
     work: there the rim tension is at most Hertz's for the same force.
     """
-    hertz, field = contact.pressure_at_force(press.force, modulus, radius), 1.5 * press.mean
+    hertz = contact.pressure_at_force(press.force, modulus, radius)
+    field = 1.5 * press.mean
     return {
         "alpha_max": press.approach,
         "p_max": press.centre,
@@ -177,9 +178,12 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
 
 def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
     """Columns of one contact at its peak approach x alpha_c: force, pressures, radius, energy."""
-    partner, scales = scene.partners[pole], scene.scales
+    partner = scene.partners[pole]
+    scales = scene.scales
     assert partner is not None
-    modulus, radius, beta = partner.modulus, partner.effective_radius, partner.hertz_constant
+    modulus = partner.modulus
+    radius = partner.effective_radius
+    beta = partner.hertz_constant
     approach = scales.approach * x
     if partner.face is not None:
         state = partner.face.pressed(approach / partner.face.onset_approach)
@@ -207,9 +211,9 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
 
 
 #: columns of a row that are the largest over its contacts, each separately
-_LARGEST: Final = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
+_LARGEST = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
 #: force at the other contact when A, or B, is at its peak
-_OPPOSITE: Final = ("force_b_at_a", "force_a_at_b")
+_OPPOSITE = ("force_b_at_a", "force_a_at_b")
 
 
 def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
@@ -220,7 +224,8 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSou
     """
     if scene.by_wave and scene.struck.face is None:
         return {}
-    force, single = scene.scales.force, len(scene.there) == 1
+    force = scene.scales.force
+    single = len(scene.there) == 1
     poles = [pole for pole, partner in enumerate(scene.partners) if partner is not None]
     sides = []
     for pole in poles:
@@ -276,7 +281,8 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSo
     """Columns of an impact: its energy, speeds after it, energy radiated as waves."""
     if not scene.setup.by_impact:
         return {}
-    scales, behind = scene.scales, scene.partners[0]
+    scales = scene.scales
+    behind = scene.partners[0]
     radiated = loss_to_waves(scene)
     if radiated is not None and "end_speed" in tracked:
         # at most what the contact leaves
@@ -296,7 +302,8 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSo
     columns: dict[str, ColumnSource] = {"offered": offered, "carried_off": carried_off}
     if behind is not None:
         return columns | dict.fromkeys(("leaving", "parting_speed"), -tracked["end_speed_a"])
-    back, parting = -tracked["end_speed"], tracked["end_speed_b"] - tracked["end_speed"]
+    back = -tracked["end_speed"]
+    parting = tracked["end_speed_b"] - tracked["end_speed"]
     if radiated is not None:
         back = parting = np.sqrt(np.maximum(np.square(parting) - radiated, 0.0))
     return columns | {"leaving": back, "parting_speed": parting}
@@ -325,7 +332,7 @@ def _carries(partner: Partner) -> bool:
 
 
 #: columns that some scenes do not have: the columns, which scenes, and why
-_LACKING: Final[tuple[tuple[str, Callable[[Scene], bool], str], ...]] = (
+_LACKING: tuple[tuple[str, Callable[[Scene], bool], str], ...] = (
     (
         "difference",
         lambda s: s.setup.contacts == 1,

@@ -10,17 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 
 #: default level of the valley of a two-peak pulse, over the lower peak
-DEFAULT_VALLEY: Final = 0.75
+DEFAULT_VALLEY = 0.75
 #: steps of a striker stiffer than its bar: least level, over the first step, and largest number
-_FAINT_STEP: Final = 1e-3
-_MOST_STEPS: Final = 32
+_FAINT_STEP = 1e-3
+_MOST_STEPS = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +45,8 @@ class Pulse:
 
 def _hermite(length: Array, left: Values, right: Values) -> Array:
     """Cubic from `left` to `right` with zero slope at both ends, (n, 4) ascending."""
-    rise, zero = right - left, np.zeros_like(length)
+    rise = right - left
+    zero = np.zeros_like(length)
     return np.stack([left + zero, zero, 3.0 * rise / length**2, -2.0 * rise / length**3], axis=1)
 
 
@@ -95,7 +95,8 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
     levels, complete = striker_steps(ratio)
     middle = 0.5 * rise
     end = middle + (levels > 0.0).sum(axis=1) * duration + 0.5 * fall
-    breaks, pieces = [np.zeros_like(duration), rise], [_line(rise, 0.0, levels[:, 0])]
+    breaks = [np.zeros_like(duration), rise]
+    pieces = [_line(rise, 0.0, levels[:, 0])]
     steps = [*levels.T, np.zeros_like(duration)]
     for k, (level, following) in enumerate(pairwise(steps), start=1):
         change = middle + k * duration
@@ -119,7 +120,8 @@ def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 
 def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
-    rise, fall = numbers["rise"], numbers["fall"]
+    rise = numbers["rise"]
+    fall = numbers["fall"]
     if "striker_ratio" in numbers:
         return _stepped(duration, rise, fall, numbers["striker_ratio"])
     plateau = duration - 0.5 * (rise + fall)
@@ -140,8 +142,10 @@ def _half_sine(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 
 def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
-    first, second = numbers["t1"], numbers["t2"]
-    high, low = numbers["level1"], numbers["level2"]
+    first = numbers["t1"]
+    second = numbers["t2"]
+    high = numbers["level1"]
+    low = numbers["level2"]
     valley = numbers.get("valley", DEFAULT_VALLEY * np.minimum(high, low))
     zero = np.zeros_like(duration)
     breaks = [zero, first, 0.5 * (first + second), second, duration]
@@ -153,7 +157,7 @@ def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 
 #: pulse shapes by name
-SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
+SHAPES: dict[str, Callable[[Array, Mapping[str, Array]], Pulse]] = {
     "rectangular": _rectangular,
     "trapezoid": _trapezoid,
     "ramp": _ramp,
@@ -163,12 +167,12 @@ SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
 }
 
 #: shapes that depend on the impedance of a striker that differs from the bars
-STRIKER_SHAPES: Final = ("rectangular", "trapezoid", "ramp")
+STRIKER_SHAPES = ("rectangular", "trapezoid", "ramp")
 
 #: the three pulses of the paper's Fig. 2: shape and numbers [s, over v0/2].  Durations, and the
 #: second maximum of the first at about 19 us, are in the paper's text; levels, rise times and the
 #: other times are assumed.
-PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
+PRESETS: dict[str, tuple[str, Mapping[str, float]]] = {
     "very_short": (
         "two_peak",
         {"duration": 24.8e-6, "t1": 7e-6, "level1": 1.0, "t2": 19e-6, "level2": 0.6},
@@ -224,7 +228,7 @@ _MISFIT, _MOST_PIECES = 5e-4, 64
 #: fractions of the peak: largest value at both ends of the record, and start of the pulse
 _END_LEVEL, _START_LEVEL = 0.1, 0.003
 #: least number of samples of a pulse
-_FEWEST_SAMPLES: Final = 8
+_FEWEST_SAMPLES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +252,8 @@ class MeasuredPulse:
 
     def pulse(self, rows: int) -> Pulse:
         """The pieces of n rows."""
-        joints, cubics = np.asarray(self.breaks), np.asarray(self.coefficients)
+        joints = np.asarray(self.breaks)
+        cubics = np.asarray(self.coefficients)
         return Pulse(
             breaks=np.tile(joints, (rows, 1)),
             coefficients=np.tile(cubics, (rows, 1, 1)),
@@ -275,7 +280,8 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
         raise ValueError(
             f"the pulse must have at least {_FEWEST_SAMPLES} samples, not {len(inside)}"
         )
-    first, last = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(strain) - 1)
+    first = max(int(inside[0]) - 1, 0)
+    last = min(int(inside[-1]) + 1, len(strain) - 1)
     limit = _END_LEVEL * peak
     if -strain.min() > limit:
         raise ValueError(
@@ -286,7 +292,8 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
         if abs(strain[place]) > limit:
             level = abs(strain[place]) / peak
             raise ValueError(f"the record {verb}s at {level:.0%} of its peak; {verb} it at rest")
-    time, curve = time[first : last + 1] - time[first], strain[first : last + 1] / peak
+    time = time[first : last + 1] - time[first]
+    curve = strain[first : last + 1] / peak
     # from 0 to 0
     curve[[0, -1]], weight = 0.0, np.ones(len(curve))
     weight[[0, -1]] = 1e3

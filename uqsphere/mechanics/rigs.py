@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
 
 #: keys of the three parameters of a contact law
-LAW: Final = ("onset_pressure", "hardness", "pile_up")
+LAW = ("onset_pressure", "hardness", "pile_up")
 
 
 def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
@@ -74,18 +74,18 @@ def _with_columns(
 
 
 #: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³] (from memory)
-GRAVITY: Final = 9.80665
+GRAVITY = 9.80665
 _DRAG, _AIR = 0.45, 1.2
 #: largest lam (force over Z and speed) of a plate or bar end; beyond it a plate is punched, (R13)
-LARGEST_LAM: Final = 3.0
+LARGEST_LAM = 3.0
 #: ranges of M/m_A and kappa in which the equations are solved
-MASS_RATIO: Final = (1e-7, 1e3)
-STIFFNESS_RATIO: Final = (1e-3, 1e3)
+MASS_RATIO = (1e-7, 1e3)
+STIFFNESS_RATIO = (1e-3, 1e3)
 #: compliance of a half-space under a harmonic point load, nu = 1/4, times rho c_s³ (Reissner;
 #: Miller and Pursey 1954)
-_RADIATION: Final = 0.1486
+_RADIATION = 0.1486
 #: radiated fraction of the impact energy over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
-_PULSE: Final = 3.80584
+_PULSE = 3.80584
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +154,7 @@ class Rig:
 
 
 #: every rig, declared once
-RIGS: Final[dict[str, Rig]] = {
+RIGS: dict[str, Rig] = {
     rig.name: rig
     for rig in (
         Rig(
@@ -217,7 +217,7 @@ RIGS: Final[dict[str, Rig]] = {
 
 
 #: the rig of a study that names none
-DEFAULT_RIG: Final = "bars"
+DEFAULT_RIG = "bars"
 
 
 def drop_speed(height: Values, radius: Values, density: Values) -> Array:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 
 #: halvings that exhaust a double, whose mantissa has 52 bits
-_HALVINGS: Final = 52
+_HALVINGS = 52
 #: limit of Newton iterations, which converge quadratically from the convex side; relative step that
 #: ends them
-MOST_ITERATIONS: Final = 60
-_STILL: Final = 1e-15
+MOST_ITERATIONS = 60
+_STILL = 1e-15
 
 
 def bisect(
@@ -24,7 +23,8 @@ def bisect(
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         above = below(middle)
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
+        low = np.where(above, middle, low)
+        high = np.where(above, high, middle)
     return low, high
 
 

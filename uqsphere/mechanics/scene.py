@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -46,7 +45,7 @@ STATUS: dict[int, str] = {
     12: "the bodies were still in contact at the horizon; set a later model.horizon",
 }
 #: shortest pulse and round trip over t_c that double precision resolves
-_SHORTEST: Final = 1e-9
+_SHORTEST = 1e-9
 
 
 def answered(status: Places) -> Flags:
@@ -55,7 +54,7 @@ def answered(status: Places) -> Flags:
 
 
 #: last parts of columns that are used in validity checks only if the contact law is elastic
-_CHECKED_ONLY: Final = (
+_CHECKED_ONLY = (
     "yield_strength",
     "insert_yield_strength",
     "insert_thickness",
@@ -65,7 +64,7 @@ _CHECKED_ONLY: Final = (
     "pile_up",
 )
 #: columns of a striker that differs from the bars
-STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
+STRIKER_COLUMNS = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,7 +333,8 @@ class Scene:
     @cached_property
     def closing_speed(self) -> Array:
         """Normal closing speed of an impact, (n,) [m/s]: as given, or after a fall."""
-        c, mover = self.columns, self.setup.mover
+        c = self.columns
+        mover = self.setup.mover
         with np.errstate(all="ignore"):
             if f"{mover}.drop_height" not in c:
                 speed = self.column(f"{mover}.speed")
@@ -374,7 +374,8 @@ class Scene:
                 speed = 0.5 * c["striker.speed"]
                 force = impedance * speed
             elif self.setup.by_press:
-                speed, force = np.ones(len(self)), beta * c["sphere.radius"] ** 1.5
+                speed = np.ones(len(self))
+                force = beta * c["sphere.radius"] ** 1.5
             else:
                 speed = self.closing_speed
                 moved = behind.mass if behind else mass / (1.0 + mass / struck.mass)
@@ -460,8 +461,10 @@ def _between(ratio: Array, bounds: tuple[float, float]) -> Flags:
 
 def _partner(scene: Scene, pole: int) -> Partner | None:
     """The counter-body at contact A (0) or B (1); not finite in rows outside the domain."""
-    c, rig = scene.columns, scene.setup
-    table, kind = (rig.behind, rig.ahead)[pole], rig.kind(pole, scene.options)
+    c = scene.columns
+    rig = scene.setup
+    table = (rig.behind, rig.ahead)[pole]
+    kind = rig.kind(pole, scene.options)
     if not table:
         return None
     E, nu, density = scene.numbers(table, "E nu density")
@@ -497,7 +500,8 @@ def _partner(scene: Scene, pole: int) -> Partner | None:
             mass = contact.sphere_mass(end_radius, density)
         elif kind == "mass":
             mass = c[f"{table}.mass"]
-        body, face = body_of(c, table, scene.rigid_contact), None
+        body = body_of(c, table, scene.rigid_contact)
+        face = None
         if scene.contact_law == "plastic":
             law = law_of(c, body, at_onset=scene.hardness_at_onset)
             if not np.isinf(law.onset).all():

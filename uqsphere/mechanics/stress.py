@@ -18,7 +18,6 @@ import json
 import math
 from functools import cache
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -26,14 +25,14 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, Values
 
 #: ranges of the tables
-CONTACT_RATIO: Final = (0.005, 0.3)
-POISSON: Final = (0.0, 0.5)
+CONTACT_RATIO = (0.005, 0.3)
+POISSON = (0.0, 0.5)
 #: of those of the weakest link: above 0.4 a ring of hoop tension around the contact comes up, and
 #: the integrals bend
-POISSON_WEIBULL: Final = (0.0, 0.4)
-MODULUS: Final = (2.0, 50.0)
+POISSON_WEIBULL = (0.0, 0.4)
+MODULUS = (2.0, 50.0)
 #: rows evaluated at a time, so that the polynomials stay in the cache
-_CHUNK: Final = 256
+_CHUNK = 256
 
 
 @cache

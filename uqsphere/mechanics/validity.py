@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Final
 
 import numpy as np
 
@@ -25,13 +24,13 @@ from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.yielding import ContactParameters, Face, softer
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
-_RELAP: Final = 1e-6
+_RELAP = 1e-6
 #: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory
 #: section 5
-_IMBALANCE: Final = (1.318, 0.45)
+_IMBALANCE = (1.318, 0.45)
 #: the share of the samples whose largest number is told too, if it is below so much of the worst
-_USUAL: Final = 0.95
-_FAR: Final = 0.9
+_USUAL = 0.95
+_FAR = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +62,7 @@ class Rule:
         )
 
 
-RULES: Final = {
+RULES = {
     key: Rule(**{"key": key, "name": key, **entry})
     for key, entry in declared("validity.toml").items()
 }
@@ -130,10 +129,12 @@ def _static_estimate(
     rows = np.flatnonzero(good & np.isfinite(body.onset) & np.isfinite(body.hardness))
     face = law.at(rows)
     press = face.pressed(face.depth_at(answers.values["P_max"][rows]))
-    centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
+    centre = press.centre[np.isfinite(press.centre)]
+    dent = press.dent[np.isfinite(press.dent)]
     if len(centre) == 0 or len(dent) == 0:
         return ""
-    pressure, depth = f"{centre.max() / 1e9:.3g} GPa", f"{1e6 * dent.max():.2g} um"
+    pressure = f"{centre.max() / 1e9:.3g} GPa"
+    depth = f"{1e6 * dent.max():.2g} um"
     return f". Static plastic estimate: p_max up to {pressure}, indentation {depth}"
 
 
@@ -175,7 +176,8 @@ def _other_onset(scene: Scene, answers: SceneAnswers) -> Array | None:
 
     It is 1 where the body with the higher onset has the lower hardness.
     """
-    sphere, ratios = sphere_body(scene.columns), []
+    sphere = sphere_body(scene.columns)
+    ratios = []
     for partner in scene.there:
         if partner.face is not None:
             body = partner.body
@@ -188,7 +190,8 @@ def _other_onset(scene: Scene, answers: SceneAnswers) -> Array | None:
 
 
 def _pulse_over_yield(scene: Scene, answers: SceneAnswers) -> Array:
-    c, level = scene.columns, np.ones(len(scene))
+    c = scene.columns
+    level = np.ones(len(scene))
     if scene.shape == "two_peak":
         level = np.maximum(c["pulse.level1"], c["pulse.level2"])
     if scene.striker_ratio is not None:
@@ -240,7 +243,8 @@ def _rod_rise(scene: Scene, answers: SceneAnswers) -> Array | None:
 
 
 def _pulse_rise(scene: Scene, answers: SceneAnswers) -> Array | None:
-    c, breaks = scene.columns, scene.pulse.breaks
+    c = scene.columns
+    breaks = scene.pulse.breaks
     if scene.shape in ("rectangular", "step"):
         return None
     if scene.shape == "trapezoid":
@@ -317,7 +321,8 @@ def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | None:
 
 
 def _gravity(scene: Scene, answers: SceneAnswers) -> Array:
-    behind, moving = scene.partners[0], scene.scales.mass
+    behind = scene.partners[0]
+    moving = scene.scales.mass
     if behind is not None:
         moving = moving + behind.mass
     return moving * GRAVITY / answers.values["P_max"]
@@ -343,7 +348,7 @@ def _one_sided(scene: Scene, answers: SceneAnswers) -> Array:
 
 #: the number that each check measures, (n,), NaN for rows it does not apply to; None for a scene
 #: it does not apply to
-MEASURES: Final[dict[str, Callable[[Scene, SceneAnswers], Array | None]]] = {
+MEASURES: dict[str, Callable[[Scene, SceneAnswers], Array | None]] = {
     "small_contact": _small_contact,
     "contact_on_bar_end": _contact_over_bar,
     "bar_yield_contact": lambda s, a: _over_onset(a.values["p_max"], softest_partner(s).onset),
@@ -378,7 +383,7 @@ MEASURES: Final[dict[str, Callable[[Scene, SceneAnswers], Array | None]]] = {
     "one_sided_field": _one_sided,
 }
 #: what is added to the sentence on a breach, from the scene, its answers and the computed rows
-ADVICE: Final[dict[str, Callable[[Scene, SceneAnswers, Flags], str]]] = {
+ADVICE: dict[str, Callable[[Scene, SceneAnswers, Flags], str]] = {
     "bar_yield_contact": lambda s, a, good: _static_estimate(s, a, good, softest_partner(s)),
     "sphere_yield_contact": lambda s, a, good: _static_estimate(s, a, good, sphere_body(s.columns)),
     "dented": _dents,
@@ -429,13 +434,15 @@ def check_validity(
 def _check(
     rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags, measured: Array
 ) -> ValidityCheck:
-    grades, usable = grades_of(rule, measured), good & ~np.isnan(measured)
+    grades = grades_of(rule, measured)
+    usable = good & ~np.isnan(measured)
     if not usable.any():
         return ValidityCheck(check=rule.name, grades=grades)
     numbers = measured[usable]
     worst = float(numbers.max() if rule.rising else numbers.min())
     shares = np.bincount(grades[usable], minlength=4)[1:] / len(numbers)
-    text, broken = "", float(shares.sum())
+    text = ""
+    broken = float(shares.sum())
     if broken > 0.0:
         shown = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
         if rule.rising and broken > 1.0 - _USUAL:
@@ -444,7 +451,8 @@ def _check(
                 shown += f" ({most:.3g} in {100.0 * _USUAL:.3g} % of the samples)"
         # the threshold of the grade that the worst row reaches
         grade = int(grades[usable].max())
-        limit, broken = rule.thresholds[grade - 1], float(shares[grade - 1])
+        limit = rule.thresholds[grade - 1]
+        broken = float(shares[grade - 1])
         words = rule.words.format(worst=shown, limit=f"{limit:.3g}", shape=scene.shape)
         text = f"{_rows_text(broken)}: {words.replace(') (limit', '; limit')}"
         if rule.key in ADVICE:
@@ -471,7 +479,7 @@ def _rows_text(fraction: float) -> str:
 # so that a demand is never missing.  How many rows that concerns is a check like the others.
 
 #: symbols of columns and parameters that have a range
-_SYMBOLS: Final = {"sphere.nu": "nu", "modulus": "m"}
+_SYMBOLS = {"sphere.nu": "nu", "modulus": "m"}
 
 
 def _check_ranges(
@@ -495,20 +503,25 @@ def _check_ranges(
 def _check_range(
     quantity: str, key: str, parameters: Parameters, columns: Mapping[str, Array], good: Flags
 ) -> ValidityCheck:
-    criterion, grades, check = CRITERIA[key], np.zeros_like(good, dtype=int), f"range_of_{quantity}"
+    criterion = CRITERIA[key]
+    grades = np.zeros_like(good, dtype=int)
+    check = f"range_of_{quantity}"
     if not good.any():
         return ValidityCheck(check=check, grades=grades)
     outside = []
     for name, values, low, high in ranges_of(criterion, columns, parameters):
         grades[good] = np.maximum(grades[good], np.where((values < low) | (values > high), 2, 0))
-        least, most = float(values.min()), float(values.max())
-        below, above = low - least, most - high
+        least = float(values.min())
+        most = float(values.max())
+        below = low - least
+        above = most - high
         if max(below, above) > 0.0:
             text = f"{least if below > above else most:.3g}"
             if min(below, above) > 0.0:
                 text = f"{least:.3g} to {most:.3g}"
             outside.append(f"{_SYMBOLS.get(name, name)} = {text}")
-    share, text = float((grades[good] > 0).mean()), ""
+    share = float((grades[good] > 0).mean())
+    text = ""
     if share > 0.0:
         consequence = "the formula is extrapolated"
         if "equal forces" in criterion.range_text:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +29,14 @@ from uqsphere.mechanics.roots import newton
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel; the
 #: rest is 0.1^16/18 of the first term
-_TERMS: Final = 18
-_NEAR: Final = 0.1
+_TERMS = 18
+_NEAR = 0.1
 #: hardness over yield strength of a metal (Jackson and Green 2005)
-FLOW: Final = 2.84
+FLOW = 2.84
 #: pile-up factor of a perfectly plastic body (Jackson and Green 2005), and of a flat cap: a² = 2 r
 #: alpha
-METAL_PILE_UP: Final = 8.0 / 3.0
-CAP_PILE_UP: Final = 2.0
+METAL_PILE_UP = 8.0 / 3.0
+CAP_PILE_UP = 2.0
 
 
 def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
@@ -158,7 +158,7 @@ def first_loading(
     return FirstLoading(force, slope, area, area_shape, work)
 
 
-_FIRST_LOADING: Final = first_loading(np.where)
+_FIRST_LOADING = first_loading(np.where)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +260,8 @@ class Face:
         """z at which first loading reaches the force P [N]."""
         ratio = np.maximum(force, 0.0) / self.onset_force
         # b = 0 is the softest law, with the largest depth; L is convex
-        start, beyond = 1.0 + (np.maximum(ratio, 1.0) - 1.0) / 1.5, np.maximum(ratio, 1.0)
+        start = 1.0 + (np.maximum(ratio, 1.0) - 1.0) / 1.5
+        beyond = np.maximum(ratio, 1.0)
         depth = newton(lambda z: (self.force(z) - beyond) / self.slope(z), start, 1.0)
         return np.where(ratio > 1.0, depth, np.cbrt(np.square(ratio)))
 
@@ -281,9 +282,13 @@ class Face:
 
     def pressed(self, depth: Array) -> Press:
         """The state of the contact at the largest approach z alpha_y."""
-        force, area, recovered = self.force(depth), self.area(depth), self.recovery(depth)
-        alpha_y, force_y = self.onset_approach, self.onset_force
-        p_y, hardness = self.onset, self.hardness
+        force = self.force(depth)
+        area = self.area(depth)
+        recovered = self.recovery(depth)
+        alpha_y = self.onset_approach
+        force_y = self.onset_force
+        p_y = self.onset
+        hardness = self.hardness
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
             beyond = hardness - (hardness - mean) * (hardness - p_y) / (

@@ -38,7 +38,8 @@ class ModelFile:
 
         Raises ModelError if the file raises, UsageError if it has no such function.
         """
-        path, module = as_text(self.path), ModuleType(f"uqsphere_black_box_{self.path.stem}")
+        path = as_text(self.path)
+        module = ModuleType(f"uqsphere_black_box_{self.path.stem}")
         module.__file__ = str(self.path)
         sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
         if str(self.path.parent) not in sys.path:

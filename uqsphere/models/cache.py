@@ -76,7 +76,8 @@ class Cache:
         (n,).
         """
         answers: list[bytes] = []
-        stored, size = np.zeros(len(rows), dtype=bool), 8 * self._outputs
+        stored = np.zeros(len(rows), dtype=bool)
+        size = 8 * self._outputs
         query = "SELECT answer FROM answers WHERE key = ?"
         with self._access():
             if self._database.execute("SELECT 1 FROM answers LIMIT 1").fetchone():

@@ -41,7 +41,8 @@ def answer_rows(
 
     Raises as `Model.evaluate`.
     """
-    total, analysis = len(rows), model.study.analysis
+    total = len(rows)
+    analysis = model.study.analysis
     answers = np.full((total, len(model.outputs)), np.nan)
     failures: dict[int, NoAnswer] = {}
     died_once: set[int] = set()
@@ -56,7 +57,8 @@ def answer_rows(
     due = (np.arange(start, min(start + size, total)) for start in range(0, total, size))
     again: list[Places] = []
     running: dict[Future[Timed], Places] = {}
-    before, heard = model.evaluations + model.reused, time.monotonic()
+    before = model.evaluations + model.reused
+    heard = time.monotonic()
     try:
         while True:
             model.check_stop()

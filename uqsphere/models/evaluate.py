@@ -91,7 +91,8 @@ def evaluate(
         if not (isinstance(tolerance, Real) and 1e-12 <= tolerance <= 1e-2):
             raise UsageError(f"tolerance must be between 1e-12 and 1e-2, not {tolerance!r}")
         study = replace(study, model=study.model.model_copy(update={"tolerance": tolerance}))
-    names, columns = list(frame), list(quantities or study.analysis.quantities)
+    names = list(frame)
+    columns = list(quantities or study.analysis.quantities)
     if isinstance(quantities, str):
         columns = [quantities]
     with Model(study, model, threads=threads) as opened:

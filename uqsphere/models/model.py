@@ -72,7 +72,8 @@ class Model:
     def __post_init__(self) -> None:
         from uqsphere.mechanics.integrator.solve import thread_count
 
-        study, box = self.study, cast(Any, self.model)
+        study = self.study
+        box = cast(Any, self.model)
         if study.black_box and box is None:
             raise UsageError(
                 "a black-box study needs a model. Add --model FILE.py:FUNCTION, in Python model=..."
@@ -92,7 +93,7 @@ class Model:
         self._processes = self.threads or thread_count()
         #: seconds and rows of all calls but the first, which may import and compile
         self.calls, self._seconds, self._rows = 0, 0.0, 0
-        #: rows that were called alone to compare: none, one, or the ends of a call of several
+        #: rows called by themselves to compare: none, one, or the ends of a call of several
         self._compared = 0
         self._cache: Cache | None = None
         self._notes: list[str] = []
@@ -164,14 +165,16 @@ class Model:
         if not self.study.black_box:
             return self._evaluate_scene(names, rows, columns)
         answers, together = self._evaluate_box(names, rows, columns, self._cache)
-        good, most = np.flatnonzero(answers.good), 1
+        good = np.flatnonzero(answers.good)
+        most = 1
         if together.size:
-            good, most = np.intersect1d(together, good), 2
+            good = np.intersect1d(together, good)
+            most = 2
         if most > self._compared:
             self._compared = most
             for row in np.unique([*good[:1], *good[-1:]])[:most].tolist():
                 block = rows[row : row + 1]
-                if self._differs_alone(names, block, answers.values[row], columns):
+                if self._differs_by_itself(names, block, answers.values[row], columns):
                     break
         return answers
 
@@ -186,21 +189,21 @@ class Model:
             "answers did not match their checksums and were computed again",
         ]
 
-    def _differs_alone(
+    def _differs_by_itself(
         self, names: Sequence[str], row: Array, answer: Array, columns: Sequence[str]
     ) -> bool:
-        """Whether a row (1, d) has another answer than (q,) when it is called alone; a note says
+        """Whether a row (1, d) has another answer than (q,) when called by itself; a note says
         so.
         """
         repeated, _ = self._evaluate_box(names, row, columns, None)
         self.evaluations -= 1
-        alone = repeated.values[0]
-        differs = ~np.isclose(answer, alone, rtol=_HALF_OF_THE_DIGITS, atol=0.0)
+        again = repeated.values[0]
+        differs = ~np.isclose(answer, again, rtol=_HALF_OF_THE_DIGITS, atol=0.0)
         if not repeated.good[0] or not differs.any():
             return False
         j = int(np.argmax(differs))
         self._notes.append(
-            f"the model gave two answers to the same row ({answer[j]:.6g} and {alone[j]:.6g} as "
+            f"the model gave two answers to the same row ({answer[j]:.6g} and {again[j]:.6g} as "
             f"{columns[j]!r} {where_of(names, row[0])}): it is not deterministic, or the answer to "
             "a row depends on the other rows of the call, or a file that it reads or imports has "
             "changed since answers were stored (--fresh discards those)"
@@ -220,7 +223,8 @@ class Model:
         parts = []
         for start in range(0, max(len(rows), 1), LARGEST_CALL):
             self.check_stop()
-            block, began = rows[start : start + LARGEST_CALL], time.perf_counter()
+            block = rows[start : start + LARGEST_CALL]
+            began = time.perf_counter()
             parts.append(evaluate_scene(self.study, names, block, columns, threads=self.threads))
             self.add_call(time.perf_counter() - began, len(block))
             if self.progress is not None:
@@ -244,7 +248,8 @@ class Model:
         answers, failures, together = answer_rows(self, whole, cache)
         values = answers[:, [self.outputs.index(name) for name in columns]]
         usable = np.abs(values) <= _LARGEST_ANSWER
-        failed, note = ~usable.all(axis=1), ""
+        failed = ~usable.all(axis=1)
+        note = ""
         if failed.any():
             k = int(np.argmax(failed))
             j = int(np.argmin(usable[k]))

@@ -125,7 +125,8 @@ def solve_scene(
         return closed(scene)
     if not exact.any():
         return integrated(scene)
-    rest, places = np.flatnonzero(~exact), np.flatnonzero(exact)
+    rest = np.flatnonzero(~exact)
+    places = np.flatnonzero(exact)
     return merged_answers((rest, integrated(scene.at(rest))), (places, closed(scene.at(places))))
 
 
@@ -158,7 +159,8 @@ def evaluate_scene(
             )
     except ValueError as error:
         raise UsageError(str(error)) from error
-    good, none = np.asarray(answered(answers.status)), np.zeros(len(rows), dtype=bool)
+    good = np.asarray(answered(answers.status))
+    none = np.zeros(len(rows), dtype=bool)
     values = np.stack([answers.values[name] for name in columns], axis=1)
     failed = np.flatnonzero(~good)[:1]
     return EvaluatedRows(

@@ -125,7 +125,8 @@ def serve(parent: int) -> None:
 
     Messages are pickles: the task, then rows; for each message of rows its answers go back.
     """
-    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    requests = os.fdopen(os.dup(0), "rb")
+    replies = os.fdopen(os.dup(1), "wb")
     # both ways to the parent are out of the model's reach: it reads nothing, and prints to stderr
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)

@@ -112,7 +112,8 @@ def run(
             log_file = out / "log.txt"
             if study.black_box:
                 cache = out / "cache.sqlite"
-        started, log = time.monotonic(), Log(log_file)
+        started = time.monotonic()
+        log = Log(log_file)
         log.write(f"run of {study.title!r}, study {study.hash}")
         design = Design.of(study)
         points = None
@@ -169,7 +170,8 @@ def run(
         checked = checks(design, tables, evaluator.notes)
         decisions = [decision_of(aim, checked) for aim in judged]
         took = time.monotonic() - started
-        runs, reused = evaluator.evaluations + evaluator.reused, evaluator.reused
+        runs = evaluator.evaluations + evaluator.reused
+        reused = evaluator.reused
         cost = Cost(runs=runs, reused=reused, seconds=took)
         results = results_of(design, tables, answers, decisions, checked, cost)
         log.write(f"ended: {tables.stopped} after {took:.1f} s")
@@ -219,7 +221,8 @@ def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
         return
     if not (folder / "results.json").exists():
         return
-    stored, changed = read_results(folder).study, ""
+    stored = read_results(folder).study
+    changed = ""
     if stored.hash == study.hash:
         return
     # what differs is named where the stored study can be read

@@ -22,7 +22,8 @@ def caveats_of(
 ) -> list[Caveat]:
     """Why the verdict of an aim is not established; empty where nothing holds it."""
     caveats: list[Caveat] = []
-    design, governing = settled.aim.design, settled.governing
+    design = settled.aim.design
+    governing = settled.governing
     if governing.code == "assumed strength":
         caveats.append(Caveat(code="assumed strength", subject=design.subject(governing.limit)))
     caveats += _model_range(settled, yielding, checks)
@@ -49,7 +50,9 @@ def _model_range(
     """Checks that fail in the rows that fail: those of the plan, and those of the model's range at
     the number to use, where contacts can yield by contacts that do.
     """
-    study, limits, line = settled.aim.design.study, settled.aim.limits, settled.line
+    study = settled.aim.design.study
+    limits = settled.aim.limits
+    line = settled.line
     failing: dict[str, tuple[float, str]] = {}
     at_number: dict[str, tuple[float, str]] = {}
     for check in checks:

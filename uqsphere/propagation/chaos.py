@@ -20,7 +20,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -37,15 +36,15 @@ from uqsphere.uq.response import REJECTED
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth
 #: ones need fewer
-MOST_ROWS: Final = 512
+MOST_ROWS = 512
 #: rows of a replicate that correct its indices at most
-MOST_TERMS: Final = 2048
+MOST_TERMS = 2048
 #: share of the variance that an expansion may leave and still have a design point searched on it,
 #: and serve as control variate: what it leaves more than that costs the tails as much as it gains
 #: (granite, p_max against contact_duration)
 MOST_LEFT, CONTROL = 0.05, 1e-3
 #: share below which more rows are not worth a second fit
-GOOD: Final = 0.01
+GOOD = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,10 +99,12 @@ def expansions(
 
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
-    size, count = len(design.inputs), sample.count
+    size = len(design.inputs)
+    count = sample.count
     germs = design.germs
     points = points_of(design, sample.scores)
-    later, fits = points[1:].reshape(-1, size), dict[str, Expansion]()
+    later = points[1:].reshape(-1, size)
+    fits = dict[str, Expansion]()
     for name in columns:
         outputs = sample.answer(name)
         if not sample.knows(name) or not varies(outputs):
@@ -113,7 +114,8 @@ def expansions(
         if earlier is not None and earlier.rows != rows and earlier.left >= GOOD:
             earlier = None
         if earlier is not None:
-            fit, rows = earlier.fit, earlier.rows
+            fit = earlier.fit
+            rows = earlier.rows
         else:
             fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
         values = predict(fit, later).reshape(outputs[1:].shape)
@@ -122,8 +124,10 @@ def expansions(
             other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
             others = predict(other, later).reshape(outputs[1:].shape)
             if other.log and _left(outputs, others) < 0.5 * _left(outputs, values):
-                fit, values = other, others
-        few, form = min(count, MOST_TERMS), fit.plain_form
+                fit = other
+                values = others
+        few = min(count, MOST_TERMS)
+        form = fit.plain_form
         rest = (outputs[1:] - values)[:, :few]
         terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
         cross = np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few

@@ -5,7 +5,6 @@ answers.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
 
 import numpy as np
 
@@ -54,7 +53,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
         each = max(ROWS // sample.replicates, 1)
         plan = plan_of(design, sample.head(min(each, sample.count)))
         for check in _breaches(plan, design.limits):
-            worst, effect = max(check.failures.values(), default=0.0), ""
+            worst = max(check.failures.values(), default=0.0)
+            effect = ""
             if worst:
                 limit = max(design.limits, key=lambda limit: check.failures.get(limit.name, 0.0))
                 event = "failures" if limit.aim == "survive" else "samples that do not break"
@@ -95,8 +95,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
 
 #: grade from which a check of the contact holds a number; those of faces that yield do so wherever
 #: they are taken for elastic, with no law of their yield
-RANGE: Final = {"small_contact": 3, "deep_dent": 3, "plastic_range": 3}
-_YIELD: Final = {"bar_yield_contact": 2, "sphere_yield_contact": 2, "face_yield": 2}
+RANGE = {"small_contact": 3, "deep_dent": 3, "plastic_range": 3}
+_YIELD = {"bar_yield_contact": 2, "sphere_yield_contact": 2, "face_yield": 2}
 
 
 def range_checks(line: Line, limits: Sequence[Limit]) -> list[Check]:
@@ -115,7 +115,8 @@ def _breaches(
     """The checks that rows breach, with the share of each limit's failures in rows of a grade, the
     worst where none is given.
     """
-    design, breached = line.design, []
+    design = line.design
+    breached = []
     current = {limit.name: limit for limit in design.judged.limits}
     weights = {}
     for limit in limits:

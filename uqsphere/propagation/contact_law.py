@@ -59,7 +59,8 @@ class YieldingRows:
         return Line(design=self.design, values=line.values, samples=tuple(samples))
 
     def _evaluated(self, value: float, sample: Sample) -> Sample:
-        design, moving = self.design, moving_at(self.design, value)
+        design = self.design
+        moving = moving_at(self.design, value)
         names, rows = input_rows(design, sample, moving)
         answers = evaluate_scene(design.judged, names, rows, design.columns)
         return answered(design, sample, answers, moving)

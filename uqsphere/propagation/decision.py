@@ -13,7 +13,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -26,12 +25,12 @@ from uqsphere.propagation.line import Line, refined
 from uqsphere.uq import student
 
 #: points of a replicate near the number to use, at first and at most
-_FIRST: Final = 64
-_MOST: Final = 1024
+_FIRST = 64
+_MOST = 1024
 #: passes that add rows at most, where a curve turns back again and again
-_PASSES: Final = 20
+_PASSES = 20
 #: distance of the number to a value with rows of its own, over the range of the line
-_CLOSE: Final = 1e-3
+_CLOSE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +59,8 @@ class Settled:
     @property
     def ends(self) -> tuple[float, float]:
         """The safe and the unsafe end of the line."""
-        first, last = self.line.values[0], self.line.values[-1]
+        first = self.line.values[0]
+        last = self.line.values[-1]
         if self.least:
             return last, first
         return first, last
@@ -97,7 +97,8 @@ class Settled:
         """The doubt that sets the number: where most of the failures there, or at the safe end if
         there is no number, are by another failure mode, that one as the study has it.
         """
-        curves, doubt = self.curves, self.setting
+        curves = self.curves
+        doubt = self.setting
         if not self.aim.survive or not curves.adds_up(doubt.limit):
             return doubt
         at = self.use
@@ -139,17 +140,20 @@ class Settling:
 
     def accurately(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim, with rows added until the governing curve is accurate there."""
-        required, count = self.design.study.analysis.accuracy.probability, _FIRST
+        required = self.design.study.analysis.accuracy.probability
+        count = _FIRST
         settled = self.once(aim, line)
         for _ in range(_PASSES):
-            number, line = settled.use, settled.line
+            number = settled.use
+            line = settled.line
             if number is None:
                 break
             distances = np.abs(line.places - line.place_of(number))
             nearest = int(np.argmin(distances))
             there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
             if there and line.samples[nearest].count >= count:
-                doubt, allowed = settled.governing, settled.governing.limit.allowable
+                doubt = settled.governing
+                allowed = settled.governing.limit.allowable
                 half = student(line.samples[0].replicates) * doubt.error[nearest]
                 if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
                     break
@@ -180,7 +184,8 @@ class Settling:
         """The number once the doubt that governs is gone: the failure mode, or a limit that leaves
         no number, left out; else by the other doubts.
         """
-        governing, aim = settled.governing, settled.aim
+        governing = settled.governing
+        aim = settled.aim
         alone = len(aim.limits) == 1 and governing.limit is aim.limits[0]
         if governing.code == "assumed strength" or (settled.number is None and not alone):
             return self.once(aim.without(governing.limit.name), settled.line).number

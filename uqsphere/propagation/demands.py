@@ -94,7 +94,8 @@ def with_test_forces(
         sphere = {
             name.partition(".")[2]: np.broadcast_to(values[name], shape)[finite] for name in names
         }
-        radius, worth = sphere.pop("radius"), demand[finite]
+        radius = sphere.pop("radius")
+        worth = demand[finite]
         if tested.law is not None:
             numbers = {**tested.sphere, **sphere}
             worth = force_at(worth, limit.demand, numbers, radius, tested.platens)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.indices import Blocks
 
 #: values of the free number
-VALUES: Final = 25
+VALUES = 25
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,7 +20,8 @@ def distributions(design: Design, tables: Tables) -> Answers:
     answers = Answers()
     runs = tables.runs if design.drawn.names else 1
     for name in design.described:
-        description, unit = described(design, tables, name), lookup(name).unit
+        description = described(design, tables, name)
+        unit = lookup(name).unit
         answers.add(name, "mean", "", description.mean, unit=unit, runs=runs)
         answers.add(name, "sd", "", description.sd, unit=unit, runs=runs)
         for p, estimate in description.quantiles.items():

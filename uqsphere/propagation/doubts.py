@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -39,7 +38,7 @@ from uqsphere.uq.fitting import (
 )
 
 #: strengths that tests allow
-LAWS: Final = 400
+LAWS = 400
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,7 +170,8 @@ def alternatives(aim: Aim) -> list[Alternative]:
         code: DoubtCode = "distribution"
         strengths = other_distributions(law)
         if is_fitted(law):
-            code, strengths = "tests", strengths_allowed(aim.design, limit)
+            code = "tests"
+            strengths = strengths_allowed(aim.design, limit)
         options += [
             Alternative(code=code, limit=limit, detail=name, laws=laws)
             for name, laws in strengths.items()
@@ -195,7 +195,8 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
         laws |= _other_fits(law)
     allowed: dict[str, tuple[Law, ...]] = {}
     tests = tests_behind(limit) or (0.0,)
-    first, last = tests[0], tests[-1]
+    first = tests[0]
+    last = tests[-1]
     for name, fitted in laws.items():
         generator = random_generator(
             seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
@@ -207,7 +208,8 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
 
 def _other_fits(law: Law) -> dict[str, Law]:
     """Other distributions fitted to the tests behind a law, those that the tests do not refute."""
-    tests, fits = series_behind(law), dict[str, Law]()
+    tests = series_behind(law)
+    fits = dict[str, Law]()
     for name, kind in STRENGTHS.items():
         if name != law.family.name and probability_of(tests, kind) >= REFUTED:
             with suppress(LawError):
@@ -222,7 +224,8 @@ def other_distributions(law: Law) -> dict[str, tuple[Law, ...]]:
 
     if law.family.name not in ("weibull", "lognormal", "normal"):
         return {}
-    mean, sd = law.mean(), law.sd()
+    mean = law.mean()
+    sd = law.sd()
     if mean is None or sd is None or not mean > 0.0 or not sd > 0.0:
         return {}
     with suppress(ValueError):  # a scatter that no law has
@@ -307,7 +310,8 @@ class Curves:
         """
         if len(curve) < 2:
             return None
-        kept, aim = self.aim.keeps(curve, limit), self.aim
+        kept = self.aim.keeps(curve, limit)
+        aim = self.aim
         return self.line.crossing(curve, kept, limit.allowable, keeps_below=aim.survive)
 
     def by_strengths(self, limit: Limit, laws: Sequence[Law] = (), *, tied: bool = True) -> Array:
@@ -319,7 +323,8 @@ class Curves:
             state = replace(state, tie=None)
         hold = self._held.get(limit.name)
         others = np.zeros(1) if hold is None else self.line.means(1.0 - hold)
-        means, strengths = [], [state.strength, *laws]
+        means = []
+        strengths = [state.strength, *laws]
         for strength in strengths[bool(laws) :]:
             rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)
             alone = joint = self.line.means(rows)
@@ -362,7 +367,8 @@ class Curves:
         Many strengths are asked on few rows; what all rows add to the normal score by the strength
         that stands at the unsafe end near the target is added to the curve.
         """
-        limit, laws = alternative.limit, alternative.laws
+        limit = alternative.limit
+        laws = alternative.laws
         if len(laws) < 2:
             rows = self.by_strengths(limit, laws, tied=alternative.tied)[:, 0]
             return self._doubt(alternative, rows.mean(axis=2), rows[1])
@@ -387,7 +393,8 @@ class Curves:
             limits=tuple(limits[asked.name] for asked in self.aim.limits),
             untargeted=tuple(limits[asked.name] for asked in self.aim.untargeted),
         )
-        curves, few = Curves(aim=aim, line=self.yielding), self.few.base(limit)
+        curves = Curves(aim=aim, line=self.yielding)
+        few = self.few.base(limit)
         strengths = [other for other in others if other.laws]
         for other in (Alternative(code="contact law", limit=limit), *strengths):
             rows = curves.by_strengths(limits[limit.name], other.laws)

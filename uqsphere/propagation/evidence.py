@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from uqsphere.study.values import Tested
 from uqsphere.uq import Law
 
 #: a strength, or a distribution, that makes the tests less probable than this is refuted
-REFUTED: Final = 0.05
+REFUTED = 0.05
 
 
 def series_of(study: Study) -> list[Tested]:
@@ -46,7 +45,8 @@ def judged_by_tests(
     series = series_of(study)
     if not series:
         return [], list(modes)
-    results, modes_left = [], []
+    results = []
+    modes_left = []
     for mode in modes:
         evidence = _evidence(study, series, mode)
         results.append(evidence)
@@ -63,7 +63,8 @@ def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Evid
     weak, centre, strong = standing(
         np.array([law.cdf(demands) for law in (mode.weak, mode.middle, mode.strong)])
     ).tolist()
-    refuted, raised = strong < REFUTED, 1.0
+    refuted = strong < REFUTED
+    raised = 1.0
     if weak < REFUTED and not refuted:
         # the strong end of a range may be of another scatter than its weak end
         factor = float(least_factor(mode.weak, demands[None, :])[0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from uqsphere.study import Limit, Study, default_target
 from uqsphere.uq import Law, make_law
 
 #: standard deviations from the middle of the library's 95 % ranges to their ends
-_RANGE_DEVIATIONS: Final = 1.959963984540054
+_RANGE_DEVIATIONS = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,14 +104,16 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     """Cholesky factor of the correlation that strengths have with each other, given all that is
     drawn.
     """
-    joint, covariance = design.joint, np.eye(len(limits))
+    joint = design.joint
+    covariance = np.eye(len(limits))
     names = [strength_name(limit.name) for limit in limits]
     random = [k for k, name in enumerate(names) if name in joint.names]
     if joint.correlation is None or len(random) < 2:
         return covariance
     at = [joint.names.index(names[k]) for k in random]
     drawn = [joint.names.index(name) for name in design.drawn.names]
-    among, across = joint.correlation[np.ix_(at, at)], joint.correlation[np.ix_(drawn, at)]
+    among = joint.correlation[np.ix_(at, at)]
+    across = joint.correlation[np.ix_(drawn, at)]
     within = joint.correlation[np.ix_(drawn, drawn)]
     covariance[np.ix_(random, random)] = among - across.T @ np.linalg.solve(within, across)
     return residual_correlation(covariance)

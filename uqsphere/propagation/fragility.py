@@ -30,13 +30,17 @@ METHOD = "the same points at every value"
 
 def fragility(design: Design, tables: Tables) -> Answers:
     """Curves and margins of every limit and failure mode."""
-    answers, margins = Answers(), design.study.margins
+    answers = Answers()
+    margins = design.study.margins
     if margins is None or (margins.limit is None and not tables.line):
         return answers
-    unit, runs, planned = lookup(margins.solve).unit, tables.line_runs, planned_value(design)
+    unit = lookup(margins.solve).unit
+    runs = tables.line_runs
+    planned = planned_value(design)
     plain: dict[str, Any] = {"unit": "1", "method": METHOD, "runs": runs}
     for limit in design.judged.limits:
-        subject, fitted = design.subject(limit), curve_of(design, tables, limit)
+        subject = design.subject(limit)
+        fitted = curve_of(design, tables, limit)
         for row in fitted.curve:
             answers.row(subject, "curve", *row, **plain)
         for p, estimate in fitted.values.items():
@@ -74,17 +78,21 @@ def curve_of(
     """The curve of a limit, with the free number at the study's probabilities and the target, or at
     others.
     """
-    margins, sample = design.study.margins, tables.sample
+    margins = design.study.margins
+    sample = tables.sample
     assert margins is not None
     folds: Array | None = None
     if margins.limit is None:
-        values, counts = [*tables.line], [rows.count for rows in tables.line.values()]
+        values = [*tables.line]
+        counts = [rows.count for rows in tables.line.values()]
         means = _along(design, tables.line, limit)
         if tables.fold_line:
             folds = np.array(_along(design, tables.fold_line, limit))
     else:
-        values, state = grid(margins, VALUES), state_of(design, limit, sample)
-        counts, means = [sample.count] * len(values), []
+        values = grid(margins, VALUES)
+        state = state_of(design, limit, sample)
+        counts = [sample.count] * len(values)
+        means = []
         for value in values:
             demands = state.demands * demand_factor(margins, limit, value)
             exceeded = failure_given_inputs(replace(state, demands=demands), "survive")
@@ -112,7 +120,8 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     accuracy is held to.
     """
     values = curve_of(design, tables, limit, sorted({0.16, limit.allowable, 0.84})).values
-    low, high = values[0.16].value, values[0.84].value
+    low = values[0.16].value
+    high = values[0.84].value
     if low is None or high is None or low == high:
         return values[limit.allowable], None
     return values[limit.allowable], 0.5 * abs(high - low)

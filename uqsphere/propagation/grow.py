@@ -13,7 +13,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -39,13 +38,13 @@ from uqsphere.uq.estimate import REPLICATES, count_bound
 from uqsphere.uq.indices import base_points
 
 #: points of a replicate at first
-FIRST: Final = 256
+FIRST = 256
 #: one in so many points of the sample is evaluated at every value of the free number, and of pairs
 LINE_SHARE, PAIRS_SHARE = 16, 4
 #: points of a replicate at most
-MOST: Final = 1 << 17
+MOST = 1 << 17
 #: rows of one evaluation, about, once there are many: what is in work beside the tables themselves
-PART: Final = 1 << 18
+PART = 1 << 18
 
 
 def grow(
@@ -59,8 +58,10 @@ def grow(
     Raises KeyboardInterrupt where the user stops before there is anything, TooManyFailures,
         ModelError.
     """
-    study, began = design.study, time.monotonic()
-    budget, end = study.analysis.budget.evaluations, began + seconds
+    study = design.study
+    began = time.monotonic()
+    budget = study.analysis.budget.evaluations
+    end = began + seconds
 
     def rows_left() -> float:
         """Model runs that are left, by the budget and, at the pace so far, by the time."""
@@ -69,7 +70,8 @@ def grow(
         return min(budget - model.evaluations - model.reused, in_time)
 
     history: list[dict[tuple[str, str], float]] = []
-    tables, count = None, first_count(study)
+    tables = None
+    count = first_count(study)
     while True:
         started = time.monotonic()
         try:
@@ -92,7 +94,8 @@ def grow(
             return tables
         took = time.monotonic() - started
         history.append({error[:2]: error.reached for error in tables.errors})
-        runs, worst = model.evaluations + model.reused, tables.worst
+        runs = model.evaluations + model.reused
+        worst = tables.worst
         tables = replace(tables, reached=(*tables.reached, (runs, worst)))
         if progress is not None:
             text = f"{count:,} points in {REPLICATES} randomisations, error / tolerance {worst:.2g}"
@@ -146,7 +149,8 @@ def first_count(study: Study) -> int:
     """
     if all(is_strength(name) for name in study.laws()):
         return 2
-    room, count = study.analysis.budget.evaluations, FIRST
+    room = study.analysis.budget.evaluations
+    count = FIRST
     if study.limits and room >= 2 * rare.LEAST:
         room //= 2
     while count > 8 and first_rows(study, count) > room:
@@ -181,7 +185,8 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
         return {}
     if before is None:
         return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))
-    about, values = set[float](), sorted(before.line)
+    about = set[float]()
+    values = sorted(before.line)
     for name in _inaccurate_margins(before):
         at = int(np.searchsorted(values, before.margins[name][0].value or 0.0))
         near = values[max(at - 2, 0) : at + 2]
@@ -202,13 +207,15 @@ def _answered(
     """Tables with all that is computed from a longer sample and line; a margin that is accurate is
     not looked at again.
     """
-    names, sample = design.study.analysis.quantities, tables.sample
+    names = design.study.analysis.quantities
+    sample = tables.sample
     inaccurate: list[str] = []
     if design.inputs:
         fits = expansions(design, sample, design.described, tables.expansions)
         tables = replace(tables, expansions=fits)
         inaccurate = [name for name in names if not by_chaos_accurate(design, tables, name)]
-    margins, missed = dict(tables.margins), _inaccurate_margins(tables)
+    margins = dict(tables.margins)
+    missed = _inaccurate_margins(tables)
     for limit in design.limits:
         estimate, _ = margins.get(limit.name, (None, None))
         poor = estimate is None or estimate.value is None or limit.name in missed
@@ -234,7 +241,8 @@ def paired(
     """Outputs (R, count, blocks) of the design of Sobol' indices, of the quantities that need
     it, as far as model runs are left; what was evaluated before is kept.
     """
-    size, done = design.blocks.count, 0
+    size = design.blocks.count
+    done = 0
     if before.keys() >= {*names}:
         done = min((before[name].shape[1] for name in names), default=0)
     affordable = done + max(rows_left, 0.0) // (REPLICATES * size)
@@ -260,7 +268,8 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     """Inputs (R, count, blocks, d) of the design of Sobol' indices; those of a replicate are in
     SALib's order.
     """
-    mixed, place = [], {"count": count, "start": start, "seed": design.study.seed}
+    mixed = []
+    place = {"count": count, "start": start, "seed": design.study.seed}
     for replicate in range(REPLICATES):
         halves = base_points(design.blocks, task="pairs", replicate=replicate, **place)
         physical = (design.joint_inputs.physical(normal_scores(half)) for half in halves)
@@ -288,7 +297,8 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
             errors.append(Accuracy(name, f"sobol {label}", widest, required.sobol))
     for limit in design.limits:
-        estimate, subject = failure(design, tables, limit), f"limits.{limit.name}"
+        estimate = failure(design, tables, limit)
+        subject = f"limits.{limit.name}"
         searched = limit.name in tables.rare
         if rare.is_negligible(estimate, limit) or not estimate.value:
             continue

@@ -40,17 +40,21 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     own, which a slow model is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
 
-    answers, inputs, names = Answers(), design.joint_inputs, design.inputs
+    answers = Answers()
+    inputs = design.joint_inputs
+    names = design.inputs
     if not names:
         return answers
-    source, seed = source_of(design, tables), design.study.seed
+    source = source_of(design, tables)
+    seed = design.study.seed
     sample = source.rows
     scores = np.stack([sample.scores[..., sample.names.index(name)].ravel() for name in names])
     given = special.ndtr(scores[:, :GIVEN].T)
     for method in SALIB_METHODS:
         if method not in design.study.analysis.measures:
             continue
-        reason, uniforms = "", given
+        reason = ""
+        uniforms = given
         columns = {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"

@@ -39,7 +39,8 @@ def limits(design: Design, tables: Tables) -> Answers:
     """
     answers = Answers()
     for limit in design.judged.limits:
-        subject, runs = design.subject(limit), tables.runs
+        subject = design.subject(limit)
+        runs = tables.runs
         failed = exceeded = failure(design, tables, limit)
         if limit.name in tables.rare:
             runs += tables.rare[limit.name].estimate.evaluations
@@ -109,7 +110,8 @@ def state_of(
     """
     if strength is None:
         strength = strength_of(limit)
-    column, policy = column_of(limit), design.study.analysis.policy
+    column = column_of(limit)
+    policy = design.study.analysis.policy
     state = LimitState(
         demands=demands_of(limit, sample),
         strength=strength,
@@ -117,7 +119,8 @@ def state_of(
         failed=sample.lost(column),
         on_failure="drop" if policy == "abort" else policy,
     )
-    name, names = strength_name(limit.name), design.drawn.names
+    name = strength_name(limit.name)
+    names = design.drawn.names
     tied = bool(design.study.dependence) and name in design.joint.names
     if not tied or not isinstance(strength, Law):
         return state
@@ -136,15 +139,19 @@ def drivers(design: Design, tables: Tables) -> Answers:
     Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement,
     the strength being integrated.
     """
-    answers, names = Answers(), design.drawn.names
+    answers = Answers()
+    names = design.drawn.names
     if not names:
         return answers
-    sample, origin = tables.sample.head(MOST_POINTS), {"unit": "1", "runs": tables.runs}
+    sample = tables.sample.head(MOST_POINTS)
+    origin = {"unit": "1", "runs": tables.runs}
     scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
     for limit in design.judged.limits:
-        state, subject = state_of(design, limit, sample), design.subject(limit)
-        moved, tie = np.zeros(gradients.shape), state.tie
+        state = state_of(design, limit, sample)
+        subject = design.subject(limit)
+        moved = np.zeros(gradients.shape)
+        tie = state.tie
         if tie is not None:
             # a strength that depends on an input stays where it was while the input moves
             for step, column in zip(STEP * np.eye(len(tie.columns)), tie.columns, strict=True):
@@ -159,7 +166,8 @@ def drivers(design: Design, tables: Tables) -> Answers:
                 answers.add(subject, "driver", name, estimate, **origin)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
-            score, sign = score_of(*law.tails(state.demands)), 1.0
+            score = score_of(*law.tails(state.demands))
+            sign = 1.0
             if limit.aim == "break":
                 sign = -1.0
             low, high = (

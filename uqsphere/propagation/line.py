@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -24,10 +23,10 @@ from uqsphere.study import Limit
 from uqsphere.uq import Law, LimitState, Sample, tails
 
 #: points of a replicate, where every value of the free number has the same rows
-_SHARED: Final = 1024
+_SHARED = 1024
 #: one in so many points serves a doubt that takes many strengths or other model runs, and at least
-_FEW_SHARE: Final = 4
-_FEW: Final = 16
+_FEW_SHARE = 4
+_FEW = 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +101,8 @@ class Line:
         """Probability (R, N) of exceedance given the inputs; a row that is not known to the end
         counts for the unsafe side, and one that failed is nan, or counts so as well.
         """
-        below, unsafe = tails(state)[0], float(aim == "survive")
+        below = tails(state)[0]
+        unsafe = float(aim == "survive")
         if unsafe:
             below = np.where(state.late, unsafe, below)
         lost = unsafe if state.on_failure == "bound" else math.nan
@@ -180,7 +180,8 @@ def plan_of(design: Design, sample: Sample) -> Line:
 
 def line_of(design: Design, tables: Tables) -> Line | None:
     """The line of a run; None without a free number."""
-    margins, samples = design.study.margins, tables.line
+    margins = design.study.margins
+    samples = tables.line
     if margins is not None and margins.limit is not None:
         sample = tables.sample.head(min(tables.sample.count, _SHARED))
         samples = dict.fromkeys(grid(margins, VALUES), sample)
@@ -208,7 +209,8 @@ def evaluated_at(
     if margins.solve not in design.inputs:
         moving[margins.solve] = np.repeat([*counts], [part.count for part in parts])
     rows = evaluate(design, model, parts[0].join(*parts[1:]), moving)
-    samples, end = dict(before), 0
+    samples = dict(before)
+    end = 0
     for value, part in zip(counts, parts, strict=True):
         end += part.count
         added = rows.rows(end - part.count, end)

@@ -11,14 +11,14 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Any
 
 #: called with model runs, the share of the work that is done (an estimate; nan where only the stage
 #: moves), and a text
 Progress = Callable[[int, float, str], None]
 #: seconds between two lines
-EVERY: Final = 3.0
-FORMAT: Final = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}{postfix}"
+EVERY = 3.0
+FORMAT = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}{postfix}"
 
 
 def share_done(error: float) -> float:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Final
 
 import numpy as np
 
@@ -30,19 +29,19 @@ from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
 
 #: numbers of tests that are told
-SIZES: Final = (10, 25, 50, 100, 200)
+SIZES = (10, 25, 50, 100, 200)
 #: series of tests behind each
-_SERIES: Final = 200
+_SERIES = 200
 #: nodes of the table: in the quantile of the strength at the target, and in its scale
-_QUANTILES: Final = 13
-_SCALES: Final = 9
+_QUANTILES = 13
+_SCALES = 9
 #: shares of the target that a limit by itself may take beside other failure modes
-_SHARES: Final = (0.003, 0.03, 0.15, 0.4, 0.7, 1.0)
+_SHARES = (0.003, 0.03, 0.15, 0.4, 0.7, 1.0)
 #: nodes between the middle and the strong end of the library's strength, and in the demand of tests
-_STRENGTHS: Final = 7
-_FORCES: Final = 60
+_STRENGTHS = 7
+_FORCES = 60
 #: Euler's constant
-_GAMMA: Final = 0.5772156649015329
+_GAMMA = 0.5772156649015329
 
 #: places that strengths with these locations and scales of their logarithm allow
 Tabulated = Callable[[Array, Array], Array]
@@ -67,7 +66,8 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     limits = [limit for limit in settled.aim.limits if _has_tests(limit)]
     if not limits or settled.use is None:
         return []
-    line, pick = settled.line, np.maximum if settled.least else np.minimum
+    line = settled.line
+    pick = np.maximum if settled.least else np.minimum
     margins = [settled.ends[1]]
     for doubt in settled.doubts:
         by_tests = doubt.limit in limits and (doubt.code == "computation" or doubt.detail)
@@ -117,9 +117,11 @@ class _Promise:
 
     def places(self, uniforms: Array) -> list[Array]:
         """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
-        settled, line = self.settled, self.settled.line
+        settled = self.settled
+        line = self.settled.line
         logs, leaving = self._series(uniforms)
-        added, places = None, []
+        added = None
+        places = []
         if self.added is not None:
             stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
             added = partial(self.added, stronger)
@@ -134,7 +136,8 @@ class _Promise:
             strengths = location - scale * centre, scale * inverse
             at = np.array([np.quantile(table(*strengths), end, axis=1) for table in tables]).T
             if added is not None:  # where the limit's share and the other modes make the target
-                together, target = score(self.allowed + added(at)), score(self.limit.allowable)
+                together = score(self.allowed + added(at))
+                target = score(self.limit.allowable)
                 pairs = zip(together, at, strict=True)
                 at = np.array([[np.interp(target, scores, row)] for scores, row in pairs])
             if name != self.law.family.name:
@@ -148,7 +151,8 @@ class _Promise:
         (r,): as many are stopped, at the largest, as today.
         """
         kind, location, scale = _place_of(self.law)
-        n, law = uniforms.shape[1], self.law
+        n = uniforms.shape[1]
+        law = self.law
         broken = max(n - round(n * len(law.censored) / count_tests(law)), 3)
         logs = location + scale * kind.form.quantile(uniforms, 1.0 - uniforms)
         return logs[:, :broken], np.append(np.ones(broken - 1), 1.0 + n - broken)
@@ -179,13 +183,15 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     """What other failure modes add to the exceedance of a limit."""
     from scipy.interpolate import RectBivariateSpline
 
-    line, word = settled.curves.few.line, settled.aim.word
+    line = settled.curves.few.line
+    word = settled.aim.word
     stands = 1.0 - line.exceedance(line.state(limit), word)
     others = others_survive(replace(settled.aim, modes=()), line).get(limit.name, np.ones(1))
     held = line.means(others * stands + 1.0 - stands).mean(axis=1)
     tables = []
     for mode in modes:
-        nodes, rows = np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS), []
+        nodes = np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS)
+        rows = []
         for node in nodes:
             state = line.state(mode.limit, scaled_strength(mode.middle, math.exp(node)))
             rows.append(line.means(line.exceedance(state, word) * stands).mean(axis=1))
@@ -204,7 +210,8 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
 
 def _place_of(law: Law) -> tuple[LocationScale, float, float]:
     """The kind of a law, with the location and the scale of ln(strength)."""
-    kind, p = STRENGTHS[law.family.name], law.parameters
+    kind = STRENGTHS[law.family.name]
+    p = law.parameters
     if kind.normal:
         return kind, p["log_mean"], p["log_sd"]
     return kind, math.log(p["scale"]), 1.0 / p["modulus"]
@@ -236,9 +243,11 @@ def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> lis
     kind = STRENGTHS[name]
     # the same mean and standard deviation of the logarithm
     if fitted.normal and not kind.normal:
-        location, scale = location + _GAMMA * wider * scale, scale * wider
+        location = location + _GAMMA * wider * scale
+        scale = scale * wider
     elif kind.normal and not fitted.normal:
-        location, scale = location - _GAMMA * scale, scale / wider
+        location = location - _GAMMA * scale
+        scale = scale / wider
     below = np.array([limit.allowable])
     z = float(kind.form.quantile(below, 1.0 - below)[0])
     scales = scale * np.geomspace(0.25, 4.0, _SCALES)
@@ -266,10 +275,13 @@ def _places(settled: Settled, scores: Array, allowed: Array) -> Array:
 
     line = settled.line
     fine = np.linspace(line.places[0], line.places[-1], 8 * line.places.size)
-    curves, levels = PchipInterpolator(line.places, scores, axis=1)(fine), score(allowed)
+    curves = PchipInterpolator(line.places, scores, axis=1)(fine)
+    levels = score(allowed)
     if not settled.aim.survive:
-        curves, levels = -curves, -levels
+        curves = -curves
+        levels = -levels
     if settled.least:
-        curves, fine = curves[:, ::-1], fine[::-1]
+        curves = curves[:, ::-1]
+        fine = fine[::-1]
     rising = np.maximum.accumulate(curves, axis=1)
     return np.array([np.interp(levels, row, fine) for row in rising])

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from uqsphere.uq.limit_state import score_of, tails
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
 #: a probability below this is searched for where sampling does not reach it
-SMALL: Final = 0.01
+SMALL = 0.01
 #: runs of the model that a search takes at most (tests/campaigns/rare.py), and the least that are
 #: worth one
 MOST, LEAST = 30_000, 1000
@@ -217,7 +217,8 @@ def _physical(
     """
     if not points:
         return {}
-    point, size = points[0].point, len(design.drawn.names)
+    point = points[0].point
+    size = len(design.drawn.names)
     sample = answered(at_normals(design.drawn, point[None, None, :size]))
     values = dict(zip(design.drawn.names, sample.inputs[0, 0].tolist(), strict=True))
     law = strength_of(limit)

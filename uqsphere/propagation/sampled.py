@@ -10,7 +10,6 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Final
 
 import numpy as np
 
@@ -27,11 +26,11 @@ from uqsphere.uq.indices import sampled_indices
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,
 #: and at most: a sample of so many needs no control
-MANY: Final = 16
-MOST_MANY: Final = 1 << 16
-METHOD: Final = "polynomial chaos, corrected by rows"
-SAMPLED: Final = "sample"
-CONTROLLED: Final = "sample, chaos as control variate"
+MANY = 16
+MOST_MANY = 1 << 16
+METHOD = "polynomial chaos, corrected by rows"
+SAMPLED = "sample"
+CONTROLLED = "sample, chaos as control variate"
 
 
 def source_of(design: Design, tables: Tables) -> Slow | Sampled:
@@ -54,7 +53,8 @@ class Sampled:
 
     def describe(self, name: str) -> Description:
         """The description of a quantity; an accurate expansion is its control variate."""
-        sample, analysis = self.tables.sample, self.design.study.analysis
+        sample = self.tables.sample
+        analysis = self.design.study.analysis
         if not self.design.drawn.names and not sample.late(name).any() and not sample.failed.any():
             value = exact(float(sample.answer(name)[0, 0]))
             return Description(
@@ -134,7 +134,8 @@ class Sampled:
 
 def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Estimate, ...]]:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
-    form, integrals = expansion.fit.plain_form, expansion.integrals
+    form = expansion.fit.plain_form
+    integrals = expansion.integrals
     active = form.multi_indices > 0
     many = active.sum(axis=1)
     everything = (expansion.residuals**2).mean(axis=1)
@@ -152,7 +153,8 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     if not design.study.analysis.second_order:
         return indices
     for (i, one), (j, other) in combinations(enumerate(design.inputs), 2):
-        which, share = active[:, i] & active[:, j] & (many == 2), 0.0
+        which = active[:, i] & active[:, j] & (many == 2)
+        share = 0.0
         if integrals.sd > 0.0:
             share = float((form.coefficients[which] ** 2).sum()) / integrals.sd**2
         part = expansion.projection(which, share)
@@ -195,14 +197,16 @@ def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
 
 def _by_pairs(design: Design, values: Array) -> dict[str, tuple[Estimate, ...]]:
     """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
-    whole, names = np.asarray(np.isfinite(values).all(axis=2)), design.inputs
+    whole = np.asarray(np.isfinite(values).all(axis=2))
+    names = design.inputs
     least = int(whole.sum(axis=1).min())
     if least < 2:
         nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
         return dict.fromkeys(names, (nothing, nothing))
     kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
     sampled = sampled_indices(np.stack(kept), design.blocks)
-    first, total = sampled.first, sampled.total
+    first = sampled.first
+    total = sampled.total
     if not whole.all():
         text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
         first, total = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
 
 from uqsphere.arrays import Array
 from uqsphere.propagation.design import Design
@@ -15,7 +14,7 @@ from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.response import Response, unseen
 
-ROUGH: Final = "runs of the model"
+ROUGH = "runs of the model"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +54,8 @@ class Slow:
 
     def describe(self, name: str) -> Description:
         """Mean, standard deviation and quantiles of a quantity."""
-        analysis, corrected = self.design.study.analysis, self.corrected(name)
+        analysis = self.design.study.analysis
+        corrected = self.corrected(name)
         if corrected is not None:
             return corrected.describe(analysis.quantiles)
         return describe(
@@ -82,13 +82,15 @@ class Slow:
         sampled : the probability of the sample
         chance : the failure probability (R, n) given the inputs and outputs of a sample
         """
-        corrected, predicted = self.corrected(column), self.predicted
+        corrected = self.corrected(column)
+        predicted = self.predicted
         if corrected is None or predicted is None:
             sampled = replace(sampled, method=sampled.method + self._kept)
             if sampled.high is None:
                 return sampled
             return replace(sampled, high=max(sampled.high, count_bound(self.rows.size)))
-        place, table = predicted.quantities.index(column), predicted
+        place = predicted.quantities.index(column)
+        table = predicted
 
         def moved(sample: Sample, values: Array) -> Array:
             answers = sample.answers.copy()
@@ -107,7 +109,8 @@ class Slow:
 
     def indices(self, name: str) -> Mapping[str, tuple[Estimate, ...]]:
         """First and total indices of a quantity for independent inputs."""
-        runs, inputs = self.rows.size, self.design.inputs
+        runs = self.rows.size
+        inputs = self.design.inputs
         if name in self.responses:
             orders = indices_of(self.responses[name]).values()
             return {

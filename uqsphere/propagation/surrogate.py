@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -40,9 +40,9 @@ from uqsphere.uq.surrogate import columns_of, each_once
 #: replicate of a table
 PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
 #: share of the budget that rows along the free number take
-LINE_BUDGET: Final = 0.4
+LINE_BUDGET = 0.4
 #: seconds that the least number of runs may take whatever the budget
-ALWAYS: Final = 1.0
+ALWAYS = 1.0
 
 
 def is_slow(design: Design, model: Model, seconds: float) -> bool:
@@ -94,7 +94,9 @@ def known_rows(design: Design, frame: Any) -> tuple[Sample, Callable[[Columns], 
     that are missing, unknown or no numbers, fewer than 16 rows, and inputs that do not follow their
     distributions and dependence (`check_rows`).
     """
-    study, inputs, names = design.study, design.inputs, design.drawn.names
+    study = design.study
+    inputs = design.inputs
+    names = design.drawn.names
     if not study.black_box or not inputs:
         raise UsageError(
             "analyse takes rows of a black-box study with random inputs; run evaluates a scene "
@@ -144,8 +146,11 @@ def tables_of(
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
-    analysis, free, points = design.study.analysis, design.study.margins, design_rows
-    end, affordable = time.monotonic() + seconds, analysis.budget.evaluations
+    analysis = design.study.analysis
+    free = design.study.margins
+    points = design_rows
+    end = time.monotonic() + seconds
+    affordable = analysis.budget.evaluations
     cost = analysis.cost
     if cost is None:
         cost = model.seconds_per_row or 0.0
@@ -192,7 +197,9 @@ def _evaluated(
     design: Design, model: Model, points: Sample, end: float, progress: Progress | None
 ) -> tuple[Sample, Stop]:
     """The rows (1, n) of the design that were evaluated, and what ended them early, if anything."""
-    parts, done, count = list[Sample](), 0, points.count
+    parts = list[Sample]()
+    done = 0
+    count = points.count
     stopped: Stop = ""
     step = max(PROBE, count // 8)
     while done < count and not stopped:
@@ -220,12 +227,14 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     blocks that stand for replicates, where a column is too rough for its expansions, or where
     these would extrapolate into a region in which the model fails.
     """
-    dropped, apart = 0.0, False
+    dropped = 0.0
+    apart = False
     if design.study.analysis.policy == "drop" and rows.failed.any():
         failed = rows.failed[0]
         inputs = rows.scores[0, :, : len(design.inputs)]
         apart = lie_apart(inputs[failed], inputs[~failed])
-        dropped, rows = float(failed.mean()), rows.where(~failed)
+        dropped = float(failed.mean())
+        rows = rows.where(~failed)
     responses: dict[str, Response] = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
     if plain and not apart and rows.count >= LEAST_ROWS:
@@ -267,11 +276,13 @@ def _lines(
     """Predicted columns at values of the free number, by expansions in the inputs and in it: with
     residuals on them, and of every expansion at the same points.
     """
-    margins, names = design.study.margins, design.drawn.names
+    margins = design.study.margins
+    names = design.drawn.names
     if margins is None or count < LEAST_ROWS:
         return {}, {}
     points = _design_points(design, count, 1, "slow line")
-    values, normals = values_at(margins, points[:, -1]), points[:, :-1]
+    values = values_at(margins, points[:, -1])
+    normals = points[:, :-1]
     physical = np.empty_like(normals)
     for k, value in enumerate(values.tolist()):
         joint = moved(design.study, value).inputs().only(names)
@@ -293,7 +304,8 @@ def _lines(
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
     along = grid(margins, VALUES)
     germ = np.array([2.0 * shares_of(margins, value) - 1.0 for value in along])
-    line, fold_line = dict[float, Sample](), dict[float, Sample]()
+    line = dict[float, Sample]()
+    fold_line = dict[float, Sample]()
     for drawn, predicted in ((table, line), (shared, fold_line)):
         inputs = np.tile(points_of(design, drawn.scores), (1, len(along), 1))
         last = np.broadcast_to(np.repeat(germ, drawn.count), inputs.shape[:2])

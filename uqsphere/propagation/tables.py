@@ -166,7 +166,8 @@ def evaluate(
 
 def check_failures(design: Design, status: Places, note: str) -> None:
     """Refuse failed rows as the study's policy says."""
-    analysis, good = design.study.analysis, status == 0
+    analysis = design.study.analysis
+    good = status == 0
     if good.all() or analysis.policy == "bound":
         return
     if analysis.policy == "abort":
@@ -174,7 +175,8 @@ def check_failures(design: Design, status: Places, note: str) -> None:
             f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
             'analysis.on_failure = "bound" or "drop" goes on without such rows'
         )
-    share, most = 1.0 - float(good.mean()), 0.01
+    share = 1.0 - float(good.mean())
+    most = 0.01
     if not isinstance(analysis.on_failure, str):
         most = analysis.on_failure
     most = max(most, 3.0 / len(good))

@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -35,7 +34,7 @@ from uqsphere.uq import Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
 
 #: points of a replicate that doubts are asked on at the plan
-_AT_PLAN: Final = 256
+_AT_PLAN = 256
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +73,8 @@ class Judged:
         """The limit that the decision speaks of: the one that sets the number; where nothing has a
         target, or a failure mode governs, one that means fracture before others.
         """
-        limits, governing = self.aim.limits, self.settled.governing
+        limits = self.aim.limits
+        governing = self.settled.governing
         if governing.code != "assumed strength" and any(limit.has_target for limit in limits):
             return self.settled.setting.limit
         return next((limit for limit in limits if means_fracture(limit)), limits[0])
@@ -97,7 +97,9 @@ def judge(
     end : when the time for more rows is over, by the monotonic clock [s]
     """
     judged: list[Judged] = []
-    yielding, yields, planned = None, yielding_design(design), planned_value(design)
+    yielding = None
+    yields = yielding_design(design)
+    planned = planned_value(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word)
         if yields is not None:
@@ -111,7 +113,8 @@ def judge(
         )
         head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
         plan = settling.once(aim, plan_of(design, head))
-        line, settled = line_of(design, tables), None
+        line = line_of(design, tables)
+        settled = None
         if line is not None:
             grows = tables.surrogate is None and tables.stopped != "interrupted"
             settled = (settling.accurately if grows else settling.once)(aim, line)
@@ -143,7 +146,8 @@ def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
     """Whether the plan misses a target on the side that the curve calls safe: the curve turns back
     between its values.
     """
-    number, line = settled.number, settled.line
+    number = settled.number
+    line = settled.line
     if number is None or not line.values[0] < planned < line.values[-1]:
         return False
     if math.isfinite(number) and (planned < number) == settled.least:
@@ -208,8 +212,11 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
 
 def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     """The decision of an aim, as the results have it."""
-    settled, aim, governing = judged.settled, judged.aim, judged.settled.governing
-    subject, lead = aim.design.subject(governing.limit), judged.lead
+    settled = judged.settled
+    aim = judged.aim
+    governing = judged.settled.governing
+    subject = aim.design.subject(governing.limit)
+    lead = judged.lead
     caveats = caveats_of(settled, judged.settling.yielding, checks)
     verdict = _verdict(judged, caveats)
     alone = settled
@@ -254,8 +261,11 @@ def _range(estimate: Estimate) -> types.Range:
 
 def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
-    settled, free = judged.settled, judged.aim.design.study.margins
-    number, planned, factor = settled.use, judged.planned, None
+    settled = judged.settled
+    free = judged.aim.design.study.margins
+    number = settled.use
+    planned = judged.planned
+    factor = None
     if number is None or free is None:
         return None
     if planned and number > 0.0 and planned > 0.0:
@@ -291,7 +301,8 @@ def _band(settled: Settled) -> list[types.CurvePoint]:
     """What the tests leave open of the failure probability along the line: of the doubt that
     governs, else of the first one by tests.
     """
-    values, key = settled.line.values, settled.governing.key
+    values = settled.line.values
+    key = settled.governing.key
     for doubt in sorted(settled.doubts, key=lambda doubt: doubt.key != key):
         if doubt.opposite is not None and len(values) > 1:
             curves = np.array([doubt.curve, doubt.opposite])
@@ -303,7 +314,8 @@ def _band(settled: Settled) -> list[types.CurvePoint]:
 
 def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
     """What the library's range of a failure mode that governs would make of the number."""
-    settled, aim = judged.settled, judged.aim
+    settled = judged.settled
+    aim = judged.aim
     if judged.line is None or settled.governing.code != "assumed strength":
         return None
     name = settled.governing.limit.name
@@ -335,7 +347,9 @@ def _certificate(judged: Judged) -> list[types.Doubt]:
 
 def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
     """A row, from the probability of exceedance at the plan."""
-    settled, aim, limit = judged.settled, judged.aim, doubt.limit
+    settled = judged.settled
+    aim = judged.aim
+    limit = doubt.limit
     note: types.MarginNote = ""
     if judged.line is not None and doubt.margin is None:
         note = "nowhere"
@@ -346,12 +360,14 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
         at_number = float(aim.failure(settled.line.at(doubt.curve, settled.use)))
     if exceeded is not None:
         at_plan = float(aim.failure(exceeded))
-    code, option = doubt.code, doubt.detail
+    code = doubt.code
+    option = doubt.detail
     if code == "computation":
         at_plan = judged.at_plan(limit).high or at_plan
         # tests that are carried over in another way than by the limit that counts as fracture
         if any(limit in group[1:] for group in aim.groups):
-            code, option = "carrier", option or limit.quantity
+            code = "carrier"
+            option = option or limit.quantity
     return types.Doubt(
         code=code,
         subject=aim.design.subject(limit),
@@ -393,7 +409,9 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     """Whether the plan keeps the target under a doubt: by its margin, else by the probability at
     the plan.
     """
-    margin, planned, limit = judged.along(doubt), judged.planned, doubt.limit
+    margin = judged.along(doubt)
+    planned = judged.planned
+    limit = doubt.limit
     if margin is not None and planned is not None:
         if judged.settled.least and margin != math.inf:
             return planned >= margin
@@ -404,7 +422,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
 
 
 #: the remedy of each doubt
-_REMEDIES: Final[dict[types.DoubtCode, types.RemedyCode]] = {
+_REMEDIES: dict[types.DoubtCode, types.RemedyCode] = {
     "assumed strength": "measure the strength",
     "tests": "test more",
     "distribution": "test the lower tail",
@@ -412,7 +430,7 @@ _REMEDIES: Final[dict[types.DoubtCode, types.RemedyCode]] = {
     "tie": "check the input",
 }
 #: the remedy of each caveat, the most urgent first
-_CURES: Final[dict[types.CaveatCode, types.RemedyCode]] = {
+_CURES: dict[types.CaveatCode, types.RemedyCode] = {
     "unit": "check the input",
     "plausibility": "check the input",
     "model range": "leave the model's range",
@@ -425,7 +443,9 @@ def _remedy(
     judged: Judged, verdict: types.VerdictWord, caveats: Sequence[types.Caveat]
 ) -> types.Remedy:
     """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
-    settled, line, best = judged.settled, judged.line, judged.settling.best
+    settled = judged.settled
+    line = judged.line
+    best = judged.settling.best
     governing = settled.governing
     design = judged.aim.design
     subject = design.subject(governing.limit)
@@ -458,7 +478,7 @@ def _remedy(
 
 # --- rows of answers ------------------------------------------------------------------------------
 
-_TEXTS: Final = {
+_TEXTS = {
     "distribution": "{} strength",
     "contact law": "contacts yield",
     "tie": "strength independent of the inputs",
@@ -478,8 +498,11 @@ def assumed_answers(judged: Sequence[Judged]) -> Answers:
 
 
 def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
-    aim, limit, law = judged.aim, doubt.limit, strength_of(doubt.limit)
-    subject, margins = aim.design.subject(limit), aim.design.study.margins
+    aim = judged.aim
+    limit = doubt.limit
+    law = strength_of(doubt.limit)
+    subject = aim.design.subject(limit)
+    margins = aim.design.study.margins
     low = high = None
     note = ""
     if doubt.opposite is None:
@@ -495,7 +518,8 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         low, high = sorted(float(aim.failure(end)[0]) for end in (doubt.curve, doubt.opposite))
         value = float(np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high))
         note = "95 % range over the strengths that the tests allow, with the other failure modes"
-    method, runs = "epistemic", judged.plan.line.rows.size
+    method = "epistemic"
+    runs = judged.plan.line.rows.size
     answers.row(
         subject,
         "failure_probability",
@@ -510,6 +534,7 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
     )
     margin = judged.along(doubt)
     if margins is not None and margin is not None and math.isfinite(margin):
-        unit, runs = lookup(margins.solve).unit, judged.settled.line.rows.size
+        unit = lookup(margins.solve).unit
+        runs = judged.settled.line.rows.size
         note = "conservative end, with the other failure modes"
         answers.row(subject, "margin", at, margin, unit=unit, runs=runs, method=method, note=note)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,12 +51,12 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law, random_generator
 
 #: rows of samples.csv
-MOST_ROWS: Final = 16_384
+MOST_ROWS = 16_384
 #: model runs that an expansion is compared with
-MOST_HELD_OUT: Final = 160
+MOST_HELD_OUT = 160
 #: quantities whose correlation is stored, in pairs
-MOST_CORRELATED: Final = 4
-PACKAGES: Final = [
+MOST_CORRELATED = 4
+PACKAGES = [
     "numpy",
     "scipy",
     "numba",
@@ -86,12 +86,14 @@ def results_of(
 ) -> Results:
     """What results.json holds."""
     study = design.study
-    limits, modes = {}, {}
+    limits = {}
+    modes = {}
     for limit in design.limits:
         points = _test_points(design, tables, limit)
         limits[limit.name] = _limit(limit, assumed=False, source="study", test_points=points)
     for mode in design.modes:
-        source, checked = mode.entry.source, mode.entry.seen
+        source = mode.entry.source
+        checked = mode.entry.seen
         modes[mode.called] = _limit(mode.limit, assumed=True, source=source, source_checked=checked)
     return Results(
         study=StudyEntry(
@@ -143,7 +145,8 @@ def _description(design: Design) -> list[str]:
         first = f"{rock[:1].upper()}{rock[1:]}, {size}, {rig}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
-        text, tests = f"{limit.name}: {_strength_text(limit)}", number_of_tests(limit.strength)
+        text = f"{limit.name}: {_strength_text(limit)}"
+        tests = number_of_tests(limit.strength)
         if tests:
             text += f" from {tests} tests"
         strengths.append(text)
@@ -183,7 +186,8 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         pairs = _some(tables.sample.answer(name)[1:], expansion.values)
     elif slow is not None and slow.predicted is not None:
         response = slow.responses[name]
-        left, pairs = response.error, _some(response.outputs, response.levels)
+        left = response.error
+        pairs = _some(response.outputs, response.levels)
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
@@ -218,7 +222,9 @@ def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
 
 def _limit(limit: Limit, **origin: Any) -> LimitEntry:
     """A limit with the `origin` of its strength."""
-    tested, platens, size_law = limit.tested, "", []
+    tested = limit.tested
+    platens = ""
+    size_law = []
     if tested is not None and tested.forces:
         modulus = tested.platens[0]
         platens = "rigid platens"
@@ -285,7 +291,8 @@ def _kaplan_meier(stopped: Array) -> Array:
 
 
 def _strength(limit: Limit) -> Strength:
-    law, density = limit.strength, None
+    law = limit.strength
+    density = None
     if isinstance(law, Law):
         p05, median, p95 = law.ppf([0.05, 0.5, 0.95]).tolist()
         if not law.is_steps:
@@ -294,7 +301,8 @@ def _strength(limit: Limit) -> Strength:
             density = [places.tolist(), law.pdf(places).tolist()]
     else:
         p05 = median = p95 = float(law)
-    text, unit = _strength_text(limit), display_unit(limit.quantity)[0]
+    text = _strength_text(limit)
+    unit = display_unit(limit.quantity)[0]
     return Strength(text=text, unit=unit, median=median, p05=p05, p95=p95, density=density)
 
 
@@ -302,7 +310,8 @@ def _strength_text(limit: Limit) -> str:
     law = limit.strength
     if not isinstance(law, Law):
         return format_value(float(law), limit.quantity)
-    mean, sd = law.mean(), law.sd()
+    mean = law.mean()
+    sd = law.sd()
     text = law.family.name.replace("_", " ").capitalize()
     if mean is not None:
         text += f", mean {format_value(mean, limit.quantity)}"
@@ -323,15 +332,21 @@ def _dependence(tie: Dependence) -> DependenceEntry:
 
 
 def _input(study: Study, name: str) -> InputEntry:
-    source, law = study.sources.get(name), study.laws().get(name)
-    reference, checked = "study", True
+    source = study.sources.get(name)
+    law = study.laws().get(name)
+    reference = "study"
+    checked = True
     if source:
-        reference, checked = source.source, source.seen
+        reference = source.source
+        checked = source.seen
     if law is None:
         mean = p05 = p95 = study.fixed[name]
-        sd, distribution = 0.0, "fixed"
+        sd = 0.0
+        distribution = "fixed"
     else:
-        mean, sd, distribution = law.mean(), law.sd(), _distribution_text(law, name)
+        mean = law.mean()
+        sd = law.sd()
+        distribution = _distribution_text(law, name)
         p05, p95 = law.ppf([0.05, 0.95]).tolist()
     return InputEntry(
         meaning=lookup(name).meaning,

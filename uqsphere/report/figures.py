@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability
@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: colours of lines that share a figure
-COLOURS: Final = (BLUE, RED, GREEN, PURPLE, INK)
+COLOURS = (BLUE, RED, GREEN, PURPLE, INK)
 #: quantities on the first screen, and those with pictures
 FIRST, MOST_PICTURES = 2, 6
-STYLE: Final[dict[str, Any]] = {
+STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "uqsphere",
     "font.size": 12.0,
@@ -168,7 +168,8 @@ def _fragility(results: Results) -> dict[str, Picture]:
     texts = [f"{title} over the {free.meaning}"]
     planned = planned_value(free)
     if planned is not None:
-        answers, shown = table_of(results), {curve.name for curve in curves}
+        answers = table_of(results)
+        shown = {curve.name for curve in curves}
         at_plan: dict[str, Estimated | None] = {
             label(subject): answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
             for subject in entries_of(results)

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import Final
 
 import numpy as np
 
@@ -32,12 +31,12 @@ from uqsphere.results.types import (
 )
 from uqsphere.units import UNITS
 
-DASH: Final = "–"
+DASH = "–"
 #: a number with its interval
 Estimated = Answer | Range
-_UNITS: Final = sorted({*chain(*UNITS.values())} - {""}, key=len)
+_UNITS = sorted({*chain(*UNITS.values())} - {""}, key=len)
 #: a number in front of its unit, with a blank that may break
-_SPLIT: Final = re.compile(
+_SPLIT = re.compile(
     r"(?<=\d) (?=(?:%|" + "|".join(re.escape(unit) for unit in _UNITS[::-1]) + r")(?![\w/]))"
 )
 

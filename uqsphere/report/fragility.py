@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: probabilities that the axis is marked at, and the ends of the axis
-TICKS: Final = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
+TICKS = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
 LOWEST, HIGHEST = 3e-5, 1.0 - 3e-5
 #: height of a line of text [points], and curves that one chart has room for
 LINE, MOST_CURVES = 14.0, 9
 #: dashes and widths of limits, of assumed strengths, and of all failure modes together
-LIMIT: Final[tuple[Any, float]] = ("-", 2.2)
-ASSUMED: Final[tuple[Any, float]] = ((0, (5, 2)), 1.4)
-JOINT: Final[tuple[Any, float]] = ("-.", 2.0)
+LIMIT: tuple[Any, float] = ("-", 2.2)
+ASSUMED: tuple[Any, float] = ((0, (5, 2)), 1.4)
+JOINT: tuple[Any, float] = ("-.", 2.0)
 
 
 class Curve(NamedTuple):
@@ -70,7 +70,8 @@ class Curve(NamedTuple):
         places = self.x[finite]
         y = special.ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
         if logarithmic:
-            places, x = np.log(places), np.log(x)
+            places = np.log(places)
+            x = np.log(x)
         return np.asarray(PchipInterpolator(places, y)(np.clip(x, places[0], places[-1])))
 
 
@@ -189,12 +190,15 @@ def _ends_of_interest(
     shown = shown[(shown >= free.low) & (shown <= free.high)]
     if len(shown) < 2 or shown.max() <= shown.min():
         return free.low, free.high
-    low, high = shown.min(), shown.max()
+    low = shown.min()
+    high = shown.max()
     if free.low > 0.0:
-        low, high = low / 1.15, high * 1.15
+        low = low / 1.15
+        high = high * 1.15
     else:
         room = 0.04 * (high - low)
-        low, high = low - room, high + room
+        low = low - room
+        high = high + room
     return max(low, free.low), min(high, free.high)
 
 
@@ -276,9 +280,13 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    frame, sign, shift = 1.0, 1.0, 0.0
+    frame = 1.0
+    sign = 1.0
+    shift = 0.0
     if edge == "below":  # the ticks have their numbers first
-        frame, sign, shift = 0.0, -1.0, -19.0 / 72.0
+        frame = 0.0
+        sign = -1.0
+        shift = -19.0 / 72.0
     moved = ScaledTranslation(0.0, shift, axes.figure.dpi_scale_trans)
     coordinates = axes.get_xaxis_transform() + moved
     ends: list[float] = []
@@ -286,9 +294,13 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         place = float(axes.transData.transform((at, 0.0))[0])
         width = LETTER * len(text) + 4.0
         # left of the leader; right of it where there is no room
-        start, side, gap = place - width, "right", -3.0
+        start = place - width
+        side = "right"
+        gap = -3.0
         if start <= 0.0:
-            start, side, gap = place, "left", 3.0
+            start = place
+            side = "left"
+            gap = 3.0
         stop = start + width
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         # a leader crosses the rows between its text and the frame

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.quantities import format_probability
 from uqsphere.report import sentences, tables
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 #: figures of the row below the decision
-FRONT: Final[tuple[str, ...]] = ("density-1", "density-2", "sobol")
+FRONT: tuple[str, ...] = ("density-1", "density-2", "sobol")
 #: files beside the page that it links to, where they are
 LINKED = ("answers.csv", "samples.csv", "results.json", "study.toml")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ BLUE, GREEN, PURPLE, RED = "#0072b2", "#007a58", "#aa4499", "#b84a00"
 BROWN, INDIGO = "#7a5500", "#4b5fc1"
 GREY, INK, FAINT = "#656b75", "#1b1f24", "#e6e8eb"
 #: width of a letter at the font size of a picture [points]
-LETTER: Final = 6.4
+LETTER = 6.4
 #: rows of Sobol' indices, letters of a name beside a row, and strengths beside a density
 MOST_INPUTS, MOST_LETTERS, MOST_STRENGTHS = 8, 30, 3
 
@@ -106,7 +106,8 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             axes.plot(places, heights, "--", color=RED, linewidth=1.4)
             top = heights.argmax()
             names.append((places[top], heights[top], f"strength, {name}"))
-            low, high = min(low, places[0]), max(high, places[-1])
+            low = min(low, places[0])
+            high = max(high, places[-1])
     if entry.onset is not None:
         onset = entry.onset * factor
         above = x >= onset
@@ -162,13 +163,16 @@ def _mark_onset(
     """Mark where a contact starts to yield, in the frame or off its scale; the frame's ends."""
     span = high - low
     if low - span < place < high + span:
-        low, high = min(low, place - 0.05 * span), max(high, place + 0.05 * span)
+        low = min(low, place - 0.05 * span)
+        high = max(high, place + 0.05 * span)
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
         text = f"{text} (off the scale)"
-    side, gap = "left", 6.0
+    side = "left"
+    gap = 6.0
     if place > 0.5 * (low + high):
-        side, gap = "right", -6.0
+        side = "right"
+        gap = -6.0
     at = max(low, min(place, high))
     write(axes, text, (at, 1.0), (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high

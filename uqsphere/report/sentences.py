@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_conservative, format_probability, round_conservative
@@ -34,7 +33,7 @@ from uqsphere.results.types import (
 )
 
 #: why a run ended
-STOPPED: Final[dict[Stop, str]] = {
+STOPPED: dict[Stop, str] = {
     "": "running",
     "accurate": "all accuracy targets met",
     "budget": "stopped at the model-run budget",
@@ -44,12 +43,12 @@ STOPPED: Final[dict[Stop, str]] = {
     "no gain": "stopped: more runs no longer reduce the error",
 }
 #: how Sobol' indices were estimated
-METHODS: Final = {
+METHODS = {
     "chaos": "from polynomial chaos corrected by model runs",
     "pairs": "from pairs of model runs",
     "": "",
 }
-NO_LIMIT: Final = "No limit state is defined; the run reports distributions and sensitivities only."
+NO_LIMIT = "No limit state is defined; the run reports distributions and sensitivities only."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +122,8 @@ def _open(results: Results, decision: Decision) -> list[str]:
     free = results.study.free
     for doubt in decision.doubts:
         if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
-            name, p = plain_name(doubt.subject), plain_probability(doubt.at_plan)
+            name = plain_name(doubt.subject)
+            p = plain_probability(doubt.at_plan)
             text = f"damage that is not counted: {name} in {p} of the spheres at the planned value"
             if doubt.margin is not None and free is not None:
                 at = value(doubt.margin, free.path)
@@ -275,7 +275,8 @@ class _Writer:
             text = f"{capital(name)} governs, with a strength of the library"
             if library.weak is None or library.strong is None:
                 return f"{text}."
-            weak, strong = self.number(library.weak), self.number(library.strong)
+            weak = self.number(library.weak)
+            strong = self.number(library.strong)
             return f"{text} (its weak end: {weak}, its strong end: {strong})."
         doubts = [doubt for doubt in decision.doubts if doubt.governs]
         if not doubts:
@@ -373,7 +374,7 @@ class _Writer:
         return f"{text}."
 
 
-_REMEDIES: Final = {
+_REMEDIES = {
     "nothing": "The target is met; no further step is needed",
     "set a target": "Set limits.{subject}.target for a verdict",
     "change the plan": (

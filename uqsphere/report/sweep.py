@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 #: keys of a sweep, and points of one
 MOST_KEYS, MOST_POINTS = 2, 256
-TABLE: Final = "sweep.csv"
+TABLE = "sweep.csv"
 
 
 def path_of(key: str) -> str:
@@ -149,7 +149,7 @@ def finished_run(sweep: Sweep, point: Point) -> Run | None:
 
 
 #: one run at a time in a process of a cluster, whose threads share the compiled integrator
-_ONE: Final = threading.Lock()
+_ONE = threading.Lock()
 
 
 def point_files(

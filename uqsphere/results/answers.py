@@ -7,7 +7,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.results.types import Answer
 from uqsphere.uq import Estimate
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: columns of answers.csv and of `Run.answers`
-COLUMNS: Final = tuple(Answer.model_fields)
+COLUMNS = tuple(Answer.model_fields)
 
 
 class Answers:

@@ -12,33 +12,32 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
 
 from filelock import FileLock, Timeout
 
 from uqsphere.errors import AccessError, FolderError, as_text
 from uqsphere.results.types import Results
 
-SUMS: Final = "SHA256SUMS"
-RESULTS: Final = "results.json"
+SUMS = "SHA256SUMS"
+RESULTS = "results.json"
 #: files without a checksum
-UNLISTED: Final = {SUMS, ".lock", "log.txt", "cache.sqlite", "cache.sqlite-journal"}
+UNLISTED = {SUMS, ".lock", "log.txt", "cache.sqlite", "cache.sqlite-journal"}
 #: files that a run may have written; another folder is not written into
-OWN: Final = UNLISTED.union(
+OWN = UNLISTED.union(
     ("study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures"),
     ("history.csv", "gauges.csv"),
 )
 #: what `uqsphere history` may have written beside a run
-HISTORY: Final = {
+HISTORY = {
     "history.csv",
     "gauges.csv",
     *(f"figures/{name}.svg" for name in ("forces", "pressures", "gauges", "xt")),
 }
 #: what a folder begins with in which files wait until all are written
-PART: Final = ".part-"
-_AGAIN: Final = "Run the study again with --fresh"
+PART = ".part-"
+_AGAIN = "Run the study again with --fresh"
 #: bytes of a results.json that is read
-LARGEST: Final = 64 << 20
+LARGEST = 64 << 20
 
 
 @contextlib.contextmanager

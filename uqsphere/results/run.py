@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from uqsphere.uq.surrogate import Expansion
 
 #: rows that an expansion is fitted to at most
-MOST_FITTED: Final = 512
+MOST_FITTED = 512
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

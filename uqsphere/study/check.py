@@ -75,8 +75,11 @@ FORMS = {
 
 def resolve(draft: Draft, path: Path, text: str) -> Study:
     """The study of a draft that every stage has found in order."""
-    document, limits = draft.document, draft.limits.values()
-    analysis, gauges, rod = document.analysis, document.gauges, document.rod.gauge
+    document = draft.document
+    limits = draft.limits.values()
+    analysis = document.analysis
+    gauges = document.gauges
+    rod = document.rod.gauge
     if not analysis.quantities:
         usual: tuple[str, ...] = ("p_max", "contact_duration")
         if draft.box:
@@ -149,7 +152,8 @@ def tables(draft: Draft) -> Faults:
 
 def _rig(draft: Draft) -> Faults:
     """The tables of the rig."""
-    data, rig = draft.data, draft.rig
+    data = draft.data
+    rig = draft.rig
     if data.keys().isdisjoint(SCENE):
         raise Fault(
             "the study has neither a scene ([sphere], [bars], [striker]) nor a black box "
@@ -172,7 +176,8 @@ def _rig(draft: Draft) -> Faults:
 
 def _box(draft: Draft) -> Faults:
     """A black box has inputs and outputs, and no table of a scene."""
-    inputs, names = draft.document.inputs, draft.quantities
+    inputs = draft.document.inputs
+    names = draft.quantities
     scene = [name for name in (*SCENE, "model", "gauges") if name in draft.data]
     for name in scene:
         yield Fault(
@@ -204,7 +209,9 @@ def _library(draft: Draft) -> Faults:
     """Numbers that a material gives and the file does not, and the law of the contacts: plastic
     where study or library say at which pressure one yields, and the model can follow it.
     """
-    document, numbers, sources = draft.document, draft.numbers, draft.sources
+    document = draft.document
+    numbers = draft.numbers
+    sources = draft.sources
     known = "contact.onset_pressure" in numbers
     for table in SCENE:
         onset = "onset_pressure" if table == "sphere" else "yield_strength"
@@ -227,7 +234,8 @@ def _library(draft: Draft) -> Faults:
             continue
         if table != "insert":
             draft.materials[table] = name
-        properties, entries = materials[name].properties, numbers_of(table)
+        properties = materials[name].properties
+        entries = numbers_of(table)
         known |= onset in properties
         for key, entry in properties.items():
             path = getattr(entries.get(key), "name", None)
@@ -236,7 +244,8 @@ def _library(draft: Draft) -> Faults:
         E = properties.get("E")
         if E is not None and E.value < 1e8:
             draft.warn((table, "material"), f"{name} is not an elastic solid: {E.note}")
-    law, model = document.contact.law, document.model
+    law = document.contact.law
+    model = document.model
     follows = model.fidelity == "full" and not model.compare_with_paper
     draft.plastic = law == "plastic" or (law is None and known and follows)
     if not draft.plastic:
@@ -249,8 +258,11 @@ def _library(draft: Draft) -> Faults:
 
 def _words(draft: Draft) -> Faults:
     """Words that choose an equation, and defaults."""
-    document, numbers, options = draft.document, draft.numbers, draft.options
-    pulse, shape = document.pulse, str(document.pulse.shape)
+    document = draft.document
+    numbers = draft.numbers
+    options = draft.options
+    pulse = document.pulse
+    shape = str(document.pulse.shape)
     for table in {"target", "anvil"} & draft.data.keys():
         options[f"{table}.kind"] = getattr(document, table).kind
     if document.hammer.shape is not None:
@@ -294,7 +306,8 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
         options=draft.options,
     ) | {"model": draft.rig}
     for table in FORMS.keys() & draft.data.keys():
-        kind, entries = kinds.get(table, ""), numbers_of(table)
+        kind = kinds.get(table, "")
+        entries = numbers_of(table)
         of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
         present = {key for key, entry in entries.items() if entry.name in draft.numbers}
         for key in draft.data[table]:
@@ -327,7 +340,8 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
 
 def _model(draft: Draft) -> Faults:
     """Which models go with a rig."""
-    rig, model = RIGS[draft.rig], draft.document.model
+    rig = RIGS[draft.rig]
+    model = draft.document.model
     for key, word in (("fidelity", "linear"), ("compare_with_paper", True)):
         if rig.by_wave and draft.plastic and getattr(model, key) == word:
             yield Fault(
@@ -371,7 +385,9 @@ def _model(draft: Draft) -> Faults:
 
 def _scene(draft: Draft) -> Faults:
     """The scene of one row, and whether its numbers make faces that yield."""
-    numbers, options, model = draft.numbers, draft.options, draft.document.model
+    numbers = draft.numbers
+    options = draft.options
+    model = draft.document.model
     shape = options.get("pulse.shape")
     if shape == "step" and model.horizon is None:
         yield Fault(
@@ -436,10 +452,12 @@ def _scene(draft: Draft) -> Faults:
 
 def _pulse(draft: Draft) -> Faults:
     """Whether the bars cover the sphere, and the pulse is over before it comes back."""
-    scene, shape = draft.scene, str(draft.options.get("pulse.shape"))
+    scene = draft.scene
+    shape = str(draft.options.get("pulse.shape"))
     if scene is None or not scene.by_wave:
         return
-    across, bars = 2.0 * draft.mean("sphere.radius"), draft.mean("bars.diameter")
+    across = 2.0 * draft.mean("sphere.radius")
+    bars = draft.mean("bars.diameter")
     if across > bars:
         yield Fault(
             "the sphere diameter exceeds the bar diameter; bars.diameter must be at least "
@@ -464,7 +482,8 @@ def _pulse(draft: Draft) -> Faults:
                 "that of the bars, at most 9"
             )
         raise Fault(why, *place)
-    lasts, trip = scene.pulse.end[0], scene.round_trips[0, 0]
+    lasts = scene.pulse.end[0]
+    trip = scene.round_trips[0, 0]
     if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
         place = ("striker", "length")
         if "pulse.duration" in draft.numbers:
@@ -481,16 +500,21 @@ def _pulse(draft: Draft) -> Faults:
 
 def _gauges(draft: Draft) -> Faults:
     """Gauges stand on bars that there are."""
-    rod, rig = draft.document.rod.gauge, RIGS[draft.rig]
+    rod = draft.document.rod.gauge
+    rig = RIGS[draft.rig]
     places: list[tuple[Place, str, float]] = [
         (("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)
     ]
     if rod is not None:
         places.append((("rod", "gauge"), "rod", rod))
     for place, bar, position in places:
-        path, name, has_it = f"bars.{bar}_length", f"{bar} bar", rig.by_wave
+        path = f"bars.{bar}_length"
+        name = f"{bar} bar"
+        has_it = rig.by_wave
         if bar == "rod":
-            path, name, has_it = "rod.length", bar, bar in rig.tables
+            path = "rod.length"
+            name = bar
+            has_it = bar in rig.tables
         length = draft.mean(path)
         if not has_it:
             yield Fault(
@@ -499,7 +523,8 @@ def _gauges(draft: Draft) -> Faults:
                 "bar",
             )
         elif position > length:
-            here, end = format_value(position, path), format_value(length, path)
+            here = format_value(position, path)
+            end = format_value(length, path)
             yield Fault(
                 f"the distance from the sphere must be at most {end}, the length of the {name}, "
                 f"not {here}",
@@ -550,7 +575,8 @@ def _dependence(draft: Draft) -> None:
 
 def _margins(draft: Draft) -> Faults:
     """The free number, and that it can be moved from one end to the other."""
-    table, noun = draft.document.margins, "a number"
+    table = draft.document.margins
+    noun = "a number"
     if table is None:
         return
     if draft.box:
@@ -567,7 +593,9 @@ def _margins(draft: Draft) -> Faults:
             "solve",
         )
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
-    quantity, number, ends = strengths.get(solve, solve), draft.numbers[solve], []
+    quantity = strengths.get(solve, solve)
+    number = draft.numbers[solve]
+    ends = []
     entry = plain_quantity(quantity) if draft.box else lookup(quantity)
     if solve in strengths:
         entry = replace(entry, lower=0.0, meaning="the mean strength")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -488,7 +488,7 @@ _kinds = {
     name: _with_numbers(name, table_in(Words.model_fields[name].annotation)) for name in SCENE
 }
 _scene: dict[str, Any] = {name: (kind, kind.model_construct()) for name, kind in _kinds.items()}
-Document: Final = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
+Document = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
 
 
 # --- a study while it is read ---------------------------------------------------------------------

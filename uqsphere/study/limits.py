@@ -82,7 +82,8 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     with within("strength"):
         strength = _strength(draft, table, limit, (*place, "strength"))
     if limit.needs_modulus:
-        fitted, modulus = modulus_of(strength.value), limit.parameters.get("modulus")
+        fitted = modulus_of(strength.value)
+        modulus = limit.parameters.get("modulus")
         if fitted is None:
             if modulus is None:
                 raise Fault(
@@ -109,7 +110,8 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
 
 def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     """A limit without its strength; raises Fault."""
-    quantity, criterion = table.quantity, table.criterion
+    quantity = table.quantity
+    criterion = table.criterion
     if quantity is not None and quantity not in draft.quantities:
         raise Fault(unknown("quantity", quantity, draft.quantities), "quantity")
     if criterion is not None and draft.box:
@@ -151,7 +153,8 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
                     part,
                 )
         if entry.quantity and not parameters:
-            quantity, criterion = entry.quantity, None
+            quantity = entry.quantity
+            criterion = None
     compared = str(criterion or quantity)
     if _is_hertz(draft, table, compared) and draft.plastic:
         compared = "p_hertz"
@@ -172,7 +175,8 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
     """Whether a strength is a pressure by Hertz, which a yielding contact does not reach; raises
     Fault.
     """
-    meant, pressure = table.strength_is, compared in ("p_max", "first_peak")
+    meant = table.strength_is
+    pressure = compared in ("p_max", "first_peak")
     if meant and not pressure and (compared, meant) != ("p_hertz", "hertz"):
         raise Fault(
             f"strength_is is used only with p_max and first_peak, not with {compared}. Remove it",
@@ -226,7 +230,8 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     """The distribution of the strength from forces at failure, and the tests themselves; raises
     Fault.
     """
-    demand, kind = limit.criterion or limit.quantity, table.fit or "weibull"
+    demand = limit.criterion or limit.quantity
+    kind = table.fit or "weibull"
     if limit.criterion is None and not lookup(demand).follows:
         raise Fault(
             f"forces at failure do not determine {demand}. Use a criterion (uqsphere list "
@@ -238,11 +243,14 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     cells, rows, columns, stopped = values.observations(
         table, draft, force="force", diameter="length", rate="loading_rate"
     )
-    force, diameter, rate = columns["force"], columns["diameter"], columns.get("rate")
+    force = columns["force"]
+    diameter = columns["diameter"]
+    rate = columns.get("rate")
     tension = _warn_of_slips(table, cells, rows, columns, draft, place)
     values.warn_of_rows(cells, rows, tension, stopped, draft, place)
 
-    power, mean = _POWERS.get(demand, 2.0), float(diameter.mean())
+    power = _POWERS.get(demand, 2.0)
+    mean = float(diameter.mean())
     # flaws lie in the surface around a contact, or in the volume
     flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
@@ -380,7 +388,8 @@ def _warn_of_slips(
 
     Returns 0.9 P/D² [Pa] of every test (n,), that of a test of which a slip is told at the median.
     """
-    force, diameter = columns["force"], columns["diameter"]
+    force = columns["force"]
+    diameter = columns["diameter"]
     across, (low, high) = 2.0 * draft.mean("sphere.radius"), _usual_tension(draft)
 
     def is_usual(force: Array, diameter: Array) -> bool:
@@ -388,16 +397,21 @@ def _warn_of_slips(
         return bool(low <= typical <= high and 1 / 3 <= np.median(diameter) / across <= 3.0)
 
     def unit_of(key: str, dimension: str) -> float:
-        column, unit = getattr(table, key), getattr(table, f"{key}_unit")
+        column = getattr(table, key)
+        unit = getattr(table, f"{key}_unit")
         if unit is None and not column[:1].isdigit():
             unit = cells.unit_of(column, dimension)
         return UNITS[dimension].get(unit or "", math.nan)
 
-    newton, metre = unit_of("force", "force"), unit_of("diameter", "length")
+    newton = unit_of("force", "force")
+    metre = unit_of("diameter", "length")
     tension: Array = 0.9 * force / np.square(diameter)
-    typical, far = np.median(tension), np.abs(np.log(diameter / across)) > math.log(3.0)
+    typical = np.median(tension)
+    far = np.abs(np.log(diameter / across)) > math.log(3.0)
     slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
-    key, text, likely = "force", "", list[str]()
+    key = "force"
+    text = ""
+    likely = list[str]()
     if slips.any():
         first = int(np.argmax(slips))
         ratios = {
@@ -407,7 +421,8 @@ def _warn_of_slips(
         text = f"line {cells.lines[rows[first]]}: the {key} is {ratios[key]:,.4g} times the median"
         tension[slips] = typical
     elif far.any():
-        first, key = int(np.argmax(far)), "diameter"
+        first = int(np.argmax(far))
+        key = "diameter"
         text = (
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
             f"of three, the first is {1e3 * diameter[first]:.4g} mm"
@@ -463,7 +478,8 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
 
 def _radii(draft: Draft) -> tuple[float, ...]:
     """The mean radius of the sphere [m], and its 1 % and 99 % quantiles if it is random."""
-    law, mean = draft.numbers["sphere.radius"].value, draft.mean("sphere.radius")
+    law = draft.numbers["sphere.radius"].value
+    mean = draft.mean("sphere.radius")
     if not isinstance(law, Law):
         return (mean,)
     return (mean, *law.ppf([0.01, 0.99]).tolist())
@@ -481,7 +497,8 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     takes = 1.0
     for partner in reversed(draft.scene.there):
         if np.allclose(draft.elastic(partner.table), platens, rtol=1e-9):
-            face, takes = partner.face, float(partner.takes[0])
+            face = partner.face
+            takes = float(partner.takes[0])
     if draft.plastic and face is not None:
         law = [float(value[0]) for value in (face.onset, face.hardness, face.pile_up)]
         if np.isfinite(law).all():

@@ -62,16 +62,19 @@ def load_study(
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
     <Study 'Two tables': 1 random input, black box>
     """
-    tables, name = path, ""
+    tables = path
+    name = ""
     if isinstance(path, Mapping):
-        text, path = toml_text(path, law_table), "study.toml"
+        text = toml_text(path, law_table)
+        path = "study.toml"
     path = Path(path)
     if text is None:
         text = read_text(path)
     data = parse_text(text, path)
     overridden = [set_value(data, override) for override in overrides]
     if not isinstance(tables, Mapping):
-        tables, name = data, path.name
+        tables = data
+        name = path.name
     draft = Draft(
         folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs"))
     )

@@ -151,7 +151,8 @@ def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
 
 def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     """Warn of a strength, not of tests, more than a factor off the library's for the same mode."""
-    mode, law = FAILURE_MODES.get(failure_place(lookup(limit.quantity))), limit.strength
+    mode = FAILURE_MODES.get(failure_place(lookup(limit.quantity)))
+    law = limit.strength
     if mode is None or (isinstance(law, Law) and (law.data or law.draws)):
         return
     if lookup(limit.quantity).dimension != PROPERTIES[mode.strength]:
@@ -169,10 +170,12 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     """Warn where the contact of the tests is of another stiffness than that of the rig."""
-    tested, scene = limit.tested, draft.scene
+    tested = limit.tested
+    scene = draft.scene
     if tested is None or not tested.forces or scene is None or limit.quantity == "P_max":
         return
-    E, nu = draft.mean("sphere.E"), draft.mean("sphere.nu")
+    E = draft.mean("sphere.E")
+    nu = draft.mean("sphere.nu")
     tests = float(np.asarray(reduced_modulus(E, nu, *tested.platens)))
     rig = float(np.mean([partner.modulus[0] for partner in scene.there]))
     if abs(tests / rig - 1.0) > _STIFFER:

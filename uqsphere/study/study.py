@@ -167,7 +167,8 @@ class Study:
             from uqsphere.uq.foreign import of_salib
 
             tables = {key: table for key, table in tables.items() if table is not None}
-            outputs, inputs = tables.get("outputs"), tables.get("inputs")
+            outputs = tables.get("outputs")
+            inputs = tables.get("inputs")
             if isinstance(outputs, str):
                 outputs = [outputs]
             if isinstance(outputs, list | tuple):

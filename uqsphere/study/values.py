@@ -161,7 +161,8 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
-    kind, family = raw.get("dist"), None
+    kind = raw.get("dist")
+    family = None
     if kind is None:
         raise Fault(
             'a table of a number needs a distribution or a file. Add, for example, dist = "normal"'
@@ -201,7 +202,9 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails
     without a meaning.
     """
-    name, centre, ends = quantity.name, law.nominal_mean(), {"lower": law.lower, "upper": law.upper}
+    name = quantity.name
+    centre = law.nominal_mean()
+    ends = {"lower": law.lower, "upper": law.upper}
     if not quantity.allows(centre):
         raise Fault(
             f"the mean of the distribution is {format_value(centre, name)}, but "
@@ -226,7 +229,8 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
             f"the mean {format_value(mean, name)} lies {side} the bound "
             f"{format_value(ends[key], name)}: only a tail of the distribution is sampled",
         )
-    low, effect = quantity.lower, ""
+    low = quantity.lower
+    effect = ""
     if quantity.closed:
         low = float(np.nextafter(low, -np.inf))
     outside = float(law.cdf(low) + law.sf(quantity.upper))
@@ -364,7 +368,8 @@ def opened(
     """The table of a file in the study's folder; at the end all faults that were noted of it are
     one Fault.
     """
-    home, relative = draft.folder.resolve(), Path(name)
+    home = draft.folder.resolve()
+    relative = Path(name)
     if not name.isprintable():
         raise Fault(
             f"the file name {json.dumps(name)[:80]} has a control character: \\t in double quotes "
@@ -465,7 +470,8 @@ _DRAWN = {
 
 def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
-    kinds, columns = {"lognormal": LOGNORMAL, "weibull": WEIBULL}, {}
+    kinds = {"lognormal": LOGNORMAL, "weibull": WEIBULL}
+    columns = {}
     with opened(name, draft, "draws", table.decimal, table.sheet) as cells:
         words = cells.texts("distribution", "draws")
         cells.refuse(
@@ -487,7 +493,8 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
             ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0)),
         )
     draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
-    tested, first = None, {key: float(column[0]) for key, column in columns.items()}
+    tested = None
+    first = {key: float(column[0]) for key, column in columns.items()}
     if first["diameter"] > 0.0:
         sizes = first["smallest"], first["largest"]
         tested = Tested(
@@ -514,13 +521,15 @@ def observations(
     columns = {}
     with opened(str(table.file), draft, "file", table.decimal, table.sheet) as cells:
         for key, dimension in dimensions.items():
-            name, unit = getattr(table, key), getattr(table, f"{key}_unit", table.unit)
+            name = getattr(table, key)
+            unit = getattr(table, f"{key}_unit", table.unit)
             if key == "diameter" and name[:1].isdigit():
                 with within("diameter"):
                     columns[key] = np.full(len(cells), value_of(name, INPUTS["bars.diameter"]))
             elif name is not None:
                 columns[key] = cells.numbers(name, dimension, unit, key=key)
-        stopped, many = np.zeros(len(cells), dtype=bool), np.ones(len(cells))
+        stopped = np.zeros(len(cells), dtype=bool)
+        many = np.ones(len(cells))
         if table.censored is not None:
             stopped = cells.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
         if table.count is not None:
@@ -556,7 +565,8 @@ def fit(
             "file",
         )
     with _blamed("fit", "lower", "upper", otherwise="file"):
-        failures, censored = data[~stopped].tolist(), data[stopped].tolist()
+        failures = data[~stopped].tolist()
+        censored = data[stopped].tolist()
         if modulus is not None:
             return law_of_known_modulus(failures, kind, censored=censored, modulus=modulus)
         return fitted_law(failures, kind, *bounds, censored=censored, unbiased=table.unbiased)

@@ -23,7 +23,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from scipy.special import stdtrit
@@ -37,19 +36,19 @@ from uqsphere.uq.chaos.fit import constant_fit
 from uqsphere.uq.chaos.select import Order, folds_of, mean_and_sd
 from uqsphere.uq.estimate import count_bound, distances
 
-METHOD: Final = "polynomial chaos, corrected by its residuals"
+METHOD = "polynomial chaos, corrected by its residuals"
 #: folds that rows are split into: seven eighths of them fit each time, and twice 8 are the
 #: replicates of a table
-FOLDS: Final = 8
+FOLDS = 8
 #: largest share of the variance that expansions may leave and still stand for the distribution of
 #: the output.  Of a bivariate normal pair with half of the variance left, a prediction lies on the
 #: other side of a quantile as often as its output; a quarter leaves room for other pairs.
-MOST: Final = 0.25
+MOST = 0.25
 #: level at which a fold is contradicted, and points of the law at which its variance is looked at
-REJECTED: Final = 0.99
-LOOKED: Final = 1024
+REJECTED = 0.99
+LOOKED = 1024
 #: share of a variance that expansions of an exact polynomial differ by
-ROUNDING: Final = 1e-9
+ROUNDING = 1e-9
 
 
 def unseen(runs: int) -> str:
@@ -225,7 +224,8 @@ def cross_fit(
 def _fitted(points: Array, y: Array, germs: Sequence[GermLike], *, plain: bool) -> Response:
     """The response of outputs (n,), whose folds are all trusted as yet."""
     fold = folds_of(len(y), FOLDS)
-    fits, levels = [], np.empty(len(y))
+    fits = []
+    levels = np.empty(len(y))
     for k in range(FOLDS):
         left_out = fold == k
         fits.append(fit_chaos(points[~left_out], y[~left_out], germs, plain=plain))

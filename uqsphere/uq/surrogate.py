@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -439,7 +439,7 @@ def _stored(part: Any) -> Any:
 
 
 #: parts of an expansion by the name that its file has for them
-PARTS: Final[Mapping[str, Any]] = {
+PARTS: Mapping[str, Any] = {
     "array": lambda dtype, values: np.array(values, dtype=np.dtype(dtype)),
     "Family": family_of,
     "Germ": lambda law: germs_of([law])[0],

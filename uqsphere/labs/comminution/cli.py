@@ -33,13 +33,15 @@ def _run(chosen: argparse.Namespace) -> None:
     from uqsphere.labs.comminution.fit import UNTESTED, fit
     from uqsphere.labs.comminution.tests import load_tests
 
-    asked, folder = load_document(chosen.file, ComminutionDocument), chosen.file.parent
+    asked = load_document(chosen.file, ComminutionDocument)
+    folder = chosen.file.parent
     posterior, fitted = fit(load_tests(asked, folder), asked)
     low, high = posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
     content: dict[str, Any] = {**fitted, "strength_at": at}
     files = {"draws.csv": posterior.strength_csv(at), "fit.json": _json(content)}
-    text, warnings = _fit_text(content), [*fitted["warnings"]]
+    text = _fit_text(content)
+    warnings = [*fitted["warnings"]]
     if not low / UNTESTED <= at <= high * UNTESTED:
         extrapolation = f"an extrapolation by the size law {fitted['size']!r}"
         if fitted["size"] == "class":
@@ -50,7 +52,8 @@ def _run(chosen: argparse.Namespace) -> None:
         )
     if chosen.command == "feed":
         answer = answer_feed(posterior, asked, folder).content
-        content, text = {"fit": content, "feed": answer}, _feed_text(answer)
+        content = {"fit": content, "feed": answer}
+        text = _feed_text(answer)
         warnings += answer["warnings"]
         files["feed.json"] = _json(answer)
         rows = [

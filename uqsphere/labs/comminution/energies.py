@@ -39,7 +39,9 @@ def particle_energies(
     asked: ComminutionDocument, table: Table, diameter: Array, rig: Cells
 ) -> tuple[Array, list[str]]:
     """The particle's own energy per mass [J/kg] of every row, and notes."""
-    want, material, notes = asked.tests, asked.material, list[str]()
+    want = asked.tests
+    material = asked.material
+    notes = list[str]()
     if want.mass:
         mass = table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
     elif material.density is not None:
@@ -109,7 +111,8 @@ def offered_shares(
     elastic = np.full(len(energy), laws.particle_share(stiffness(particle), stiffness(partner)))
     if particle.density is None or partner.density is None:
         return elastic, []
-    sphere, other = _table(particle, "sphere"), _table(partner, "plates", "bars")
+    sphere = _table(particle, "sphere")
+    other = _table(partner, "plates", "bars")
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
     tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
     if asked.contact_law is not None:

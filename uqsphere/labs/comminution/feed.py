@@ -88,14 +88,17 @@ def _sieves(
     asked: SizesTable, folder: Path, notes: list[str]
 ) -> tuple[Callable[[Array], Array], float]:
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
-    table, column = read_table(folder / asked.file), asked.passing
+    table = read_table(folder / asked.file)
+    column = asked.passing
     sieve = table.numbers(asked.sieve, "length", asked.sieve_unit or None)
     share = table.numbers(column)
     table.finish()
     order = np.argsort(sieve)
-    sieve, share = sieve[order], share[order]
+    sieve = sieve[order]
+    share = share[order]
     # a heading says whether it is in percent
-    heading, largest = table.headings[table.place(column)].lower(), share[-1]
+    heading = table.headings[table.place(column)].lower()
+    largest = share[-1]
     percent = any(word in heading for word in ("%", "percent", "pct"))
     if percent and largest <= 1.0:
         raise UsageError(
@@ -112,9 +115,11 @@ def _sieves(
             f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
             "up to 100 %"
         )
-    left, top = 1.0 - share[-1], asked.top or sieve[-1]
+    left = 1.0 - share[-1]
+    top = asked.top or sieve[-1]
     if top > sieve[-1] * (1.0 + 1e-9):
-        sieve, share = np.append(sieve, top), np.append(share, 1.0)
+        sieve = np.append(sieve, top)
+        share = np.append(share, 1.0)
         if left > 1e-4:
             notes.append(
                 f"{left:.3g} of the mass is between the coarsest sieve and top: it is interpolated"
@@ -169,7 +174,9 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
 
     Raises UsageError for a missing or impossible [feed].
     """
-    feed, density, product = asked.feed, asked.material.density, asked.product
+    feed = asked.feed
+    density = asked.material.density
+    product = asked.product
     if feed is None:
         raise UsageError("the input file has no table [feed]")
     if feed.rebreak and product is None:
@@ -177,11 +184,16 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     if density is None:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
-    posterior, rng = posterior.thin(DRAWS), np.random.default_rng([asked.seed, 739])
-    sizes, mass, edges = classes.sizes, classes.mass, classes.edges
+    posterior = posterior.thin(DRAWS)
+    rng = np.random.default_rng([asked.seed, 739])
+    sizes = classes.sizes
+    mass = classes.mass
+    edges = classes.edges
     # energy of one blow per mass [J/kg], offered and absorbed by a particle
     each: Array = laws.mass_of(sizes, density)
-    offered, share, notes = (feed.energy or 0.0) / each, np.ones(len(sizes)), list[str]()
+    offered = (feed.energy or 0.0) / each
+    share = np.ones(len(sizes))
+    notes = list[str]()
     if feed.specific_energy is not None:
         offered = np.full(len(sizes), feed.specific_energy)
     if feed.speed is not None:
@@ -202,7 +214,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     lower = np.append(edges[1:], 1e-6 * edges[-1])
     unbroken = np.clip(np.log(sieves[:, None] / lower) / np.log(edges / lower), 0.0, 1.0)
     unbroken[:, -1] = np.clip(sieves / edges[-1], 0.0, 1.0)
-    before, spread = unbroken @ mass, None
+    before = unbroken @ mass
+    spread = None
     if product is not None:
         fineness = laws.t10(offered, product.A, product.b)
         alpha = np.full(1, product.alpha)
@@ -222,7 +235,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         "blows": struck @ hit,
         "energy [J/kg]": struck @ (hit * taken),
     }
-    passing, passes = np.full((len(broke), len(sieves)), np.nan), list[dict[str, float]]()
+    passing = np.full((len(broke), len(sieves)), np.nan)
+    passes = list[dict[str, float]]()
     if product is not None:
         passing = whole @ unbroken.T
         if not feed.rebreak:
@@ -232,7 +246,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             passes.append({"sieve": sieve, "feed": before[k], **quantiles(passing[:, k])})
         all_broke = np.maximum(broke.sum(axis=1), 1e-300)
         numbers["t10"] = (broke * fineness).sum(axis=1) / all_broke
-        log_sieves, rows = np.log(sieves), [*passing, before]
+        log_sieves = np.log(sieves)
+        rows = [*passing, before]
         p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
         p50 = np.exp([np.interp(0.5, row, log_sieves) for row in rows])
         numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50[:-1], "F80/P80": p80[-1] / p80[:-1]}
@@ -291,7 +306,9 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     if feed.lot is not None:
         # so many particles of each class, which break or not
         count = np.maximum(np.round(mass * feed.lot / each), 0.0)
-        few, many, drawn = count < 1e8, np.maximum(count, 1.0), broken.copy()
+        few = count < 1e8
+        many = np.maximum(count, 1.0)
+        drawn = broken.copy()
         chance = np.clip(drawn[:, few], 0.0, 1.0)
         drawn[:, few] = rng.binomial(many[few].astype(np.int64), chance) / many[few]
         lots = drawn @ mass
@@ -313,9 +330,12 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
     spread (D or 1, K, K) : share of the fragments of class k that are of class j, at [:, j, k].
         Fragments are fresh particles for the remaining blows; with None they leave the machine.
     """
-    rest, breaks = 1.0 - cumulative, np.diff(cumulative, axis=2)
-    blows, fresh = breaks.shape[2], [np.broadcast_to(mass, cumulative.shape[:2])]
-    struck, broken = np.zeros(cumulative.shape[:2]), np.zeros(cumulative.shape[:2])
+    rest = 1.0 - cumulative
+    breaks = np.diff(cumulative, axis=2)
+    blows = breaks.shape[2]
+    fresh = [np.broadcast_to(mass, cumulative.shape[:2])]
+    struck = np.zeros(cumulative.shape[:2])
+    broken = np.zeros(cumulative.shape[:2])
     for k in range(blows):
         struck += sum(f * rest[:, :, k - j] for j, f in enumerate(fresh))
         now = np.asarray(sum(f * breaks[:, :, k - j] for j, f in enumerate(fresh)))

@@ -61,7 +61,8 @@ class EnergyModel:
     def median(self, p: Mapping[str, Values], diameter: Values) -> Values:
         """E50 [J/kg] of parameters (not logarithms) at diameters; they broadcast."""
         if self.size != "class":
-            lead, phi = laws.SIZES[self.size][0], p["phi"]
+            lead = laws.SIZES[self.size][0]
+            phi = p["phi"]
             return laws.median_energy(self.size, diameter, p[lead], phi, p.get("d0", math.nan))
         away = np.abs(np.log(diameter[..., None] / np.array(self.classes)))
         each = [np.atleast_1d(p[f"e50_{k + 1}"]) for k in range(len(self.classes))]
@@ -117,7 +118,8 @@ class Posterior:
         for k, model in enumerate(self.models):
             rows = np.flatnonzero(self.law == k)
             p = {name: self.parameters[name][rows, None] for name in model.priors}
-            median, shape = model.median(p, diameter), p[laws.LAWS[model.law]]
+            median = model.median(p, diameter)
+            shape = p[laws.LAWS[model.law]]
             answers[rows] = function(model.law, values[rows], median, shape, model.ratio)
         return answers
 
@@ -167,7 +169,8 @@ def log_likelihoods(
 
     gamma : the damage exponent, None where it is one of the parameters.
     """
-    exact, names = tests.exact & tests.broke, [*model.priors]
+    exact = tests.exact & tests.broke
+    names = [*model.priors]
     fitted = gamma is None and bool(tests.repeated.any())
     nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
     every = [*tests.bounds(nodes)]
@@ -192,7 +195,8 @@ def log_likelihoods(
 
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
-        median, shape = model.median(p, tests.diameter), p[laws.LAWS[model.law]]
+        median = model.median(p, tests.diameter)
+        shape = p[laws.LAWS[model.law]]
         low, high = bounds(x)
         likelihood = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -212,10 +216,15 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
 
     Tests of one size have a flat prior of the scatter, which makes the intervals exact.
     """
-    want, sizes, shape = asked.tests, tests.sizes, laws.LAWS[law]
-    several, size, classes = len(sizes) > 1, want.size, tuple[float, ...]()
+    want = asked.tests
+    sizes = tests.sizes
+    shape = laws.LAWS[law]
+    several = len(sizes) > 1
+    size = want.size
+    classes = tuple[float, ...]()
     if not several or size == "class":
-        size, classes = "class", sizes
+        size = "class"
+        classes = sizes
         priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
         largest = tests.diameter >= 0.75 * tests.diameter.max()
@@ -263,8 +272,13 @@ def sample(
     begin = tried[np.argmax(value(tried))]
     near = minimize(loss, begin, method="Nelder-Mead", options={"maxiter": 4000}).x
     best = minimize(loss, near, method="BFGS")
-    middle, covariance, d, n = best.x, np.asarray(best.hess_inv), len(best.x), 1 << 12
-    points, logs, effective = np.empty((0, d)), np.empty(0), 0.0
+    middle = best.x
+    covariance = np.asarray(best.hess_inv)
+    d = len(best.x)
+    n = 1 << 12
+    points = np.empty((0, d))
+    logs = np.empty(0)
+    effective = 0.0
     for turn in range(_ADAPTING + _MOST):
         root = np.linalg.cholesky(covariance + 1e-12 * np.eye(d))
         z = rng.standard_normal((n, d)) * np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, (n, 1)))
@@ -277,7 +291,8 @@ def sample(
             middle = np.average(x, axis=0, weights=weight)
             covariance = np.atleast_2d(np.cov(x.T, aweights=weight))
             continue
-        points, logs = np.concatenate([points, x]), np.concatenate([logs, log])
+        points = np.concatenate([points, x])
+        logs = np.concatenate([logs, log])
         weight = np.exp(logs - logs.max())
         effective = float(weight.sum() ** 2 / np.square(weight).sum())
         if effective > max(draws, EFFECTIVE):
@@ -303,7 +318,8 @@ def _shows_scatter(tests: Specimens) -> bool:
         return True
     for size in tests.sizes:
         near = _at_size(tests, size)
-        survived, broken = tests.last[near & ~tests.broke], tests.last[near & tests.broke]
+        survived = tests.last[near & ~tests.broke]
+        broken = tests.last[near & tests.broke]
         if survived.max(initial=0.0) >= broken.min(initial=np.inf):
             return True
     return False
@@ -324,7 +340,8 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         )
     gamma = want.gamma if isinstance(want.gamma, float) else None
     models = [model_of(law, asked, tests) for law in laws.LAWS if want.law in (law, "average")]
-    chains, about = list[Array](), dict[str, dict[str, Any]]()
+    chains = list[Array]()
+    about = dict[str, dict[str, Any]]()
     for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
         draws, each, log_likelihood, effective = sample(model, tests, gamma, rng, asked.draws)
@@ -385,12 +402,14 @@ def _described(
     asked: ComminutionDocument,
 ) -> dict[str, Any]:
     """A fit as plain JSON."""
-    want, warnings = asked.tests, [*tests.notes]
+    want = asked.tests
+    warnings = [*tests.notes]
     priors = {name: prior for model in posterior.models for name, prior in model.priors.items()}
     parameters = {}
     for name, values in posterior.parameters.items():
         prior_sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
-        flat, sd = math.isinf(prior_sd), np.nanstd(np.log(values))
+        flat = math.isinf(prior_sd)
+        sd = np.nanstd(np.log(values))
         parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
         if name in priors and not flat and sd > 0.7 * prior_sd:
             warnings.append(f"the tests do not determine {name}: its posterior follows the prior")

@@ -84,7 +84,8 @@ def log_density(
     if law == "weibull":
         exponent = hazard(energy, median, shape)
         return np.asarray(np.log(0.6 * shape * exponent / energy) - exponent)
-    z, top = standard(energy, median, shape, ratio), ratio * median
+    z = standard(energy, median, shape, ratio)
+    top = ratio * median
     density = -0.5 * z * z - np.log(shape * math.sqrt(2.0 * math.pi) * energy)
     return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
 
@@ -97,7 +98,8 @@ def log_between(
 
     if law == "weibull":
         low, high = (hazard(end, median, shape) for end in ends)
-        larger, gap = -low, high - low
+        larger = -low
+        gap = high - low
     else:
         low, high = (standard(end, median, shape, ratio) for end in ends)
         # the normal distribution is even: both ends in the lower tail
@@ -131,17 +133,20 @@ def before_blow(left: Values, gamma: Values) -> Array:
     2.0
     """
     left, g = np.broadcast_arrays(left, gamma)
-    low, high = np.full(left.shape, -150.0), np.full(left.shape, 700.0)
+    low = np.full(left.shape, -150.0)
+    high = np.full(left.shape, 700.0)
     with np.errstate(over="ignore", divide="ignore", under="ignore"):
         wanted = np.log(np.maximum(left, 1e-300))
         for _ in range(70):
             t = 0.5 * (low + high)
-            whole, log_d = -np.logaddexp(0.0, t), -np.logaddexp(0.0, -t)
+            whole = -np.logaddexp(0.0, t)
+            log_d = -np.logaddexp(0.0, -t)
             log_share = (2.5 / g) * log_d + np.log(
                 (2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g)
             )
             more = whole - log_share > wanted
-            low, high = np.where(more, t, low), np.where(more, high, t)
+            low = np.where(more, t, low)
+            high = np.where(more, high, t)
         return np.where(left > 0.0, np.exp(-log_share), 1.0)
 
 

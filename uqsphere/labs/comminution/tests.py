@@ -134,7 +134,8 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         rows_of.setdefault(name, []).append(row)
     specimens = []
     for rows in rows_of.values():
-        last, early = rows[-1], [row for row in rows[:-1] if broken[row] > 0]
+        last = rows[-1]
+        early = [row for row in rows[:-1] if broken[row] > 0]
         if early:
             raise UsageError(
                 f"{table.name}: line {table.lines[early[0]]}: a specimen is hit again after it "
@@ -180,8 +181,10 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     """A note on rows 5 robust deviations from a line of ln e over ln d."""
     if len(table) < 8:
         return []
-    x, y = np.log(diameter), np.log(energy)
-    slope, middle = 0.0, np.median(y)
+    x = np.log(diameter)
+    y = np.log(energy)
+    slope = 0.0
+    middle = np.median(y)
     if np.ptp(x) > 0.05:
         slope, middle = np.polyfit(x, y, 1)
     left = y - middle - slope * x

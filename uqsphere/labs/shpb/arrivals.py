@@ -56,11 +56,14 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
 
     Raises UsageError for exchanged columns, and for arrivals that fit another wave speed.
     """
-    wave, receiving, step = record.incident.wave, record.receiving, record.step
+    wave = record.incident.wave
+    receiving = record.receiving
+    step = record.step
     if document.record.aligned:
         reflected = record.reflected.wave.start - wave.start
         return Arrivals(reflected, receiving.wave.start - wave.start)
-    bar, behind = document.incident_bar, document.receiving_bar
+    bar = document.incident_bar
+    behind = document.receiving_bar
     passage = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed
     predicted = (2.0 * bar.gauge / bar.wave_speed / step, passage / step)
     back, there = _delays(record, predicted, *_SURE)
@@ -92,7 +95,8 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
             doubt_a = doubt_a or doubt_b
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
         return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
-    arrivals, names = list[float](), (record.reflected.name, receiving.name)
+    arrivals = list[float]()
+    names = (record.reflected.name, receiving.name)
     for name, delay in zip(names, _delays(record, predicted, *_FINE), strict=True):
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
@@ -117,10 +121,14 @@ def _delays(
         """The strain at which a wave is there: a share of its peak, or above its noise."""
         return max(share * signal.wave.peak, 5.0 * signal.noise / math.sqrt(width))
 
-    incident, receiving, wave = record.incident, record.receiving, record.incident.wave
-    pressing, high = -smooth(incident.strain, width), level(incident)
+    incident = record.incident
+    receiving = record.receiving
+    wave = record.incident.wave
+    pressing = -smooth(incident.strain, width)
+    high = level(incident)
     first = _crossing(pressing, high, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
-    size, begin = np.abs(smooth(record.reflected.strain, width)), 0
+    size = np.abs(smooth(record.reflected.strain, width))
+    begin = 0
     if record.shared:
         # the first excursion of either sign behind the end of the incident wave
         low = np.flatnonzero(pressing[wave.falling :] < high)

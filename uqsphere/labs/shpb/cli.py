@@ -30,8 +30,11 @@ def _records(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.mending import load_record
     from uqsphere.labs.shpb.waves import read_test
 
-    several, refused = len(chosen.file) > 1, 0
-    lines, texts, files = list[tuple[str, ...]](), [], dict[str, str]()
+    several = len(chosen.file) > 1
+    refused = 0
+    lines = list[tuple[str, ...]]()
+    texts = []
+    files = dict[str, str]()
     contents: list[dict[str, object]] = []
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
@@ -50,7 +53,8 @@ def _records(chosen: argparse.Namespace) -> int:
                 print(f"{path.name}: {change.step}: {change.text}", file=sys.stderr)
         contents.append({"file": str(path), "title": asked.title, **sheet.document(test)})
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
-        peak, diameter = test.peaks["B"], ""
+        peak = test.peaks["B"]
+        diameter = ""
         if asked.specimen.diameter is not None:
             diameter = f"{asked.specimen.diameter * 1e3:.6g}"
         forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]

@@ -113,7 +113,8 @@ class ContactFit:
             "reduced modulus E*": self.modulus,
             "E of the sphere": self.sphere_modulus,
         }
-        pile_up, misfit = self.pile_up, f"{self.misfit * 1e6:.2g} um"
+        pile_up = self.pile_up
+        misfit = f"{self.misfit * 1e6:.2g} um"
         ends = f"{pile_up.low:.4g} to {pile_up.high:.4g}"
         return [
             *((name, *number.in_gpa()) for name, number in moduli.items() if number is not None),
@@ -145,7 +146,8 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
     force = table.numbers(asked.force, "force", asked.force_unit or None, key="force")
     table.check()
     if asked.compression == "negative":
-        displacement, force = -displacement, -force
+        displacement = -displacement
+        force = -force
     if asked.machine_stiffness is not None:
         displacement = displacement - force / asked.machine_stiffness
     top = np.argmax(force)
@@ -191,7 +193,8 @@ def face_law(radius: float, modulus: float, onset: float, hardness: float, pile_
 
 def face_approach(force: Array, largest: Array, face: Face) -> Array:
     """Approach of a face [m] at forces [N], given the largest force so far [N], (n,)."""
-    depth, below = face.depth_at(force), force < largest * (1.0 - 1e-12)
+    depth = face.depth_at(force)
+    below = force < largest * (1.0 - 1e-12)
     deepest = face.depth_at(largest[below])
     share = np.cbrt(np.square(np.maximum(force[below], 0.0) / largest[below]))
     depth[below] = deepest - face.recovery(deepest) * (1.0 - share)
@@ -204,7 +207,9 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     Raises UsageError for a record that is elastic throughout, or that no law fits.
     """
     displacement, force, largest, _ = loading
-    scale, highest, radius = np.ptp(displacement), force.max(), 0.5 * asked.diameter
+    scale = np.ptp(displacement)
+    highest = force.max()
+    radius = 0.5 * asked.diameter
 
     def numbers(x: Array) -> tuple[float, float, float, float]:
         """E*, onset, hardness and pile-up of logarithms of E*, onset and H/p_y, of the touch, and
@@ -220,14 +225,18 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     fits = []
     for share in _BEGINNINGS:
         early = (force <= max(0.15, share) * highest) & (force >= largest)
-        slope, touch = 0.0, 0.0
+        slope = 0.0
+        touch = 0.0
         if early.sum() > 3:
             slope, touch = np.polyfit(np.cbrt(np.square(force[early])), displacement[early], 1)
         if not slope > 0.0:
-            slope, touch = scale / np.cbrt(highest**2), displacement.min()
+            slope = scale / np.cbrt(highest**2)
+            touch = displacement.min()
         modulus = (2.0 / slope) ** 1.5 / hertz_constant(1.0, radius)
         onset = pressure_at_force(share * highest, modulus, radius)
-        start, reach, ratio = np.log([modulus, onset]), np.array([3.0, 5.0]), np.log(_RATIO)
+        start = np.log([modulus, onset])
+        reach = np.array([3.0, 5.0])
+        ratio = np.log(_RATIO)
         low = [*(start - reach), ratio[0], -3.0, _PILE_UP[0]]
         high = [*(start + reach), ratio[1], 3.0, _PILE_UP[1]]
         begin = np.clip([*start, math.log(2.0), touch / scale, 2.0], low, high)
@@ -259,7 +268,8 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
         factor = math.exp(reach_of(*weights))
         return Fitted(value, value / factor, value * factor)
 
-    fitted_modulus, fitted_onset = interval(modulus, 1.0), interval(onset, 0.0, 1.0)
+    fitted_modulus = interval(modulus, 1.0)
+    fitted_onset = interval(onset, 0.0, 1.0)
     fitted_hardness = interval(hardness, 0.0, 1.0, 1.0)
     misfit = np.sqrt(np.mean(np.square(left)))
     undetermined = fitted_onset.high > _OPEN * fitted_onset.low
@@ -284,7 +294,8 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     half = reach_of(0.0, 0.0, 0.0, 0.0, 1.0) if asked.pile_up is None else 0.0
     ends = (max(pile_up - half, _PILE_UP[0]), min(pile_up + half, _PILE_UP[1]))
     # E of the sphere: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p
-    soft, sphere_modulus = 0.0, None
+    soft = 0.0
+    sphere_modulus = None
     if asked.platens != "rigid":
         materials = {**library()["bars"], **library()["plates"]}
         if asked.platens not in materials:

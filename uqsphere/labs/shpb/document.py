@@ -162,7 +162,8 @@ class RecordDocument(Section):
         """Complete the receiving bar by the incident one, and materials by their numbers."""
         if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
             return data
-        incident, given = data["incident_bar"], data.get("receiving_bar", {})
+        incident = data["incident_bar"]
+        given = data.get("receiving_bar", {})
         shared = from_library(
             {key: value for key, value in incident.items() if key != "gauge"}, "bars"
         )

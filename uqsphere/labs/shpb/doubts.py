@@ -101,7 +101,8 @@ def check_impulse(
     first, last = stretch(faces.force_b, 0.5 * largest.value, at)
     if last - first <= 2:
         return None
-    force_a, force_b = faces.force_a[first:last], faces.force_b[first:last]
+    force_a = faces.force_a[first:last]
+    force_b = faces.force_b[first:last]
     known = np.isfinite(force_a)
     plain = float(force_a[known].sum() / max(force_b[known].sum(), 1e-300)) - 1.0
     allowed = NORMAL * (gains_sd + zeros_sd / largest.value)
@@ -138,7 +139,8 @@ def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float
     fitted = np.linalg.lstsq(columns / scale, difference, rcond=None)[0] / scale
     mass = min(max(fitted[0], 0.0), heaviest)
     # the other two given this mass
-    rest, others = difference - mass * way, columns[:, 1:] / scale[1:]
+    rest = difference - mass * way
+    others = columns[:, 1:] / scale[1:]
     stiffness, gain = np.linalg.lstsq(others, rest, rcond=None)[0] / scale[1:]
     misfit = np.abs(rest + stiffness * approaches - gain * impulses).max() / np.abs(impulses).max()
     # no specimen moves faster than a ball that the faster face hits
@@ -157,7 +159,8 @@ def check_specimen(
 
     Returns a note on a specimen that is not in equilibrium.
     """
-    strongest, before = document.specimen.strongest, dict(peaks)
+    strongest = document.specimen.strongest
+    before = dict(peaks)
     for face, peak in before.items():
         if peak.low > 2.0 * pressed:
             text = (
@@ -173,7 +176,8 @@ def check_specimen(
             peaks.doubt([face], text, strongest)
     if "A" not in before:
         return []
-    a, b = before["A"], before["B"]
+    a = before["A"]
+    b = before["B"]
     both = f"A {a.value * 1e-3:.4g}, B {b.value * 1e-3:.4g} kN"
     apart = abs(a.value - b.value) / max(a.value, b.value)
     differ = a.low > b.high or b.low > a.high or apart > _APART

@@ -111,8 +111,10 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     Raises UsageError for columns, units or a clock that cannot be, for a pulse longer than any
         striker gives, and for a signal without a wave or a rest.
     """
-    changes, asked = Changes(), document.record
-    bar, behind = document.incident_bar, document.receiving_bar
+    changes = Changes()
+    asked = document.record
+    bar = document.incident_bar
+    behind = document.receiving_bar
     start, step, traces = read_traces(document, folder, changes)
     for role, gauges in traces.items():
         traces[role] = [_without_faults(trace, step, changes) for trace in gauges]
@@ -140,7 +142,9 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     signals: dict[str, Signal] = {}
     pressing = 0.0  # sign of the incident wave in the file
     for role, gauges in traces.items():
-        end, turned, names = 0, list[Signal](), list[str]()
+        end = 0
+        turned = list[Signal]()
+        names = list[str]()
         if role == "receiving":
             end = max(min(stay.first - 2 * stay.rising for stay in stays), 0)
         for trace in gauges:
@@ -215,7 +219,8 @@ def _first_stay(values: Array, step: float, share: float, name: str) -> _Stay:
     if lengths.max(initial=0) < 3:
         raise UsageError(f"{name}: no wave rises above the noise before it")
     chosen = np.argmax(lengths >= max(3.0, _LASTS * lengths.max()))
-    first, last = begins[chosen], int(begins[chosen] + lengths[chosen]) - 1
+    first = begins[chosen]
+    last = int(begins[chosen] + lengths[chosen]) - 1
     upward = math.copysign(1.0, smoothed[first]) * smoothed
     top = upward[first : last + 1].max()
     foot = np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0)
@@ -262,7 +267,8 @@ def _without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
     for _ in range(3):  # a large spike hides smaller ones
         spikes = _spikes(values, longest)
         for first, last, _size in spikes:
-            inside, ends = np.arange(first, last + 1), [first - 1, last + 1]
+            inside = np.arange(first, last + 1)
+            ends = [first - 1, last + 1]
             values[inside] = np.interp(inside, ends, values[ends])
         removed += spikes
         if not spikes:
@@ -342,7 +348,8 @@ def _line(quiet: Array, place: Array) -> tuple[float, float, float, float]:
     squares = np.square(about).sum()
     slope = (about * (quiet - quiet.mean())).sum() / squares
     left = quiet - quiet.mean() - slope * about
-    noise, memory = left.std(ddof=2), 1.0
+    noise = left.std(ddof=2)
+    memory = 1.0
     if noise <= 1e-12 * np.abs(quiet).max():  # rounding is not noise
         return slope, 1e-6 * abs(slope), 0.0, memory
     for lag in range(1, min(len(left) // 4, 200)):
@@ -361,7 +368,9 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
 
     Raises UsageError for a gauge without a wave or a rest.
     """
-    name, values, places = trace.name, trace.strain, np.arange(len(trace.strain), dtype=float)
+    name = trace.name
+    values = trace.strain
+    places = np.arange(len(trace.strain), dtype=float)
     seen = slice(int(min(limit, len(values))))
     wave = _first_wave((values - _rest_of(values))[seen], step, 0.0, name)
     early = max(wave.half - 3 * wave.rising, end)
@@ -391,7 +400,8 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
         changes.add("baseline", name, "taken from the end of the record")
         wave = _first_wave(values - mean, step, 0.0, name)
-    quiet, place = values[rest], places[rest]
+    quiet = values[rest]
+    place = places[rest]
     away = np.abs(quiet - np.median(quiet))
     burst = away > max(_ODD * _ROBUST * np.median(away), 0.02 * wave.peak)
     if 0 < burst.sum() < len(quiet) // 3:
@@ -400,9 +410,11 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
             "microstrain, are left out of the rest"
         )
         changes.add("baseline", name, text, away.max())
-        quiet, place = quiet[~burst], place[~burst]
+        quiet = quiet[~burst]
+        place = place[~burst]
     slope, slope_sd, noise, memory = _line(quiet, place)
-    mean, middle = quiet.mean(), place.mean()
+    mean = quiet.mean()
+    middle = place.mean()
     offset = noise * math.sqrt(min(1.0, memory / len(quiet)))
     if abs(mean) > 0.005 * wave.peak:
         text = (
@@ -410,7 +422,8 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
             f"({abs(mean) / wave.peak:.1%} of the wave)"
         )
         changes.add("baseline", name, text, mean)
-    zero, reach = np.full(len(values), mean), wave.end - middle
+    zero = np.full(len(values), mean)
+    reach = wave.end - middle
     drift = slope * reach
     if abs(slope) > 5.0 * slope_sd and abs(drift) > 0.01 * wave.peak:
         zero += slope * (places - middle)

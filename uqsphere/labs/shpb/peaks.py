@@ -104,14 +104,16 @@ def largest_force(course: Force) -> Peak:
     """The largest force of a record with its 95 % interval and doubts."""
     medians = course.medians(5)
     highest = int(np.argmax(medians))
-    level, single = float(medians[highest]), float(course.force.max())
+    level = float(medians[highest])
+    single = float(course.force.max())
     first, behind = stretch(medians, 0.8 * level, highest)
     count = behind - first
     width = min(max(5, 2 * (count // 6) + 1), course.most)
     top = _flat_top(course, count, width) or _pointed_top(course, level, width)
     systematic = max(course.sd[top.at] ** 2 - course.noise**2, 0.0)
     half = NORMAL * math.sqrt(systematic + top.scatter**2)
-    high, doubts = top.high + half, []
+    high = top.high + half
+    doubts = []
     if single > top.value + 5.0 * course.noise + 0.05 * top.value:
         doubts.append(
             f"isolated samples reach {single * 1e-3:.4g} kN but their neighbours do not (spike?)"
@@ -130,7 +132,8 @@ def largest_force(course: Force) -> Peak:
 def stretch(values: Array, level: float, at: int) -> tuple[int, int]:
     """First sample, and the sample behind the last, of the stretch around `at` above a level."""
     low = np.flatnonzero(values < level)
-    before, behind = low[low < at], low[low > at]
+    before = low[low < at]
+    behind = low[low > at]
     return before.max(initial=-1) + 1, behind.min(initial=len(values))
 
 
@@ -146,7 +149,8 @@ def _pointed_top(course: Force, level: float, width: int) -> _Top:
     samples = max(3, 2 * int(min(wanted, 1e9) // 2) + 1)
     samples = min(samples, max(3, 2 * (width // 6) + 1))
     means = course.means(samples)
-    at, highest = int(np.argmax(means)), means.max()
+    at = int(np.argmax(means))
+    highest = means.max()
     missed = max(highest - float(course.means(2 * samples + 1).max()), 0.0)
     # the largest of m equal means exceeds them by luck (Blom)
     scatter = course.scatter(samples)

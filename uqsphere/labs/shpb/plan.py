@@ -90,7 +90,8 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         analysis=study.analysis.model_copy(update=counted),
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
-    shares, reached = dict[str, Any](), dict[str, list[dict[str, Any]]]()
+    shares = dict[str, Any]()
+    reached = dict[str, list[dict[str, Any]]]()
     for name, curve in curves.limits.items():
         shares[name], reached[name] = np.array(curve.curve)[:, 1:].tolist(), []
         for share, at in curve.values.items():
@@ -158,14 +159,16 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     """The free number and its ends [SI]: of the file, of the study's margins, or a third to three
     times its value.
     """
-    numbers, margins = study.at_means(), study.margins
+    numbers = study.at_means()
+    margins = study.margins
     solved = margins.solve if margins is not None else ""
     free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
     if free not in numbers:
         raise UsageError(
             f"free must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}"
         )
-    low, high = numbers[free] / 3.0, 3.0 * numbers[free]
+    low = numbers[free] / 3.0
+    high = 3.0 * numbers[free]
     if asked.between is not None:
         try:
             low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)

@@ -136,7 +136,8 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
 
 def _form_of(lines: dict[int, str], written: str, name: str) -> _Form:
     """The columns that contain numbers, with words in less than half of the rows."""
-    divider, mark = written[0], written[1]
+    divider = written[0]
+    mark = written[1]
     is_number = NUMBER[mark].fullmatch
     rows = [*cells_of(lines, divider, name, strict=False).values()]
     rows = [row for row in rows if any(map(is_number, row))]
@@ -144,7 +145,8 @@ def _form_of(lines: dict[int, str], written: str, name: str) -> _Form:
         return _Form(divider, mark, 0, [], 0)
     width = mode(map(len, rows))
     rows = [row for row in rows if len(row) == width]
-    places, with_words = [], set[int]()
+    places = []
+    with_words = set[int]()
     for place in range(width):
         column = [row[place] for row in rows]
         words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
@@ -252,7 +254,9 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
 
     Raises UsageError for columns, units or a clock that cannot be those of a record.
     """
-    asked, files, metadata = document.record, list[list[Column]](), list[str]()
+    asked = document.record
+    files = list[list[Column]]()
+    metadata = list[str]()
     for file in (asked.file, *asked.more_files):
         table, above = read_recorded(folder / file, _LARGEST)
         for note in table.notes:
@@ -287,14 +291,17 @@ def _clock(
     Refused is a time of too few samples, that falls, or that lasts too long.
     """
     columns = files[0]
-    table, guessed, interval = columns[0].table, asked.time is None, asked.sample_interval or 0.0
+    table = columns[0].table
+    guessed = asked.time is None
+    interval = asked.sample_interval or 0.0
     if not interval and not columns[0].rises and len(files) == 1:
         interval = _interval(metadata)
     if guessed and interval > 0.0:
         changes.add("read", "", f"no time column: a sample every {interval * 1e6:.6g} us")
         return interval * np.arange(len(table), dtype=float), -1
     place = table.place(asked.time or 1)
-    column, name = columns[place], table.name
+    column = columns[place]
+    name = table.name
     dimension, unit = column.unit(asked.time_unit)
 
     def other_column() -> UsageError:
@@ -320,7 +327,8 @@ def _clock(
         raise UsageError(
             f"{name}: {len(good)} samples with a time; a record has at least {_FEWEST}"
         )
-    falls, lasts = np.diff(good) < 0.0, good[-1] - good[0]
+    falls = np.diff(good) < 0.0
+    lasts = good[-1] - good[0]
     if guessed and falls.mean() > 0.01:
         raise other_column()
     if falls.any():
@@ -337,7 +345,8 @@ def _clock(
 
 def _interval(text: str) -> float:
     """Time between samples [s] from the metadata, 0 without it."""
-    rated, timed = _RATE.search(text), _INTERVAL.search(text)
+    rated = _RATE.search(text)
+    timed = _INTERVAL.search(text)
     if rated:
         rate = float(rated["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[rated["prefix"]]
         return 1.0 / rate if rate > 0.0 else 0.0
@@ -350,7 +359,8 @@ def _common(
     time: Array, place: int, files: list[list[Column]], unit: str, changes: Changes
 ) -> Array:
     """The time that all files have; UsageError for files that do not have the same clock."""
-    step, count = _step(time), len(time)
+    step = _step(time)
+    count = len(time)
     for columns in files[1:]:
         table = columns[0].table
         count = min(count, len(table))
@@ -437,7 +447,8 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
     """A column as strain."""
     dimension, unit = column.unit(bar.unit)
     if not unit:
-        factor, text = 1.0, "has no unit: strain is taken"
+        factor = 1.0
+        text = "has no unit: strain is taken"
     elif dimension == "strain":
         factor = UNITS["strain"][unit]
         text = f"is in {_STRAINS.get(factor, unit)}"
@@ -482,9 +493,11 @@ def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) 
     there = np.isfinite(time)
     if not there.all():
         changes.add("read", "", f"{(~there).sum()} rows without a time are ignored")
-        time, raw = time[there], raw[:, there]
+        time = time[there]
+        raw = raw[:, there]
     time, raw = _distinct(time, raw, changes)
-    step, grid = _step(time), time
+    step = _step(time)
+    grid = time
     if _is_even(time, _UNEVEN):
         step = (time[-1] - time[0]) / (len(time) - 1)
     else:
@@ -493,7 +506,9 @@ def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) 
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
         changes.add("read", "", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
-    by_role, filled, lost = dict[str, list[Trace]](), 0, 0
+    by_role = dict[str, list[Trace]]()
+    filled = 0
+    lost = 0
     for (role, name, _), values in zip(strains, raw, strict=True):
         good = np.isfinite(values)
         seen = time[good]
@@ -527,7 +542,8 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     if _is_even(time[kept], 0.5):
         changes.add("read", "", f"{twice.sum()} repeated rows are ignored")
         return time[kept], raw[:, kept]
-    first, sample = np.append(True, ~same), np.argmax(same) + 2
+    first = np.append(True, ~same)
+    sample = np.argmax(same) + 2
     if same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
         places = np.flatnonzero(first)
         text = (
@@ -538,7 +554,8 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
         counts = np.diff(np.append(places, len(time)))
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
     # a coarse clock takes steps of one digit, again and again
-    digit, even = steps.max(), np.linspace(time[0], time[-1], len(time))
+    digit = steps.max()
+    even = np.linspace(time[0], time[-1], len(time))
     again = (steps > 0.99 * digit).sum() > _FEW_TWICE
     if digit == 0.0 or not again or np.abs(even - time).max() > 1.01 * digit:
         raise UsageError(
@@ -554,5 +571,6 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
 
 def _is_even(time: Array, tolerance: float) -> bool:
     """Whether a time rises at every sample, by steps within a share of their median."""
-    steps, step = np.diff(time), _step(time)
+    steps = np.diff(time)
+    step = _step(time)
     return bool((steps > 0.0).all() and np.abs(steps - step).max() <= tolerance * step)

@@ -29,7 +29,8 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
     lines = []
     for face, peak in test.peaks.items():
         high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
-        value, ends = f"{peak.value * 1e-3:.4g} kN", f"{peak.low * 1e-3:.4g} to {high} kN"
+        value = f"{peak.value * 1e-3:.4g} kN"
+        ends = f"{peak.low * 1e-3:.4g} to {high} kN"
         if peak.doubts:
             value = f"DOUBTED {value}"
         lines.append((f"{FACES[face]}, at {peak.time * 1e6:.4g} us", value, ends))
@@ -119,7 +120,9 @@ def _draw_forces(axes: Axes, test: Reading) -> None:
         if force is None:
             continue
         thin = max(1, len(force) // 2000)
-        t, f, s = test.time[::thin] * 1e6, force[::thin] * 1e-3, sd[::thin] * 1e-3
+        t = test.time[::thin] * 1e6
+        f = force[::thin] * 1e-3
+        s = sd[::thin] * 1e-3
         axes.fill_between(t, f - NORMAL * s, f + NORMAL * s, color=colour, alpha=0.2, linewidth=0)
         axes.plot(t, f, color=colour, linewidth=1.0, label=name)
     for peak in test.peaks.values():

@@ -108,8 +108,12 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
     Raises UsageError for a pulse that cannot be one of these bars, for forces within the noise, and
         for a record that ends at first touch.
     """
-    bar, behind, asked = document.incident_bar, document.receiving_bar, document.record
-    step, receiving, wave = record.step, record.receiving, record.incident.wave
+    bar = document.incident_bar
+    behind = document.receiving_bar
+    asked = document.record
+    step = record.step
+    receiving = record.receiving
+    wave = record.incident.wave
     if wave.sign > 0.0:
         raise UsageError(
             "the first wave of the incident bar is tension, compression is required: check "
@@ -140,10 +144,14 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         other = peaks["B"].value * arrivals.speed_ratio**2
         text = f"if E is wrong in place of a distance, the force is {other * 1e-3:.4g} kN"
         peaks.doubt("B", text, 0.98 * other, 1.02 * other)
-    force_a, sd_a, energies, mass = None, np.full(window.length, np.inf), None, None
+    force_a = None
+    sd_a = np.full(window.length, np.inf)
+    energies = None
+    mass = None
     if not window.withheld:
         face_a, incident, reflected = _near_face(record, document, window, (peaks, changes), face_b)
-        force_a, sd_a = np.full(window.length, np.nan), face_a.sd
+        force_a = np.full(window.length, np.nan)
+        sd_a = face_a.sd
         force_a[window.apart] = face_a.force[window.apart]
         peaks.doubt("A", arrivals.doubt_b)
         faces = Faces(
@@ -207,11 +215,15 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
 
 def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Window:
     """The samples of both faces; UsageError for too few of the transmitted wave."""
-    bar, behind = document.incident_bar, document.receiving_bar
-    incident, receiving, step = record.incident, record.receiving, record.step
+    bar = document.incident_bar
+    behind = document.receiving_bar
+    incident = record.incident
+    receiving = record.receiving
+    step = record.step
     wave = incident.wave
     # first touch; a wave whose distance is wrong begins at its own foot
-    to_a, to_b = wave.start + arrivals.reflected, wave.start + arrivals.transmitted
+    to_a = wave.start + arrivals.reflected
+    to_b = wave.start + arrivals.transmitted
     if arrivals.doubt_b:
         to_b = receiving.wave.foot - receiving.wave.lead
     echoes = [bar.echo / step, behind.echo / step]
@@ -226,9 +238,12 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
     count_a = _known_samples(record.reflected, int(to_a), echoes[0])
     # samples between both waves at a gauge that they share, and those in which they are apart
     delay = 2.0 * bar.gauge / bar.wave_speed / step if record.shared else math.inf
-    first, last, length = 0, 1 << 60, wave.end - wave.start
+    first = 0
+    last = 1 << 60
+    length = wave.end - wave.start
     if length > delay:
-        first, last = math.ceil(length - delay + 0.05 * delay), int(delay)
+        first = math.ceil(length - delay + 0.05 * delay)
+        last = int(delay)
     reasons = []
     if not incident.known[wave.start : wave.end].all():
         reasons.append("samples of the incident wave are not known")
@@ -298,7 +313,8 @@ def _at_face(
     more = count + math.ceil(bar.gauge / bar.wave_speed / step)
     more = min(more, len(signal.strain) - 3 - int(first))
     wave = _samples(signal.strain, first, max(count, more))
-    moved, wave = moved_wave(wave, -bar.gauge, bar, step)[:count], wave[:count]
+    moved = moved_wave(wave, -bar.gauge, bar, step)[:count]
+    wave = wave[:count]
     largest = np.abs(moved - wave).max()
     share = largest / max(np.abs(wave).max(), 1e-300)
     text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
@@ -325,8 +341,11 @@ def _near_face(
         window.length,
         noted,
     )
-    before, after, stiffness = record.incident, record.reflected, bar.stiffness
-    incident, doubt = np.zeros(count), ""
+    before = record.incident
+    after = record.reflected
+    stiffness = bar.stiffness
+    incident = np.zeros(count)
+    doubt = ""
     incident[: window.alive] = before.strain[window.start : window.start + window.alive]
     # where the two waves overlap neither can be moved by itself
     moved = changes if asked.dispersion and window.whole else None
@@ -383,7 +402,8 @@ def _check_gauges(
     peaks: Peaks, record: Record, document: RecordDocument, window: _Window, time: Array
 ) -> None:
     """Compare the gauges of each bar; the mean takes the doubts of both faces (in place)."""
-    count, stiffness = window.length, document.incident_bar.stiffness
+    count = window.length
+    stiffness = document.incident_bar.stiffness
     spread = _samples(record.receiving.spread, window.to_b, count)
     check_bending(peaks, "B", document.receiving_bar.stiffness * spread, time, peaks["B"].value)
     if window.withheld:

@@ -17,7 +17,6 @@ from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -31,7 +30,7 @@ from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wish
 from uqsphere.mechanics.scene import STATUS, Scene
 
 #: fidelities the integrator knows, and the number it knows them by
-MODES: Final[dict[str, int]] = {
+MODES: dict[str, int] = {
     "full": tracked.FULL,
     "linear": tracked.LINEAR,
     "massless": tracked.MASSLESS,
@@ -554,7 +553,7 @@ def later_loading(
 #: steps after which the errors of single steps may have added up.  Where no wave comes back they
 #: leave the largest approach within a twentieth of the tolerance after up to 18,000 steps
 #: (`tests/mechanics/test_hard_cases.py`); between echoes it was 27 tolerances off after 1,300
-_MANY_STEPS: Final = 1_000
+_MANY_STEPS = 1_000
 #: share of its tolerance that a row is integrated again with, and the smallest tolerance: 450
 #: roundings of a double
 _CLOSER, _FINEST = 1e-2, 1e-13

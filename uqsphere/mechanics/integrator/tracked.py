@@ -17,26 +17,26 @@ A new answer of a row needs
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array
 
 #: highest power of a series; four square roots take the 16th root
-ORDER: Final = 16
-TERMS: Final = ORDER + 1
+ORDER = 16
+TERMS = ORDER + 1
 #: rows that advance together (1 is allowed), and columns of what exists at both faces
-LANES: Final = 16
-PAIR: Final = 2 * LANES
+LANES = 16
+PAIR = 2 * LANES
 #: parts into which a step is divided before an event in it is refined
-POINTS: Final = 4
+POINTS = 4
 #: points over a step at which a wave that comes back is read
-WAVE: Final = 12
+WAVE = 12
 #: room for jumps that are under way in each bar
-QUEUE: Final = 2048
+QUEUE = 2048
 #: parts of a round trip in which the waves under way are bounded (`records`)
-CELLS: Final = 512
+CELLS = 512
 
 #: what is integrated: theory (9), the linear contact of the paper's section 4, no mass
 FULL, LINEAR, MASSLESS = range(3)
@@ -158,7 +158,7 @@ TAIL_SHARE = 0.01
 
 
 #: a step that is kept
-STEP: Final = np.dtype(
+STEP = np.dtype(
     [
         ("began", "f8"),  # t_c; its start
         ("holds", "f8"),  # t_c; how much of its series holds
@@ -171,7 +171,7 @@ STEP: Final = np.dtype(
     ]
 )
 #: a step of a motion that is asked for
-PATH: Final = np.dtype(
+PATH = np.dtype(
     [
         ("start", "f8"),  # t_c
         ("length", "f8"),  # t_c
@@ -182,7 +182,7 @@ PATH: Final = np.dtype(
 #: what the kernel knows of the row in a lane, one field a line: its unit if it has one, what it is,
 #: and which function writes it.  Times over t_c, approaches over alpha_c, forces over P_c, speeds
 #: over their scale (theory, section 4); "bits" count faces
-LANE: Final = np.dtype(
+LANE = np.dtype(
     [
         # the row
         ("number", "i8"),  # its number, -1 for an idle lane; enter, leave
@@ -245,7 +245,7 @@ LANE: Final = np.dtype(
 _LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
 #: all lanes, and columns that go through vector instructions: (LANES,) of lanes; (PAIR,) of faces,
 #: the faces A of all lanes first
-STATE: Final = np.dtype(
+STATE = np.dtype(
     [
         ("lane", LANE, LANES),  # what goes lane by lane
         # the row

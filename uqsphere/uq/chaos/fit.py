@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Final
 
 import numpy as np
 
@@ -40,16 +39,16 @@ from uqsphere.uq.chaos.select import (
 )
 
 #: hyperbolic norms of the sets that are tried
-NORMS: Final = (0.75, 1.0, 0.5)
+NORMS = (0.75, 1.0, 0.5)
 #: share of the variance below which a larger set would only cost time
-ENOUGH: Final = 1e-18
+ENOUGH = 1e-18
 #: terms at most, and candidates for them: more take time and gain nothing in
 #: tests/campaigns/chaos.py
 MOST_TERMS, MOST_CANDIDATES = 256, 800
 #: an output, or its logarithm, whose error is so many times the least is not tried in other sets
-HOPELESS: Final = 10.0
+HOPELESS = 10.0
 #: terms of the second degree of many inputs: those of a hundred inputs
-MOST_SECOND: Final = 5151
+MOST_SECOND = 5151
 
 
 def _candidates(n: int) -> int:
@@ -79,12 +78,11 @@ def fit_chaos(
     >>> float(predict(chaos, np.array([[0.5, 0.5]]))[0].round(12))
     1.125
     """
-    points, outputs, germs = (
-        np.asarray(points, dtype=float),
-        np.asarray(outputs, dtype=float),
-        tuple(germs),
-    )
-    n, d = len(outputs), len(germs)
+    points = np.asarray(points, dtype=float)
+    outputs = np.asarray(outputs, dtype=float)
+    germs = tuple(germs)
+    n = len(outputs)
+    d = len(germs)
     if points.shape != (n, d) or outputs.ndim != 1 or n < 4:
         raise ValueError(
             f"need points (n, {d}) and outputs (n,), n >= 4; found {points.shape}, {n}"
@@ -99,7 +97,8 @@ def fit_chaos(
     ]
     highest = highest_degrees(germs, points)
     bases = _bases(tables, highest, _candidates(n))
-    folds, one_sign = folds_of(n, 10 if n <= 150 else 5), abs(np.sign(outputs).sum()) == n
+    folds = folds_of(n, 10 if n <= 150 else 5)
+    one_sign = abs(np.sign(outputs).sum()) == n
     logs = [False]
     if one_sign and not plain:
         logs = [True, False]
@@ -146,7 +145,8 @@ def _bases(tables: Sequence[Array], highest: Indices, most: int) -> list[Basis]:
     Where inputs are so many that none of them has a product of two, all terms of the second degree
     are tried as well.
     """
-    d, bases = len(tables), []
+    d = len(tables)
+    bases = []
     for norm in NORMS if d > 1 else NORMS[:1]:
         sets = nested(d, norm, HIGHEST_DEGREE, most)
         if sets is None:
@@ -168,7 +168,8 @@ def _bases(tables: Sequence[Array], highest: Indices, most: int) -> list[Basis]:
 
 def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
     """The terms with the least error of all bases: selected, else whole sets."""
-    n, tried = targets[0].outputs.size, list[Choice]()
+    n = targets[0].outputs.size
+    tried = list[Choice]()
     most = max(min(n // 2, MOST_TERMS), 1)
     for basis in bases:
         choices = [_search(target, basis, most) for target in targets]
@@ -187,7 +188,9 @@ def _best(targets: Sequence[Target], bases: Sequence[Basis]) -> Choice:
 
 def _search(target: Target, basis: Basis, most: int) -> Choice:
     """What forward selection finds, degree by degree, until two degrees in a row no longer help."""
-    choices, worse, last = list[Choice](), 0, 0.0
+    choices = list[Choice]()
+    worse = 0
+    last = 0.0
     for size in basis.sizes:
         if size < 1.4 * last and size != basis.sizes[-1]:
             continue

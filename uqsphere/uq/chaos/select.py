@@ -50,7 +50,8 @@ class Target:
         if log:
             self.sign = math.copysign(1.0, outputs[0])
             w = np.log(self.sign * outputs)
-            low, high = float(w.min()), float(w.max())
+            low = float(w.min())
+            high = float(w.max())
             self.bounds = 2.0 * low - high, 2.0 * high - low
         self.centre, self.spread = mean_and_sd(w)
         self.values = (w - self.centre) / self.spread
@@ -127,7 +128,8 @@ def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
     so that the fit is a prediction there.  Correlations follow from those before by one product of
     the basis with the new directions.
     """
-    candidates, folds = basis.rows, target.folds
+    candidates = basis.rows
+    folds = target.folds
     seen = folds != np.arange(folds.max() + 1)[:, None]
     masks = np.concatenate([np.ones((1, folds.size)), seen.astype(float)])
     (lanes, n), every = masks.shape, np.arange(masks.shape[0])
@@ -144,10 +146,14 @@ def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
     floors = ROUNDING * squares_left
     correlations = residuals @ candidates.T
     rows = np.zeros(lanes, dtype=np.intp)
-    lane, sample = 1 + folds, np.arange(n)
+    lane = 1 + folds
+    sample = np.arange(n)
     predicted = held_out = np.zeros(n)
     order: list[int] = []
-    best, size, looked, since = math.inf, 1, math.inf, 0
+    best = math.inf
+    size = 1
+    looked = math.inf
+    since = 0
     for k in range(most):
         if k:
             left[left <= least] = math.inf
@@ -155,9 +161,11 @@ def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
         wanted = left[every, rows] < math.inf
         if not wanted.any():
             break
-        fresh, before = candidates[rows], norms[every, rows]
+        fresh = candidates[rows]
+        before = norms[every, rows]
         masked = masks * fresh
-        squares, part = before, along[:k, every, rows].T
+        squares = before
+        part = along[:k, every, rows].T
         for _ in range(2 if k else 0):
             fresh -= np.matmul(part[:, None, :], directions[:, :k])[:, 0]
             masked = masks * fresh
@@ -178,7 +186,9 @@ def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
         order.append(int(rows[0]) if sound[0] else -1)
         error = target.error(predicted)
         if error < best:
-            best, size, held_out = error, k + 1, predicted
+            best = error
+            size = k + 1
+            held_out = predicted
         since = 0 if error < 0.99 * looked else since + 1
         looked = min(looked, error)
         if (squares_left <= floors).all() or since > max(10, k // 4):
@@ -197,13 +207,15 @@ def whole_set(target: Target, basis: Basis, most: int) -> Choice:
     Least squares without a fold miss its samples by (I - H_kk)⁻¹ r_k, with H_kk the block of the
     projection on the rows and r_k the residuals of all samples.
     """
-    values, count = target.values, int(target.folds.max()) + 1
+    values = target.values
+    count = int(target.folds.max()) + 1
     most = min(most, values.size - -(-values.size // count) - 1)
     sizes = [size for size in basis.sizes if size <= most]
     best = 0, math.inf, np.zeros(values.size)
     q = np.linalg.qr(basis.rows[: max(sizes, default=0)].T)[0]
     for size in sizes:
-        held_out, part = values.copy(), q[:, :size]
+        held_out = values.copy()
+        part = q[:, :size]
         left = values - part @ (part.T @ values)
         for at in (np.flatnonzero(target.folds == k) for k in range(count)):
             # 1e-12: where the other folds leave a sample open, its prediction is far off and not an
