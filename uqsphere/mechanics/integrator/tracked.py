@@ -189,8 +189,7 @@ LANE = np.dtype(
         ("place_in_order", "i8"),  # its place among the rows asked for; march
         ("count", "i8"),  # steps taken; keep
         ("attempts", "i8"),  # steps tried again; holds
-        ("fate", "i8"),  # status it leaves with, -1 while it goes on; enter, holds, turn, judge,
-        # jump
+        ("fate", "i8"),  # status it leaves with, or -1; enter, holds, turn, judge, jump
         ("mass", "f8"),  # mu; enter
         ("quickest", "f8"),  # how quickly the lightest body answers a force; enter
         ("end", "f8"),  # t_c; end of the record at the latest; enter
@@ -203,8 +202,7 @@ LANE = np.dtype(
         ("proposed", "f8"),  # t_c; what to try next; enter, try_step, holds, turn, jump
         ("stop", "f8"),  # t_c; next jump of the waves, or the end; enter, jump
         ("touching", "i8"),  # 1 where it starts from a touch; enter, move_on
-        ("single", "i8"),  # 1 where an echo is read from a single step; enter, holds,
-        # move_on
+        ("single", "i8"),  # 1: an echo is read from one step; enter, holds, move_on
         ("why", "i8"),  # what ends it, see End; choose, after_step
         ("side", "i8"),  # at which face; after_step
         ("switched", "i8"),  # bits: faces on the wrong branch; choose
