@@ -562,6 +562,9 @@ with Model(load_study(text={STUDY!r}), "box.py:f", threads=1) as model:
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     hidden = ended.stderr + ended.stdout
     assert ("[[2.0, 0.0]" in hidden) or ("random.py" in hidden), hidden
+    command = [sys.executable, "-m", "uqsphere", "list", "distributions"]
+    listed = subprocess.run(command, cwd=place, capture_output=True, text=True)
+    assert "lognormal" in listed.stdout, listed.stderr
 
 
 @pytest.mark.parametrize(("signal_of", "left"), [(signal.SIGQUIT, 0), (signal.SIGPIPE, 0)])
