@@ -19,6 +19,7 @@ import pytest
 from uqsphere import cli
 
 ROOT = Path(__file__).parent.parent.parent
+LONGEST = "tutorial-engineer"
 PAGES = [
     page
     for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -61,7 +62,14 @@ def execute(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     return "".join(line for line in err.splitlines(keepends=True) if not notes.match(line)) + out
 
 
-@pytest.mark.parametrize("page", PAGES, ids=[page.stem for page in PAGES])
+def page_cases() -> list[object]:
+    """Every page; the one that runs the most scenes is slow."""
+    cases = [pytest.param(page, id=page.stem) for page in PAGES if page.stem != LONGEST]
+    slow = [page for page in PAGES if page.stem == LONGEST]
+    return cases + [pytest.param(page, id=LONGEST, marks=pytest.mark.slow) for page in slow]
+
+
+@pytest.mark.parametrize("page", page_cases())
 def test_page_says_what_happens(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

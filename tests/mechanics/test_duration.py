@@ -25,6 +25,7 @@ def test_it_is_the_quadrature_of_a_dense_history(law: str) -> None:
     assert errors.max() < 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fidelity", ["linear", "massless"])
 def test_so_it_is_of_the_models_of_the_paper(fidelity: str) -> None:
     errors = compare(scenes(12, 3), tolerance=1e-8, fidelity=fidelity)

@@ -585,6 +585,7 @@ def test_a_folder_with_other_files_is_not_written_into(tmp_path: Any) -> None:
         uqsphere.run(study(), linear, out=tmp_path)
 
 
+@pytest.mark.slow
 def test_salib_goes_on_with_a_runs_pairs_and_its_measures_are_asked_for_by_name() -> None:
     from SALib.analyze import sobol
 

@@ -40,6 +40,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("box.py").write_text(MODEL)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -464,6 +464,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
             load_study(path)
 
 
+@pytest.mark.slow
 def test_mutated_studies_and_tables_are_refused_or_read() -> None:
     codes, failures = campaign(60, 11)
     assert failures == []
