@@ -459,3 +459,16 @@ def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
     )
     caveats = [Caveat(code=code, subject="limits.whole.strength") for code in codes]
     assert verdicts._verdict(judged, caveats) == verdict
+
+
+@pytest.mark.parametrize("verdict", ["not established", "not met", "undecided"])
+def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
+    judged: Any = SimpleNamespace(
+        settled=SimpleNamespace(governing=SimpleNamespace(code="tests", limit=None)),
+        line=None,
+        settling=SimpleNamespace(best=None),
+        aim=SimpleNamespace(design=SimpleNamespace(subject=lambda limit: "limits.whole")),
+    )
+    caveats = [Caveat(code="rate", subject="limits.whole.strength")]
+    assert verdicts._remedy(judged, verdict, caveats).code == "include the rate"
+    assert verdicts._remedy(judged, verdict, []).code == "test more"

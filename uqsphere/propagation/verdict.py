@@ -453,7 +453,7 @@ def _remedy(
         return types.Remedy(code="set a target", subject=design.subject(judged.lead))
     for code, cure in _CURES.items():
         for caveat in caveats:
-            if caveat.code == code and (code != "rate" or verdict == "not established"):
+            if caveat.code == code:
                 return types.Remedy(code=cure, subject=caveat.subject)
     at_best = None
     if line is not None and governing.code != "assumed strength" and line.use is None:
