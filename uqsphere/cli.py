@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import math
 import os
@@ -60,6 +61,7 @@ def program() -> None:
     with contextlib.suppress(AttributeError, OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+    gc.set_threshold(100_000)  # imports make objects that stay: few are worth a search for cycles
     if not sys.warnoptions:  # NumPy's are for developers; ours are printed
         warnings.simplefilter("ignore")
     try:
@@ -69,6 +71,7 @@ def program() -> None:
         # the reader has gone: no output is possible
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
+    gc.freeze()  # nothing is searched for cycles at the end of the process
     sys.exit(code)
 
 
