@@ -377,7 +377,7 @@ def _compare(
                 names=names,
                 errors=errors,
                 status=found.status,
-                marked=found.grazes,
+                marked=found.grazes > 0.0,
                 judged=truth[2],
                 mu=mu,
                 theta=theta,

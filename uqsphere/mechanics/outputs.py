@@ -403,15 +403,15 @@ class SceneAnswers:
 
     values: the requested quantities, SI; NaN where `status` is not 0.  censored: of
     time_to_first_loss, whether the evaluation window ended first, so that the value is a lower
-    bound.  grazes: whether, at the finest tolerance, an error may still decide when contact is
-    first lost, or change a duration or force difference (`solve.look_closer`).  status: a key of
-    `scene.STATUS`.  record: end of the evaluation window [s], or the time after which no requested
-    quantity could change.  steps: of the integrator.
+    bound.  grazes: above 0 where, at the finest tolerance, an error may still decide when contact
+    is first lost, or change a duration; 2 where it may change a peak (`solve.look_closer`).
+    status: a key of `scene.STATUS`.  record: end of the evaluation window [s], or the time after
+    which no requested quantity could change.  steps: of the integrator.
     """
 
     values: Mapping[str, Array]
     censored: Mapping[str, Flags]
-    grazes: Flags
+    grazes: Array
     status: Places
     record: Array
     steps: Places
@@ -477,7 +477,7 @@ def answers_from(
             if name in OUTPUTS and OUTPUTS[name].censored
         },
         # closed forms have no grazing contacts
-        grazes=tracked.get("grazed", np.zeros(len(scene))) > 0.0,
+        grazes=np.nan_to_num(tracked.get("grazed", np.zeros(len(scene)))),
         status=status,
         record=np.asarray(scene.scales.time * columns["ended"]),
         steps=steps,

@@ -378,7 +378,7 @@ MEASURES: dict[str, Callable[[Scene, SceneAnswers], Array | None]] = {
     "wave_loss": lambda s, a: loss_to_waves(s),
     "one_dimensional_rod": _rod_rise,
     "echo_in_contact": _echo_under_load,
-    "grazing_contact": lambda s, a: np.where(a.grazes, 1.0, 0.0),
+    "grazing_contact": lambda s, a: a.grazes,
     "chatter": lambda s, a: a.values["retouches"],
     "one_sided_field": _one_sided,
 }

@@ -61,7 +61,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 effect = f"{format_probability(worst)} of the {event} are among them"
             elif check.grade != "note":
                 effect = "bias not quantified"
-            if check.name != "grazing_contact" or not _TIMES.isdisjoint(design.columns):
+            of_times = check.name == "grazing_contact" and check.grade == "note"
+            if not of_times or not _TIMES.isdisjoint(design.columns):
                 breached.append(check.model_copy(update={"effect": effect}))
         _, rows = inputs_at(plan)
         breached += [*_later_loading(design, rows), *_out_of_reach(design, rows)]

@@ -560,10 +560,14 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
-#: answers of long rows that are compared at two tolerances
+#: answers of long rows that are compared at two tolerances, and what has to be wanted for them
 _COMPARED = (
-    (tracked.WANT_DURATION, tracked.ANSWER_DURATION),
-    (tracked.WANT_DIFFERENCE, tracked.ANSWER_DIFFERENCE),
+    (tracked.ANSWER_FACES, 0),
+    (tracked.ANSWER_FACES + 1, 0),
+    (tracked.ANSWER_DIFFERENCE, tracked.WANT_DIFFERENCE),
+    (tracked.ANSWER_ENERGY, tracked.WANT_ENERGY),
+    (tracked.ANSWER_MEAN, tracked.WANT_MEAN),
+    (tracked.ANSWER_DURATION, tracked.WANT_DURATION),
 )
 
 
@@ -578,11 +582,11 @@ def look_closer(
     """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse
     than `tolerance`.
 
-    ANSWER_GRAZED is then 1 where the finest tolerance still leaves a doubt, else 0: where an error
+    ANSWER_GRAZED is then above 0 where the finest tolerance still leaves a doubt: 1 where an error
     of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
-    tolerances; and where a duration that counts contacts behind the first loss, or the difference
-    of the forces in a row of many steps, differs by as much from that at a hundredth of the
-    tolerance.
+    tolerances, and where a duration that counts contacts behind the first loss differs by as much
+    from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
+    differs by as much between the two finest tolerances that it has room for.
     """
     n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["poles"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
@@ -597,13 +601,11 @@ def look_closer(
     )
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
-    again = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
-    rough, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    unsettled = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
+    counted, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
-        rough = (status == tracked.OK) & _counts_on(answers)
-    if wanted & tracked.WANT_DIFFERENCE:
-        rough |= again
-    columns = [column for wish, column in _COMPARED if wanted & wish]
+        counted = (status == tracked.OK) & _counts_on(answers)
+    columns = [column for column, wish in _COMPARED if not wish or wanted & wish]
     while True:
         if timed:
             lost, grazed = (
@@ -615,7 +617,7 @@ def look_closer(
             )
             moved = np.fmax(lost - grazed, blur)
             doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
-        again = (again | doubt | (rough & ~compared)) & (closest > _FINEST)
+        again = (unsettled | doubt | (counted & ~compared)) & (closest > _FINEST)
         if not again.any():
             break
         for each in np.unique(closest[again]):
@@ -627,14 +629,14 @@ def look_closer(
             closest[picked] = closer
             # one that has no room for so many steps keeps the answers that it has
             done = look.status == tracked.OK
-            closer_by, coarse = look.answers[:, columns], answers[picked][:, columns]
-            agrees = np.abs(closer_by - coarse) <= _FIRM * tolerance * np.abs(closer_by)
+            moved_by = np.abs(look.answers - answers[picked])
+            differs = moved_by > _FIRM * tolerance * np.abs(look.answers)
             compared[picked] = True
-            rough[picked] &= ~(done & agrees.all(axis=1))
+            unsettled[picked] &= ~done | differs[:, columns].any(axis=1)
+            counted[picked] &= ~done | differs[:, tracked.ANSWER_DURATION]
             answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
             closest[picked[~done]] = _FINEST
-        again[:] = False
-    answers[:, tracked.ANSWER_GRAZED] = doubt | rough
+    answers[:, tracked.ANSWER_GRAZED] = np.where(unsettled, 2.0, doubt | counted)
     return replace(found, answers=answers)
 
 
