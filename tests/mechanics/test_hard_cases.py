@@ -178,6 +178,14 @@ def test_a_long_record_is_integrated_until_two_tolerances_agree() -> None:
     )
 
 
+def test_a_look_that_differs_from_the_last_one_is_followed_by_another() -> None:
+    """Looks at 1e-6, 1e-8, 1e-12 and 1e-13 agree; that at 1e-10, for the sake of the first loss,
+    was kept with a difference of forces of 0.2750.
+    """
+    found = solve(_of_sweep(4, 4, 0.0371), quantities=("force_imbalance", "time_to_first_loss"))
+    assert found.values["force_imbalance"][0] == pytest.approx(0.2735532, abs=1e-6)
+
+
 def test_peaks_of_a_long_record_were_off_after_one_closer_look() -> None:
     """A very light sphere: its peak force was 12 tolerances off, without a mark."""
     scene = _of_sweep(1, 4, 1.4015e-6)

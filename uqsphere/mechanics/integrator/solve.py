@@ -601,7 +601,8 @@ def look_closer(
     )
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
-    unsettled = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
+    many = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
+    unsettled = many.copy()
     counted, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
         counted = (status == tracked.OK) & _counts_on(answers)
@@ -632,7 +633,7 @@ def look_closer(
             moved_by = np.abs(look.answers - answers[picked])
             differs = moved_by > _FIRM * tolerance * np.abs(look.answers)
             compared[picked] = True
-            unsettled[picked] &= ~done | differs[:, columns].any(axis=1)
+            unsettled[picked] = many[picked] & (~done | differs[:, columns].any(axis=1))
             counted[picked] &= ~done | differs[:, tracked.ANSWER_DURATION]
             answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
             closest[picked[~done]] = _FINEST
