@@ -122,11 +122,11 @@ class Corrected:
         """The mean by (1)."""
         levels, sampling = self._table_moment(1)
         residuals = self.response.residuals
-        value = float(levels.mean() + residuals.mean())
+        value, corrected = _settled(levels, residuals)
         down, up = distances(residuals)
-        return self._estimate(
-            value, value - math.hypot(down, sampling), value + math.hypot(up, sampling)
-        )
+        low = corrected - math.hypot(down, sampling)
+        high = corrected + math.hypot(up, sampling)
+        return self._estimate(min(max(value, low), high), low, high)
 
     def _estimate(self, value: float, low: float, high: float) -> Estimate:
         """An estimate with its ends; absent where one is not finite."""
@@ -143,14 +143,14 @@ class Corrected:
         influence = (outputs - centre) ** 2 - (levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
         sampling = math.hypot(sampling, float(fold_spread(squares)))
-        variance = float(squares.mean() + influence.mean())
+        value, variance = _settled(squares, influence)
         down, up = (math.hypot(part, sampling) for part in distances(influence))
         rows = (outputs - outputs.mean()) ** 2
         alone = distances(rows)
-        if sum(alone) < variance + up - (variance - down) or variance <= 0.0:
-            variance = float(rows.mean())
+        if sum(alone) < down + up or variance <= 0.0:
+            value = variance = float(rows.mean())
             down, up = alone
-        ends = (variance, variance - down, variance + up)
+        ends = (min(max(value, variance - down), variance + up), variance - down, variance + up)
         estimate = self._estimate(*(math.sqrt(max(end, 0.0)) for end in ends))
         reason = heavy_tail(self.table) or heavy_tail(outputs, certain=True)
         if reason and estimate.value is not None:
@@ -198,8 +198,8 @@ class Corrected:
         expected : (...) variance that residuals like those of the rows make
         sampling : (...) half-width of the table
 
-        The value has a correction that is shrunk by its own noise; the interval is that of the
-        whole correction.
+        The value has the correction where it is significant; the interval is that of the whole
+        correction.
         """
         n = len(influence)
         correction = influence.mean(axis=0)
@@ -208,7 +208,7 @@ class Corrected:
         whole = table + correction
         low = np.clip(whole - half, 0.0, 1.0)
         high = np.clip(whole + half, 0.0, 1.0)
-        return np.clip(table + _shrunk(correction, noise), low, high), low, high
+        return np.clip(table + _significant(correction, noise, n), low, high), low, high
 
     @cached_property
     def _distribution(self) -> tuple[Array, Array, Array, Array]:
@@ -275,10 +275,25 @@ class Corrected:
         )
 
 
-def _shrunk(correction: Array, noise: Array) -> Array:
-    """A correction, less where its noise, a variance, could make it by itself."""
-    square = correction**2
-    return np.asarray(correction * square / np.maximum(square + noise, 1e-300))
+def _significant(correction: Array, noise: Array, n: int) -> Array:
+    """Corrections by n rows where they are significant at the level of the intervals, else 0: one
+    that noise of this variance could make by itself adds little but that noise.
+    """
+    return np.where(correction**2 > student(n) ** 2 * noise, correction, 0.0)
+
+
+def _settled(levels: Array, influence: Array) -> tuple[float, float]:
+    """The value of (1), and that with the whole correction: from what the folds have (K,) and what
+    each row adds (n,).
+
+    Without a significant correction the value is the median of the folds: one that runs away does
+    not count.
+    """
+    corrected = float(levels.mean() + influence.mean())
+    median = float(np.median(levels))
+    noise = influence.var(ddof=1) / len(influence)
+    correction = _significant(np.array(corrected - median), noise, len(influence))
+    return median + float(correction), corrected
 
 
 # --- Sobol' indices -------------------------------------------------------------------------------
@@ -293,11 +308,11 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
     of all rows, each with its own fold.  The last part of the first indices is that of
-    `block_parts`; of the total ones it lies between that of the first index and all of r^2.  The
-    value takes the middle of the former, and as much of r^2 as S_f is of the expansion; its
-    correction 2 r P_j is shrunk by its noise, as that of a probability is.  Without expansions that
-    can be trusted f is the mean.  Where the variance of the rows may be infinite, every interval is
-    from 0 to 1.
+    `block_parts`; of the total ones it lies between that of the first index and all of r^2: the
+    middle of the former, and as much of r^2 as S_f is of the expansion, are likeliest.  Where this
+    does not differ significantly from the median of the folds' S_f, the value is the median.
+    Without expansions that can be trusted f is the mean.  Where the variance of the rows may be
+    infinite, every interval is from 0 to 1.
     """
     y = response.outputs
     n = response.count
@@ -332,12 +347,11 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     left = float(np.mean(residual**2)) / whole
     most_left = min(left + distances(residual**2)[1] / whole, 1.0)
     spread = fold_spread(shares)
-    expanded = shares.mean(axis=0)
+    expanded = np.median(shares, axis=0)
     rounding = integration + 1e-15
     values = top.mean(axis=2) / whole
     influences = (top - values[:, :, None] * bottom) / whole
     noise = influences.var(axis=2, ddof=1) / len(bottom)
-    shrunk = expanded / whole + _shrunk(values - expanded / whole, noise)
     orders: dict[str, list[Estimate]] = {"first": [], "total": []}
     for j in range(d):
         by_blocks = block_parts(response.points[used, j], residual)
@@ -357,17 +371,25 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
             if unbounded:
                 low = 0.0
                 high = 1.0
-            best = min(max(float(shrunk[row, j]) + likely, low), high)
+            median = expanded[row, j]
+            best = median + float(_significant(value + likely - median, noise[row, j], n))
+            best = min(max(best, low), high)
             estimate = bounded(best, low, high, 0.25 * (high - low), method, n)
             orders[("first", "total")[row]].append(replace(estimate, reason=unbounded or None))
     if not folds:
-        # no less than the first index, and at most what the others leave
+        # no less than the first index, and at most what the others leave; in between the median of
+        # the expansions, which contradict each other
         lows = [each.low or 0.0 for each in orders["first"]]
-        bounds = absent("bounded by the first indices", method, n)
-        orders["total"] = [
-            replace(bounds, low=low, high=min(max(1.0 - (sum(lows) - low), low), 1.0))
-            for low in lows
-        ]
+        median = np.full(d, math.nan)
+        if response.error < 1.0:
+            median = np.median([moments.total for moments in response.integrals], axis=0)
+        for j, low in enumerate(lows):
+            high = min(max(1.0 - (sum(lows) - low), low), 1.0)
+            bounds = replace(absent("bounded by the first indices", method, n), low=low, high=high)
+            if math.isfinite(median[j]):
+                value = min(max(float(median[j]), low), high)
+                bounds = replace(bounds, value=value, std_error=0.25 * (high - low))
+            orders["total"][j] = bounds
     return orders
 
 
