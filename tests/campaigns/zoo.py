@@ -156,6 +156,23 @@ def _bratley(x: Columns) -> Array:
     return products @ signs
 
 
+def _bratley_truth() -> dict[str, float]:
+    """Indices by Gauss's rule of two points an input, which is exact: the function is linear in
+    each of its inputs.
+    """
+    nodes = 0.5 + np.array([-0.5, 0.5]) / math.sqrt(3.0)
+    names = [f"x{k}" for k in range(1, 6)]
+    grid = np.meshgrid(*[nodes] * len(names), indexing="ij")
+    columns = {name: column.ravel() for name, column in zip(names, grid, strict=True)}
+    y = _bratley(columns).reshape(grid[0].shape)
+    truths = {}
+    for k, name in enumerate(names):
+        others = tuple(j for j in range(len(names)) if j != k)
+        truths[f"first {name}"] = float(y.mean(axis=others).var() / y.var())
+        truths[f"total {name}"] = float(y.var(axis=k).mean() / y.var())
+    return truths
+
+
 def _moon(x: Columns) -> Array:
     a, b, c = x["x1"], x["x2"], x["x3"]
     return a + b + 3.0 * a * c
@@ -349,6 +366,7 @@ _OWN: Final = (
         kind="smooth",
         inputs=_each(_uniform(), 5),
         function=_bratley,
+        exact=_bratley_truth(),
         source="Bratley, Fox and Niederreiter, ACM Trans. Model. Comput. Simul. 2, 1992, 195",
     ),
     ZooModel(
