@@ -111,7 +111,7 @@ def main() -> None:
             if not error < 100.0:
                 print("wrong and silent:", stratum, name, f"{error:.3g}", row)
     for stratum, errors in worst.items():
-        print(*stratum, {name: round(error, 3) for name, error in errors.items()})
+        print(*stratum, {name: round(float(error), 3) for name, error in errors.items()})
     print("status", dict(status), "steps", math.ceil(found.steps.mean()))
 
 
