@@ -430,6 +430,27 @@ def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> Non
     assert failed.share == pytest.approx(stats.norm.sf(1.9), abs=0.01)
 
 
+def test_quantiles_of_a_slow_model_that_counts_are_whole_numbers() -> None:
+    """Predictions of 3.99 and 4.01 for 4 once made intervals that ended beside the value itself."""
+    slow = {
+        "cost": "10 s",
+        "budget": {"time": "1 h", "evaluations": 128},
+        "quantiles": [0.05, 0.5, 0.95],
+    }
+
+    def counts(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.round(0.4 * linear(inputs)["y"])}
+
+    run = uqsphere.run(study(analysis=slow), counts)
+    rows = [row for row in run.results.answers if row.answer == "quantile"]
+    assert len(rows) == 3
+    for row in rows:
+        truth = round(2.0 * float(stats.norm.ppf(row.at)))
+        assert {row.value, row.low, row.high} <= set(range(-6, 7))
+        assert row.low <= truth <= row.high
+        assert row.high - row.low <= 1.0
+
+
 def test_a_density_holds_the_whole_probability() -> None:
     places, values = density(np.random.default_rng(1).standard_normal(20_000)) or ([], [])
     assert np.trapezoid(values, places) == pytest.approx(1.0, abs=2e-3)

@@ -78,19 +78,6 @@ class Corrected:
             text += f"; extrapolated for the {100.0 * self.dropped:.3g} % of the runs that failed"
         return text
 
-    @cached_property
-    def nodes(self) -> tuple[Array, Array]:
-        """Values of the residuals, and the share of the rows that each of them stands for."""
-        residuals = self.response.residuals
-        nodes = np.unique(np.quantile(residuals, np.linspace(0.0, 1.0, NODES)))
-        if len(nodes) == 1:
-            return nodes, np.ones(1)
-        place = np.clip(np.searchsorted(nodes, residuals, side="right") - 1, 0, len(nodes) - 2)
-        part = (residuals - nodes[place]) / np.diff(nodes)[place]
-        weights = np.bincount(place, 1.0 - part, len(nodes))
-        weights += np.bincount(place + 1, part, len(nodes))
-        return nodes, weights / len(residuals)
-
     def table_error(self, values: Array, cell: float = 0.0) -> Array:
         """Half-width (...) from the points of the table and from the folds, for values (R, ...)."""
         spread = np.maximum(np.std(values, axis=0, ddof=1), cell / math.sqrt(12.0))
@@ -170,7 +157,7 @@ class Corrected:
         table : g (R, m) of the predictions of the table, where a residual is added to all of them
         """
         predicted = table(0.0)
-        nodes, weights = self.nodes
+        nodes, weights = nodes_of(self.response.residuals)
         changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
         means = predicted.mean(axis=1)
         cell = 0.0
@@ -211,27 +198,46 @@ class Corrected:
         return np.clip(table + _significant(correction, noise, n), low, high), low, high
 
     @cached_property
+    def _few_values(self) -> bool:
+        """Whether the output takes few different values, such as numbers of something."""
+        return 2 * len(np.unique(self.response.outputs)) <= self.runs
+
+    @cached_property
+    def _predicted(self) -> tuple[Array, Array]:
+        """Predictions (R, m) of the table and (n,) of the rows: of an output with few values the
+        nearest of those that a fold has seen.
+        """
+        table, levels = self.table.copy(), self.response.levels.copy()
+        if self._few_values:
+            for k in range(FOLDS):
+                left_out = self.response.fold == k
+                values = np.unique(self.response.outputs[~left_out])
+                middles = 0.5 * (values[1:] + values[:-1])
+                levels[left_out] = values[np.searchsorted(middles, levels[left_out])]
+                table[k::FOLDS] = values[np.searchsorted(middles, table[k::FOLDS])]
+        return table, levels
+
+    @cached_property
     def _distribution(self) -> tuple[Array, Array, Array, Array]:
         """Places (g,), and P(y <= place) with both ends (g,) of its interval, all rising."""
-        pooled = np.sort(self.table, axis=None)
+        predicted, levels = self._predicted
+        pooled = np.sort(predicted, axis=None)
         outputs = self.response.outputs
         step = max(len(pooled) // PLACES, 1)
         # not at the rows and at their predictions: between the two a row would count, however close
         ends = [outputs.min(), outputs.max()]
-        places = np.unique(np.concatenate([pooled[::step], pooled[-1:], ends]))
+        places = np.unique(np.concatenate([pooled[::step], pooled[-1:], ends])) + 0.0  # no -0.0
 
         def below(values: Array, shift: float = 0.0) -> Array:
             return np.searchsorted(values, places - shift, side="right") / len(values)
 
         expected = sum(
             weight * np.abs(below(pooled, node) - below(pooled))
-            for node, weight in zip(*self.nodes, strict=True)
+            for node, weight in zip(*nodes_of(outputs - levels), strict=True)
         )
-        table = np.stack([below(np.sort(values)) for values in self.table])
-        influence = np.subtract(
-            outputs[:, None] <= places, self.response.levels[:, None] <= places, dtype=float
-        )
-        sampling = self.table_error(table, 1.0 / self.table.shape[1])
+        table = np.stack([below(np.sort(values)) for values in predicted])
+        influence = np.subtract(outputs[:, None] <= places, levels[:, None] <= places, dtype=float)
+        sampling = self.table_error(table, 1.0 / table.shape[1])
         value, low, high = self._ends(table.mean(axis=0), influence, expected, sampling)
         up = np.maximum.accumulate
         down = np.minimum.accumulate
@@ -242,18 +248,20 @@ class Corrected:
         """The quantile at p: where the distribution function of (1) reaches it."""
         places, value, low, high = self._distribution
 
-        def below(levels: Array) -> float:
-            return float(np.interp(p, levels, places))
-
         def above(levels: Array) -> float:
             # the place itself: the output may be this value with a probability
             place = int(np.searchsorted(levels, p - 1e-12))
             return float(places[place]) if place < len(places) else math.inf
 
+        def below(levels: Array) -> float:
+            if self._few_values:
+                return above(levels)
+            return float(np.interp(p, levels, places))
+
         at = below(value)
         missed = count_bound(self.runs)
         upper = max(above(low), at)
-        if math.isinf(upper) or p <= high[0]:
+        if math.isinf(upper) or (p <= high[0] and not self._few_values):
             reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"
             return absent(reason, self.method, self.runs)
         outer = min(below(high + missed), at)
@@ -273,6 +281,18 @@ class Corrected:
             censored_share=share(np.zeros(self.table.shape, dtype=bool), "share of the samples"),
             scale=sd.value or float(self.response.outputs.std()),
         )
+
+
+def nodes_of(residuals: Array) -> tuple[Array, Array]:
+    """Values of residuals (n,), and the share of the rows that each of them stands for."""
+    nodes = np.unique(np.quantile(residuals, np.linspace(0.0, 1.0, NODES)))
+    if len(nodes) == 1:
+        return nodes, np.ones(1)
+    place = np.clip(np.searchsorted(nodes, residuals, side="right") - 1, 0, len(nodes) - 2)
+    part = (residuals - nodes[place]) / np.diff(nodes)[place]
+    weights = np.bincount(place, 1.0 - part, len(nodes))
+    weights += np.bincount(place + 1, part, len(nodes))
+    return nodes, weights / len(residuals)
 
 
 def _significant(correction: Array, noise: Array, n: int) -> Array:
