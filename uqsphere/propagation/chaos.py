@@ -12,6 +12,10 @@ blocks of rows show it.  So an index from chaos has an interval that holds whate
 value is the middle of what the third part may be.
 An expansion of ln y is taken where it leaves less than half as much: its variances are integrated,
 and projected by its plain form.
+
+No row sees the variance that an expansion makes beyond all rows, such as a polynomial of high
+degree in a tail.  As far as the last rows contradict it, what it has there is part of every
+interval (`_beyond`).
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
@@ -45,6 +49,8 @@ MOST_TERMS = 2048
 MOST_LEFT, CONTROL = 0.05, 1e-3
 #: share below which more rows are not worth a second fit
 GOOD = 0.01
+#: points in the tail of an input, on either side
+TAIL_POINTS = 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +65,7 @@ class Expansion:
     explained : (2, R-1, d) what each input explains of the mean square of the residuals, at least
         and at most
     left : share of the variance that it leaves, of all rows it was not fitted to
+    beyond : share of its variance that may be wrong where an input lies beyond all rows
     """
 
     fit: Chaos
@@ -68,6 +75,7 @@ class Expansion:
     cross: Array
     explained: Array
     left: float
+    beyond: float
 
     @cached_property
     def integrals(self) -> Integrals:
@@ -139,6 +147,7 @@ def expansions(
             cross=cross,
             explained=_explained(points[1:, :few], rest),
             left=_left(outputs, values),
+            beyond=_beyond(fit, sample.scores[1:, :few, :size], rest),
         )
         if not _runs_away(expansion):
             fits[name] = expansion
@@ -167,6 +176,46 @@ def _runs_away(expansion: Expansion) -> bool:
     integration = 1e-9 + 4.0 * expansion.integrals.error
     variance = expansion.integrals.sd * expansion.integrals.sd
     return bool(abs(variance - squares.mean()) > room + integration * variance)
+
+
+def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
+    """Share of the variance of an expansion that may be wrong beyond all rows, in the tails of
+    single inputs.
+
+    It is what the expansion makes there over one that is held at the last row, as far as residuals
+    of the last row of every replicate are large against what the expansion moves by as far before
+    it.
+
+    scores : (R-1, m, d) of the inputs
+    residuals : (R-1, m) of these rows
+    """
+    size = scores.shape[2]
+    rows = scores[0, :TAIL_POINTS]
+    parts = (np.arange(len(rows)) + 0.5) / len(rows)
+    places = list[Array]()  # beyond the last row, at it, and as far before it
+    chances = []
+    errors = []
+    for j in range(size):
+        for side in (-1.0, 1.0):
+            outermost = (side * scores[:, :, j]).argmax(axis=1)[:, None]
+            last = side * float(np.take_along_axis(side * scores[:, :, j], outermost, 1).max())
+            errors.append(float((np.take_along_axis(residuals, outermost, 1) ** 2).mean()))
+            chances.append(float(special.ndtr(-side * last)))
+            free = -side * special.ndtri(chances[-1] * parts)
+            for score in (free, last, 2.0 * last - free):
+                moved = rows.copy()
+                moved[:, j] = score
+                places.append(moved)
+    values = predict(fit, germ_points(np.concatenate(places), fit.germs))
+    beyond, at_last, before = values.reshape(-1, 3, len(rows)).swapaxes(0, 1)
+    moments = integrals_of(fit)
+    if not moments.sd > 0.0:
+        return 0.0
+    squares = (beyond - moments.mean) ** 2 - (at_last - moments.mean) ** 2
+    made = np.abs(squares).mean(axis=1) * np.array(chances)
+    moves = ((before - at_last) ** 2).mean(axis=1)
+    doubt = np.sqrt(np.array(errors) / np.maximum(moves, 1e-300))
+    return float(made @ np.minimum(2.0 * doubt + doubt**2, 1.0)) / moments.sd**2
 
 
 def _left(outputs: Array, values: Array) -> float:

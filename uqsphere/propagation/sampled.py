@@ -85,7 +85,7 @@ class Sampled:
     def _control(self, name: str) -> chaos.Expansion | None:
         """The expansion of a quantity that is accurate enough to be its control variate."""
         expansion = self.tables.expansions.get(name)
-        if expansion is None or expansion.left >= chaos.CONTROL:
+        if expansion is None or expansion.left + expansion.beyond >= chaos.CONTROL:
             return None
         return expansion if self.tables.sample.count < MOST_MANY else None
 
@@ -177,7 +177,7 @@ def _index(
         if end.value is None or end.low is None or end.high is None:
             return end
         ends.append((end.value, end.low, end.high))
-    error = expansion.integrals.error
+    error = expansion.integrals.error + expansion.beyond
     low = min(max(min(ends[0][1], ends[1][1]) - error, 0.0), 1.0)
     high = min(max(max(ends[0][2], ends[1][2]) + error, low), 1.0)
     value = min(max(0.5 * (ends[0][0] + ends[1][0]), low), high)
