@@ -160,13 +160,16 @@ def varies(outputs: Array) -> bool:
 
 
 def _explained(points: Array, residuals: Array) -> Array:
-    """What each input explains of residuals (R, m), for germ points (R, m, d) of replicates."""
-    parts = np.empty((2, *points[:, 0].shape))
+    """What each input explains of residuals (R, m) at least and at most, (2, R, d), for germ points
+    (R, m, d) of replicates.
+    """
+    parts = np.empty((3, *points[:, 0].shape))
     for r, (rows, rest) in enumerate(zip(points, residuals, strict=True)):
         for j, column in enumerate(rows.T):
-            pairs, squares = block_parts(column, rest)
-            parts[:, r, j] = pairs.mean(), squares.mean()
-    return parts
+            parts[:, r, j] = [part.mean() for part in block_parts(column, rest)]
+    least, squares, neighbours = parts
+    larger = neighbours.mean(axis=0) > squares.mean(axis=0)
+    return np.stack([least, np.where(larger, neighbours, squares)])
 
 
 def _runs_away(expansion: Expansion) -> bool:

@@ -375,7 +375,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     orders: dict[str, list[Estimate]] = {"first": [], "total": []}
     for j in range(d):
         by_blocks = block_parts(response.points[used, j], residual)
-        least, most = (float(part.mean()) / whole for part in by_blocks)
+        least, *larger = (float(part.mean()) / whole for part in by_blocks)
+        most = max(larger)
         error = max(distances(part)[1] for part in by_blocks) / whole
         # of the residuals' variance: the least, the most, their half-width, and what is likeliest
         rests = (
@@ -413,13 +414,15 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     return orders
 
 
-def block_parts(column: Array, residual: Array) -> tuple[Array, Array]:
+def block_parts(column: Array, residual: Array) -> tuple[Array, Array, Array]:
     """What an input (n,) explains of the mean square of residuals (n,): of each block (about
-    sqrt(n),) the mean product of different rows, and the square of the mean.
+    sqrt(n),) the mean product of different rows and the square of the mean, and the products of
+    neighbours (n // 2,).
 
     The rows are cut into blocks in the order of the input.  The products have the mean E[E[r |
     x]^2] where the other inputs are random; where these are stratified, as in a quasi-random
-    design, the square of the block's mean has it.
+    design, the square of the block's mean has it.  What changes sign within a block is only seen by
+    neighbours.
     """
     n = len(column)
     edges = np.linspace(0, n, round(math.sqrt(n)) + 1).astype(int)
@@ -427,4 +430,5 @@ def block_parts(column: Array, residual: Array) -> tuple[Array, Array]:
     ordered = residual[np.argsort(column, kind="stable")]
     means = np.add.reduceat(ordered, edges[:-1]) / counts
     second = np.add.reduceat(ordered**2, edges[:-1]) / counts
-    return (counts * means**2 - second) / (counts - 1), means**2
+    neighbours = ordered[: n - 1 : 2] * ordered[1::2]
+    return (counts * means**2 - second) / (counts - 1), means**2, neighbours
