@@ -392,7 +392,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
             if unbounded:
                 low = 0.0
                 high = 1.0
-            median = expanded[row, j]
+            median = float(expanded[row, j])
             best = median + float(_significant(value + likely - median, noise[row, j], n))
             best = min(max(best, low), high)
             estimate = bounded(best, low, high, 0.25 * (high - low), method, n)
